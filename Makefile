@@ -1,0 +1,83 @@
+# armcell: set up, run and test with nothing but Python 3.11-3.13 (with venv) and make.
+#   make demo                  make test PYTHON=/path/to/python3.12
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test check lint format clean FORCE
+
+VENV := .venv
+BIN  := $(VENV)/bin
+PY   := $(BIN)/python
+JOBS ?= 2
+# PYTHON= names the interpreter to use; without it the first usable one of these is taken.
+CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
+
+# A sourced ROS workspace puts packages of another Python on the path: keep them out.
+unexport PYTHONPATH PYTHONHOME
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
+	$(BIN)/armcell run panda_pick
+
+test: lint ## set up, then lint and run all tests but the interop ones
+	$(PY) -m pytest -n $(JOBS) -m "not interop"
+
+check: $(VENV)/.stamp ## set up, then run the quick tests
+	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop"
+
+lint: $(VENV)/.stamp ## style, types and the layers of the rooms
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+format: $(VENV)/.stamp ## let ruff put the source in order
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean: ## remove the environment, builds and caches (runs/ stays)
+	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name .git -prune -o -type d -name __pycache__ -prune -exec rm -rf {} +
+
+# ---- set-up: stamps, so that it happens once and again when the pins change -----------------------
+
+# The development set: what test, check, lint and format need.
+$(VENV)/.stamp: $(VENV)/.stamp-run requirements.txt requirements-dev.txt pyproject.toml
+	@echo "Installing the development set (once) ..."
+	$(PY) -m pip install -q -r requirements-dev.txt
+	@touch $@
+
+# The run-time set: what demo needs.
+$(VENV)/.stamp-run: $(VENV)/.python requirements.txt pyproject.toml
+	@echo "Installing armcell and what it needs into $(VENV) (once; some minutes, about 1.5 GB on disk) ..."
+	$(PY) -m pip install -r requirements.txt
+	$(PY) -m pip install -q --no-deps --no-build-isolation -e .
+	@touch $@
+
+# Leaves 0 if this Python can serve, else says why not. Must run on any old Python.
+USABLE := import sys; v = sys.version_info[:2]; sys.exit( \
+  "is Python %d.%d; 3.11, 3.12 or 3.13 is needed" % v if not (3, 11) <= v <= (3, 13) else \
+  None if __import__("importlib.util").util.find_spec("ensurepip") else \
+  "is Python %d.%d but cannot create environments; cure: apt install python%d.%d-venv" % (v + v))
+IDENTITY := import sys; print(sys.version.split()[0], sys.base_prefix)
+
+# The environment itself; .python holds who made it. With PYTHON= given it is made anew if that one differs.
+$(VENV)/.python: $(if $(PYTHON),FORCE)
+	@tried=""; \
+	for py in $(CANDIDATES); do \
+	  if ! command -v "$$py" >/dev/null 2>&1; then why="not found"; \
+	  elif ! why=$$("$$py" -c '$(USABLE)' 2>&1); then why=$$(printf '%s\n' "$$why" | head -n 1); \
+	  elif id=$$("$$py" -c '$(IDENTITY)') && [ -f $@ ] && [ "$$id" = "$$(cat $@)" ]; then exit 0; \
+	  elif echo "Creating $(VENV) with $$py ($$id)" && "$$py" -m venv --clear $(VENV); then \
+	    echo "$$id" > $@; exit 0; \
+	  else why="could not create $(VENV), see above"; fi; \
+	  tried="$$tried  $$py: $$why\n"; \
+	done; \
+	echo "No usable Python. armcell needs Python 3.11, 3.12 or 3.13 that can create environments." >&2; \
+	printf '%b' "$$tried" >&2; \
+	echo "Cure: on Debian or Ubuntu 'sudo apt install python3 python3-venv'; elsewhere install Python 3.13." >&2; \
+	echo "Or name one: make PYTHON=/path/to/python3.13 <target>" >&2; \
+	exit 1

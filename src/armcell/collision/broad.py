@@ -1,0 +1,42 @@
+"""Broad phase: boxes around every geometry, gaps between the boxes of each pair (Numba)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
+    """World axis-aligned boxes of geometries that move with a link.
+
+    Args:
+        Ts: T_world_link (links, 4, 4).
+        link: link of each geometry (g,).
+        centre: box centre in the link frame (g, 3) [m].
+        R_half: columns are the box's half axes in the link frame (g, 3, 3) [m].
+        is_static: geometries whose box is already in `out_*` (g,).
+    """
+    for g in range(len(link)):
+        if is_static[g]:
+            continue
+        T = Ts[link[g]]
+        for i in range(3):
+            out_centre[g, i] = T[i, 3] + T[i, 0] * centre[g, 0] + T[i, 1] * centre[g, 1] + T[i, 2] * centre[g, 2]
+            h = 0.0
+            for k in range(3):
+                h += abs(T[i, 0] * R_half[g, 0, k] + T[i, 1] * R_half[g, 1, k] + T[i, 2] * R_half[g, 2, k])
+            out_half[g, i] = h
+
+
+@njit(cache=True)
+def box_gaps(pairs, centre, half, out):
+    """Distance between the boxes of each pair (p, 2), 0 where they overlap: never above the true one."""
+    for p in range(len(pairs)):
+        a, b = pairs[p, 0], pairs[p, 1]
+        total = 0.0
+        for i in range(3):
+            gap = abs(centre[a, i] - centre[b, i]) - half[a, i] - half[b, i]
+            if gap > 0.0:
+                total += gap * gap
+        out[p] = np.sqrt(total)

@@ -1,0 +1,228 @@
+"""The exact checker: coal on the collision geometry itself, for any scene and group of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.collision.broad import box_gaps, world_boxes
+from armcell.collision.shapes import Solid, solid
+from armcell.core import SE3, Contact
+from armcell.kinematics import kinematic_tree
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """One solid of one body. `link` is -1 for what stands in the world."""
+
+    body: str
+    link: int
+    solid: Solid
+    T_link_solid: SE3
+    padding: float  # [m], counts against objects
+
+
+class ExactChecker:
+    """Collision and distance queries on one scene for the joints of one group.
+
+    Positions `q` are the group's (n,); the other joints stay at the scene's. Pairs whose bodies the group
+    cannot move against each other are in `contacts()` but not in `is_free()`, which is what planners ask.
+    Not thread-safe: it reuses its buffers. Make one per thread.
+    """
+
+    def __init__(self, scene: PlanningScene, joint_names: Iterable[str] | None = None):
+        self.scene = scene
+        self.model = scene.model
+        self.tree = kinematic_tree(scene.model)
+        self.joint_names = tuple(joint_names) if joint_names is not None else scene.model.joint_names
+        self.columns = np.array(scene.model.columns(self.joint_names), dtype=np.int64)
+        self._q = np.array(scene.positions, dtype=float)
+        self.geometries = _geometries(scene)
+        self.checks = 0
+        self._prepare_boxes()
+        self._prepare_pairs()
+
+    # --- preparation ---
+    def _prepare_boxes(self) -> None:
+        n = len(self.geometries)
+        self._link = np.array([g.link for g in self.geometries], dtype=np.int64)
+        self._static = self._link < 0
+        self._centre = np.array([g.T_link_solid.apply(g.solid.centre) for g in self.geometries]).reshape(n, 3)
+        self._R_half = np.array([g.T_link_solid.rotation.matrix * g.solid.half for g in self.geometries]).reshape(n, 3, 3)
+        self._world_centre = self._centre.copy()
+        self._world_half = np.abs(self._R_half).sum(axis=2)
+        self._transforms = [coal.Transform3s() for _ in range(n)]
+        self._R_local = [g.T_link_solid.rotation.matrix for g in self.geometries]
+        self._t_local = [g.T_link_solid.translation for g in self.geometries]
+        for i, g in enumerate(self.geometries):
+            if g.link < 0:
+                self._transforms[i].setTransform(self._R_local[i], self._t_local[i])
+        self._stamp = np.zeros(n, dtype=np.int64)  # which query a transform was last computed for
+        self._query = 0
+
+    def _prepare_pairs(self) -> None:
+        scene, geometries = self.scene, self.geometries
+        rigid = {link: i for i, links in enumerate(self.model.rigid_groups) for link in links}
+        home = [
+            -1 if g.link < 0 else rigid[self.tree.link_names[g.link]] for g in geometries
+        ]
+        moved_by = [self._group_joints_above(g.link) for g in geometries]
+        active, fixed, margins_active, margins_fixed = [], [], [], []
+        for i, a in enumerate(geometries):
+            for j in range(i + 1, len(geometries)):
+                b = geometries[j]
+                if a.body == b.body or home[i] == home[j] or scene.is_allowed(a.body, b.body):
+                    continue
+                against_object = a.link < 0 or b.link < 0
+                margin = a.padding + b.padding if against_object else 0.0
+                if moved_by[i] == moved_by[j]:
+                    fixed.append((i, j))
+                    margins_fixed.append(margin)
+                else:
+                    active.append((i, j))
+                    margins_active.append(margin)
+        self.pairs = np.array(active, dtype=np.int64).reshape(-1, 2)
+        self.fixed_pairs = np.array(fixed, dtype=np.int64).reshape(-1, 2)
+        self.margins = np.array(margins_active)
+        self.fixed_margins = np.array(margins_fixed)
+        self._gaps = np.empty(len(self.pairs))
+        self._request = coal.CollisionRequest()
+        self._result = coal.CollisionResult()
+        self._distance_request = coal.DistanceRequest()
+        self._distance_result = coal.DistanceResult()
+
+    def _group_joints_above(self, link: int) -> frozenset[int]:
+        if link < 0:
+            return frozenset()
+        mine = set(self.columns.tolist())
+        path = self.tree.path_to(self.tree.link_names[link])
+        return frozenset(int(self.tree.column[j]) for j in path if self.tree.kind[j] != 0 and self.tree.column[j] in mine)
+
+    # --- placing ---
+    def full(self, q: ArrayLike) -> Array:
+        """All joints (dof,) with the group's at q."""
+        self._q[self.columns] = q
+        return self._q
+
+    def place(self, q: ArrayLike) -> None:
+        """Move everything to q; the distance methods below speak of this placement."""
+        self.Ts = self.tree.link_transforms(self.full(q))
+        world_boxes(
+            self.Ts, self._link, self._centre, self._R_half, self._static, self._world_centre, self._world_half
+        )
+        self._query += 1
+
+    def _transform(self, i: int) -> coal.Transform3s:
+        transform = self._transforms[i]
+        link = self._link[i]
+        if link >= 0 and self._stamp[i] != self._query:
+            T = self.Ts[link]
+            R = T[:3, :3]
+            transform.setTransform(R @ self._R_local[i], R @ self._t_local[i] + T[:3, 3])
+            self._stamp[i] = self._query
+        return transform
+
+    def pair_gaps(self, pairs: NDArray[np.int64]) -> Array:
+        """Lower bounds of the distance of each pair (p, 2) [m]."""
+        gaps = np.empty(len(pairs))
+        box_gaps(pairs, self._world_centre, self._world_half, gaps)
+        return gaps
+
+    def _touch(self, a: int, b: int, margin: float) -> bool:
+        ga, gb = self.geometries[a].solid, self.geometries[b].solid
+        self._request.security_margin = margin
+        self._result.clear()
+        return bool(coal.collide(ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result))
+
+    def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
+        """Signed distance [m] of two geometries by index; `outer` measures the convex outer shapes."""
+        ga, gb = self.geometries[a].solid, self.geometries[b].solid
+        self._distance_result.clear()
+        return float(
+            coal.distance(
+                ga.outer if outer else ga.exact, self._transform(a),
+                gb.outer if outer else gb.exact, self._transform(b),
+                self._distance_request, self._distance_result,
+            )
+        )  # fmt: skip
+
+    def _contact(self, a: int, b: int) -> Contact:
+        distance = self.pair_distance(a, b)
+        p = (self._distance_result.getNearestPoint1() + self._distance_result.getNearestPoint2()) / 2
+        if not np.all(np.isfinite(p)):
+            p = (self._world_centre[a] + self._world_centre[b]) / 2
+        x, y, z = (float(v) for v in p)
+        return Contact(self.geometries[a].body, self.geometries[b].body, distance, (x, y, z))
+
+    # --- questions ---
+    def is_free(self, q: ArrayLike) -> bool:
+        """Whether nothing that the group can move touches anything (padding included)."""
+        self.checks += 1
+        self.place(q)
+        box_gaps(self.pairs, self._world_centre, self._world_half, self._gaps)
+        for p in np.flatnonzero(self._gaps <= self.margins):
+            if self._touch(self.pairs[p, 0], self.pairs[p, 1], float(self.margins[p])):
+                return False
+        return True
+
+    def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
+        """Every pair of bodies that touches at q (or is within the padding), deepest first."""
+        self.place(q)
+        worst: dict[frozenset[str], Contact] = {}
+        for pairs, margins in ((self.pairs, self.margins), (self.fixed_pairs, self.fixed_margins)):
+            limits = margins if padded else np.zeros(len(margins))
+            for p in np.flatnonzero(self.pair_gaps(pairs) <= limits):
+                a, b = int(pairs[p, 0]), int(pairs[p, 1])
+                if not self._touch(a, b, float(limits[p])):
+                    continue
+                contact = self._contact(a, b)
+                key = frozenset((contact.body_a, contact.body_b))
+                if key not in worst or contact.distance < worst[key].distance:
+                    worst[key] = contact
+        return sorted(worst.values(), key=lambda c: c.distance)
+
+    def nearest(self, q: ArrayLike, cutoff: float = np.inf) -> Contact | None:
+        """The closest pair of bodies that the group can move against each other.
+
+        Args:
+            cutoff: pairs farther apart [m] are not measured; None is returned if all are.
+        """
+        self.place(q)
+        gaps = self.pair_gaps(self.pairs)
+        best, best_pair = cutoff, None
+        for p in np.argsort(gaps, kind="stable"):
+            if gaps[p] >= best:
+                break
+            a, b = int(self.pairs[p, 0]), int(self.pairs[p, 1])
+            if self.pair_distance(a, b, outer=True) >= best:
+                continue
+            distance = self.pair_distance(a, b)
+            if distance < best:
+                best, best_pair = distance, (a, b)
+        return None if best_pair is None else self._contact(*best_pair)
+
+
+def _geometries(scene: PlanningScene) -> list[Geometry]:
+    tree = kinematic_tree(scene.model)
+    found = []
+    for link in scene.model.links.values():
+        padding = scene.link_padding.get(link.name, scene.padding)
+        scale = scene.link_scale.get(link.name, 1.0)
+        for c in link.collisions:
+            found.append(Geometry(link.name, tree.link_index[link.name], solid(c.shape, scale), c.T_link_shape, padding))
+    for body in scene.attached.values():
+        padding = scene.link_padding.get(body.link, scene.padding)
+        for shape, T_object_shape in body.object.shapes:
+            T = body.T_link_object @ T_object_shape
+            found.append(Geometry(body.object.name, tree.link_index[body.link], solid(shape), T, padding))
+    for item in scene.objects.values():
+        for shape, T_object_shape in item.shapes:
+            found.append(Geometry(item.name, -1, solid(shape), item.T_world_object @ T_object_shape, 0.0))
+    return found

@@ -1,0 +1,89 @@
+"""Shapes as coal geometries: primitives kept as primitives, meshes exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import coal
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core.geometry import local_bounds
+
+Array = NDArray[np.float64]
+
+CONVEX_EXCESS = 1e-3
+"""A closed mesh whose convex hull has at most this much more volume is treated as its hull."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape ready for coal. `outer` is a convex geometry around it (itself, if it is convex)."""
+
+    exact: coal.CollisionGeometry
+    outer: coal.CollisionGeometry
+    centre: Array  # (3,) of the box around it, in the shape's frame [m]
+    half: Array  # (3,) half extents of that box [m]
+
+
+@lru_cache(maxsize=1024)
+def solid(shape: Shape, scale: float = 1.0) -> Solid:
+    """The coal geometry of a shape, grown by a factor about its own origin."""
+    centre, half = local_bounds(shape)
+    match shape:
+        case Box():
+            exact = coal.Box(shape.x * scale, shape.y * scale, shape.z * scale)
+        case Sphere():
+            exact = coal.Sphere(shape.radius * scale)
+        case Cylinder():
+            exact = coal.Cylinder(shape.radius * scale, shape.length * scale)
+        case Capsule():
+            exact = coal.Capsule(shape.radius * scale, shape.length * scale)
+        case Cone():
+            exact = coal.Cone(shape.radius * scale, shape.length * scale)
+        case Plane():
+            exact = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+        case Mesh():
+            outer = _hull(shape.vertices * scale)
+            exact = outer if is_convex(shape) else _triangles(shape.vertices * scale, shape.faces)
+            return Solid(exact, outer, centre * scale, half * scale)
+    return Solid(exact, exact, centre * scale, half * scale)
+
+
+def is_convex(mesh: Mesh) -> bool:
+    """Whether a closed mesh fills its convex hull (within `CONVEX_EXCESS`)."""
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+    if not surface.is_watertight or surface.volume <= 0:
+        return False
+    return float(surface.convex_hull.volume) <= abs(float(surface.volume)) * (1 + CONVEX_EXCESS)
+
+
+def _points(vertices: Array) -> coal.StdVec_Vec3s:
+    points = coal.StdVec_Vec3s()
+    for vertex in vertices:
+        points.append(vertex)
+    return points
+
+
+def _hull(vertices: Array) -> coal.CollisionGeometry:
+    try:
+        return coal.ConvexBase.convexHull(_points(vertices), True, "Qt")
+    except Exception:  # qhull on a flat mesh: the box around it is a convex outer shape as well
+        low, high = vertices.min(0), vertices.max(0)
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+        extents = np.maximum(high - low, 1e-6)
+        return coal.ConvexBase.convexHull(_points(low + corners * extents), True, "Qt")
+
+
+def _triangles(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(faces), len(vertices))
+    triangles = coal.StdVec_Triangle()
+    for a, b, c in faces:
+        triangles.append(coal.Triangle(int(a), int(b), int(c)))
+    model.addSubModel(_points(vertices), triangles)
+    model.endModel()
+    return model

@@ -1,0 +1,39 @@
+"""Values and names shared by every room: poses, joints, shapes, results, errors, registry."""
+
+from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
+from armcell.core.events import Event, Observer, StateSample
+from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core.joints import JointPath, JointState, JointTrajectory
+from armcell.core.registry import Registry
+from armcell.core.results import Contact, ExecutionResult, IKResult, Outcome, PlanResult
+from armcell.core.transforms import SE3, SO3
+
+__all__ = [
+    "SE3",
+    "SO3",
+    "ArmcellError",
+    "Box",
+    "Capsule",
+    "Cone",
+    "Contact",
+    "Cylinder",
+    "ErrorCode",
+    "Event",
+    "ExecutionResult",
+    "IKResult",
+    "InputError",
+    "JointPath",
+    "JointState",
+    "JointTrajectory",
+    "Mesh",
+    "MissingExtraError",
+    "Observer",
+    "Outcome",
+    "Plane",
+    "PlanResult",
+    "Registry",
+    "Shape",
+    "Sphere",
+    "StateSample",
+    "UnknownNameError",
+]

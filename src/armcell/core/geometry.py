@@ -1,0 +1,146 @@
+"""Shapes: the solids that links and objects are made of. Each is centred on its own frame.
+
+Cylinder, capsule and cone have their axis along local z. Sizes are full lengths in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core.errors import InputError
+
+Array = NDArray[np.float64]
+
+PLANE_EXTENT_M = 100.0
+"""How far a plane is drawn and bounded; the contact itself is with the infinite half space."""
+
+
+def _positive(what: str, **sizes: float) -> None:
+    for name, value in sizes.items():
+        if not np.isfinite(value) or value <= 0:
+            raise InputError(f"{what} has {name} {value:g}, it must be a positive number of metres")
+
+
+@dataclass(frozen=True)
+class Box:
+    """Full edge lengths x, y, z [m]."""
+
+    x: float
+    y: float
+    z: float
+
+    def __post_init__(self) -> None:
+        _positive("box", x=self.x, y=self.y, z=self.z)
+
+    @property
+    def half_extents(self) -> Array:
+        return np.array([self.x, self.y, self.z]) / 2
+
+
+@dataclass(frozen=True)
+class Sphere:
+    radius: float
+
+    def __post_init__(self) -> None:
+        _positive("sphere", radius=self.radius)
+
+    @property
+    def half_extents(self) -> Array:
+        return np.full(3, self.radius)
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        _positive("cylinder", radius=self.radius, length=self.length)
+
+    @property
+    def half_extents(self) -> Array:
+        return np.array([self.radius, self.radius, self.length / 2])
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """`length` is that of the cylindrical part; the whole is `length + 2 radius`."""
+
+    radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        _positive("capsule", radius=self.radius, length=self.length)
+
+    @property
+    def half_extents(self) -> Array:
+        return np.array([self.radius, self.radius, self.length / 2 + self.radius])
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Base at -length/2, apex at +length/2."""
+
+    radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        _positive("cone", radius=self.radius, length=self.length)
+
+    @property
+    def half_extents(self) -> Array:
+        return np.array([self.radius, self.radius, self.length / 2])
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The half space z <= 0 of its own frame is solid."""
+
+    @property
+    def half_extents(self) -> Array:
+        return np.array([PLANE_EXTENT_M, PLANE_EXTENT_M, PLANE_EXTENT_M])
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh, already scaled to metres."""
+
+    vertices: Array  # (v, 3) [m]
+    faces: NDArray[np.int32]  # (f, 3)
+    file: Path | None = None
+
+    def __post_init__(self) -> None:
+        vertices = np.ascontiguousarray(self.vertices, dtype=float)
+        faces = np.ascontiguousarray(self.faces, dtype=np.int32)
+        where = {"file": self.file} if self.file else {}
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise InputError("a mesh needs vertices (v, 3) and faces (f, 3)", **where)
+        if len(faces) == 0 or not np.all(np.isfinite(vertices)):
+            raise InputError("mesh is empty or has a vertex that is not finite", **where)
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError("mesh has a face that points at a vertex it does not have", **where)
+        vertices.setflags(write=False)
+        faces.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @property
+    def half_extents(self) -> Array:
+        return np.maximum(np.abs(self.vertices.min(0)), np.abs(self.vertices.max(0)))
+
+
+Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh
+
+
+def local_bounds(shape: Shape) -> tuple[Array, Array]:
+    """Centre and half extents (3,), (3,) [m] of the axis-aligned box around a shape, in its frame."""
+    if isinstance(shape, Mesh):
+        low, high = shape.vertices.min(0), shape.vertices.max(0)
+        return (low + high) / 2, (high - low) / 2
+    if isinstance(shape, Plane):  # everything below z = 0
+        return np.array([0.0, 0.0, -PLANE_EXTENT_M]), shape.half_extents
+    return np.zeros(3), shape.half_extents

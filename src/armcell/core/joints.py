@@ -1,0 +1,171 @@
+"""Joint-space values: state, path, trajectory. Each carries its joint names; reindex by name at edges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core.errors import InputError, UnknownNameError
+
+Array = NDArray[np.float64]
+Names = tuple[str, ...]
+
+
+def _columns(have: Names, want: Iterable[str]) -> list[int]:
+    at = {name: i for i, name in enumerate(have)}
+    try:
+        return [at[name] for name in want]
+    except KeyError as missing:
+        raise UnknownNameError("joint", missing.args[0], have) from None
+
+
+@dataclass(frozen=True, eq=False)
+class JointState:
+    """Positions [rad or m] of named joints, with velocities [rad/s or m/s] where known."""
+
+    joint_names: Names
+    positions: Array  # (n,)
+    velocities: Array | None = None  # (n,)
+    efforts: Array | None = None  # (n,) [Nm or N]
+    time: float = 0.0  # [s]
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_names)
+        for label in ("positions", "velocities", "efforts"):
+            values = getattr(self, label)
+            if values is None:
+                continue
+            values = np.array(values, dtype=float)  # a copy: the value owns its numbers
+            if values.shape != (n,):
+                raise InputError(f"{label} has shape {values.shape}, {n} joints need ({n},)")
+            if not np.all(np.isfinite(values)):
+                bad = [name for name, v in zip(self.joint_names, values, strict=True) if not np.isfinite(v)]
+                raise InputError(f"{label} of {', '.join(bad)} is not finite")
+            object.__setattr__(self, label, values)
+
+    @staticmethod
+    def from_mapping(values: Mapping[str, float]) -> JointState:
+        return JointState(tuple(values), np.array(list(values.values()), dtype=float))
+
+    def reindexed(self, joint_names: Iterable[str]) -> JointState:
+        """The same state in another joint order, or of fewer joints.
+
+        Raises:
+            UnknownNameError: a joint this state does not have.
+        """
+        names = tuple(joint_names)
+        cols = _columns(self.joint_names, names)
+        pick = lambda a: None if a is None else a[cols]  # noqa: E731
+        return JointState(names, self.positions[cols], pick(self.velocities), pick(self.efforts), self.time)
+
+    def updated(self, other: JointState) -> JointState:
+        """This state with the joints of `other` overwritten (positions only)."""
+        positions = self.positions.copy()
+        positions[_columns(self.joint_names, other.joint_names)] = other.positions
+        return JointState(self.joint_names, positions, time=other.time or self.time)
+
+    def as_dict(self) -> dict[str, float]:
+        return dict(zip(self.joint_names, self.positions.tolist(), strict=True))
+
+    def __getitem__(self, joint_name: str) -> float:
+        return float(self.positions[_columns(self.joint_names, (joint_name,))[0]])
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """Waypoints in joint space, joined by straight lines, without time."""
+
+    joint_names: Names
+    waypoints: Array  # (k, n) [rad or m]
+
+    def __post_init__(self) -> None:
+        waypoints = np.array(self.waypoints, dtype=float)
+        if waypoints.ndim != 2 or waypoints.shape[1] != len(self.joint_names) or len(waypoints) == 0:
+            raise InputError(f"waypoints have shape {waypoints.shape}, need (k, {len(self.joint_names)}), k >= 1")
+        if not np.all(np.isfinite(waypoints)):
+            raise InputError("a waypoint has a value that is not finite")
+        object.__setattr__(self, "waypoints", waypoints)
+
+    @property
+    def length(self) -> float:
+        """Sum of the edges' Euclidean lengths [rad]."""
+        return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
+
+    def reversed(self) -> JointPath:
+        return replace(self, waypoints=self.waypoints[::-1])
+
+
+@dataclass(frozen=True, eq=False)
+class JointTrajectory:
+    """Timed joint motion. `velocities` and `accelerations` may be missing, as in trajectory_msgs."""
+
+    joint_names: Names
+    times: Array  # (k,) [s], from the start, strictly increasing
+    positions: Array  # (k, n)
+    velocities: Array | None = None  # (k, n)
+    accelerations: Array | None = None  # (k, n)
+
+    def __post_init__(self) -> None:
+        times = np.array(self.times, dtype=float)
+        k, n = len(times), len(self.joint_names)
+        if times.ndim != 1 or not np.all(np.isfinite(times)):
+            raise InputError("trajectory times must be one list of finite numbers")
+        if np.any(np.diff(times) <= 0):
+            i = int(np.argmax(np.diff(times) <= 0))
+            raise InputError(f"trajectory time goes from {times[i]:g} s to {times[i + 1]:g} s: it must increase")
+        object.__setattr__(self, "times", times)
+        for label in ("positions", "velocities", "accelerations"):
+            values = getattr(self, label)
+            if values is None:
+                continue
+            values = np.array(values, dtype=float)
+            if values.shape != (k, n):
+                raise InputError(f"trajectory {label} have shape {values.shape}, need ({k}, {n})")
+            if not np.all(np.isfinite(values)):
+                raise InputError(f"trajectory {label} have a value that is not finite")
+            object.__setattr__(self, label, values)
+
+    @property
+    def duration(self) -> float:
+        return float(self.times[-1]) if len(self.times) else 0.0
+
+    def sample(self, t: float) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at time t [s], held at both ends.
+
+        Between points: quintic where accelerations are given, cubic where velocities are, else linear
+        (the rule of ROS's joint_trajectory_controller).
+        """
+        times, n = self.times, len(self.joint_names)
+        zero = np.zeros(n)
+        if t <= times[0]:
+            return self.positions[0].copy(), zero, zero.copy()
+        if t >= times[-1]:
+            return self.positions[-1].copy(), zero, zero.copy()
+        i = int(np.searchsorted(times, t, side="right")) - 1
+        h, s = times[i + 1] - times[i], t - times[i]
+        p0, p1 = self.positions[i], self.positions[i + 1]
+        if self.velocities is None:
+            v = (p1 - p0) / h
+            return p0 + v * s, v, zero
+        v0, v1 = self.velocities[i], self.velocities[i + 1]
+        if self.accelerations is None:
+            c2 = (3 * (p1 - p0) / h - 2 * v0 - v1) / h
+            c3 = (v0 + v1 - 2 * (p1 - p0) / h) / h**2
+            return (
+                p0 + s * (v0 + s * (c2 + s * c3)),
+                v0 + s * (2 * c2 + 3 * s * c3),
+                2 * c2 + 6 * s * c3,
+            )
+        a0, a1 = self.accelerations[i], self.accelerations[i + 1]
+        d = p1 - p0
+        c3 = (20 * d - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
+        c4 = (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
+        c5 = (12 * d - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5)
+        return (
+            p0 + s * (v0 + s * (a0 / 2 + s * (c3 + s * (c4 + s * c5)))),
+            v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5))),
+            a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5)),
+        )

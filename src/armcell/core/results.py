@@ -1,0 +1,83 @@
+"""What a request answers: code, message and the evidence behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core.errors import ErrorCode
+from armcell.core.joints import JointPath, JointTrajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Two bodies (links or objects) that touch, or nearly do.
+
+    `distance` is negative by the depth of penetration [m]; `position` (3,) is in the world frame [m].
+    """
+
+    body_a: str
+    body_b: str
+    distance: float
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def describe(self) -> str:
+        if self.distance <= 0:
+            return f"{self.body_a} touches {self.body_b} ({-self.distance * 1000:.1f} mm deep)"
+        return f"{self.body_a} is {self.distance * 1000:.1f} mm from {self.body_b}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Base of all results: an error code, one line for people, and evidence by name."""
+
+    code: ErrorCode
+    message: str = ""
+    evidence: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def ok(self) -> bool:
+        return self.code is ErrorCode.SUCCESS
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+
+@dataclass(frozen=True)
+class IKResult(Outcome):
+    """`positions` (dof,) of the group's joints, or the closest found when it failed."""
+
+    positions: Array | None = None
+    position_error: float = np.inf  # [m]
+    rotation_error: float = np.inf  # [rad]
+
+
+@dataclass(frozen=True)
+class PlanResult(Outcome):
+    """A path and its timed form. Both are None unless the code is SUCCESS (or a partial Cartesian path)."""
+
+    path: JointPath | None = None
+    trajectory: JointTrajectory | None = None
+    planner_id: str = ""
+    planning_time: float = 0.0  # [s], wall clock
+    fraction: float = 1.0  # of a Cartesian path
+    min_clearance: float = np.inf  # [m] along the motion, over the pairs checked
+
+
+@dataclass(frozen=True)
+class ExecutionResult(Outcome):
+    """How a motion ended. Times in the driver's clock [s]."""
+
+    started: float = 0.0
+    finished: float = 0.0
+    max_tracking_error: float = 0.0  # [rad or m]
+    final_error: float = 0.0  # [rad or m]
+
+    @property
+    def duration(self) -> float:
+        return self.finished - self.started

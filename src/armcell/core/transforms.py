@@ -1,0 +1,287 @@
+"""Rigid transforms: `SO3` and `SE3` values.
+
+This module and the wire codecs are the only places that know a quaternion's component order.
+`T_a_b` maps coordinates in frame b to frame a, so `T_a_b @ T_b_c == T_a_c`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core.errors import InputError
+
+Array = NDArray[np.float64]
+
+QUAT_NORM_TOLERANCE = 1e-3
+"""How far from 1 a quaternion's norm may be before it counts as a mistake, not as rounding."""
+
+
+def skew(v: ArrayLike) -> Array:
+    """The 3x3 matrix with `skew(v) @ w == cross(v, w)`."""
+    x, y, z = np.asarray(v, dtype=float)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _finite(values: ArrayLike, count: int, what: str) -> Array:
+    array = np.asarray(values, dtype=float)
+    if array.shape != (count,):
+        raise InputError(f"{what} needs {count} numbers, got shape {array.shape}")
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"{what} has a value that is not finite: {array.tolist()}")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class SO3:
+    """A rotation, kept as a 3x3 matrix."""
+
+    matrix: Array  # (3, 3)
+
+    @staticmethod
+    def identity() -> SO3:
+        return SO3(np.eye(3))
+
+    @staticmethod
+    def from_quat_wxyz(quat_wxyz: ArrayLike) -> SO3:
+        """From a unit quaternion, scalar first.
+
+        Raises:
+            InputError: not four finite numbers, or the norm is not 1 within `QUAT_NORM_TOLERANCE`.
+        """
+        q = _finite(quat_wxyz, 4, "a quaternion")
+        norm = float(np.linalg.norm(q))
+        if abs(norm - 1.0) > QUAT_NORM_TOLERANCE:
+            raise InputError(
+                f"quaternion has norm {norm:.4g}, a rotation needs norm 1", cure="divide it by its norm"
+            )
+        w, x, y, z = q / norm
+        return SO3(
+            np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+                ]
+            )
+        )
+
+    @staticmethod
+    def from_quat_xyzw(quat_xyzw: ArrayLike) -> SO3:
+        """From a unit quaternion, scalar last (ROS, SciPy, Unity)."""
+        x, y, z, w = _finite(quat_xyzw, 4, "a quaternion")
+        return SO3.from_quat_wxyz((w, x, y, z))
+
+    @staticmethod
+    def from_rpy(rpy: ArrayLike) -> SO3:
+        """From roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, as in URDF."""
+        r, p, y = _finite(rpy, 3, "roll-pitch-yaw")
+        cr, sr, cp, sp, cy, sy = np.cos(r), np.sin(r), np.cos(p), np.sin(p), np.cos(y), np.sin(y)
+        return SO3(
+            np.array(
+                [
+                    [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                    [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                    [-sp, cp * sr, cp * cr],
+                ]
+            )
+        )
+
+    @staticmethod
+    def exp(rotvec: ArrayLike) -> SO3:
+        """From a rotation vector [rad] (Rodrigues' formula)."""
+        v = _finite(rotvec, 3, "a rotation vector")
+        angle = float(np.linalg.norm(v))
+        K = skew(v)
+        if angle < 1e-8:
+            return SO3(np.eye(3) + K + 0.5 * K @ K)
+        return SO3(np.eye(3) + np.sin(angle) / angle * K + (1 - np.cos(angle)) / angle**2 * K @ K)
+
+    @staticmethod
+    def between(a: ArrayLike, b: ArrayLike) -> SO3:
+        """The shortest rotation that turns direction `a` into direction `b`."""
+        u, v = np.asarray(a, float), np.asarray(b, float)
+        u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
+        axis, cosine = np.cross(u, v), float(np.clip(u @ v, -1, 1))
+        sine = float(np.linalg.norm(axis))
+        if sine < 1e-12:
+            if cosine > 0:
+                return SO3.identity()
+            other = np.eye(3)[int(np.argmin(np.abs(u)))]
+            axis = np.cross(u, other)
+            return SO3.exp(np.pi * axis / np.linalg.norm(axis))
+        return SO3.exp(np.arctan2(sine, cosine) * axis / sine)
+
+    @property
+    def quat_wxyz(self) -> Array:
+        """Unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
+        m = self.matrix
+        four = np.array([np.trace(m), m[0, 0], m[1, 1], m[2, 2]])
+        k = int(np.argmax(four))
+        if k == 0:
+            q = np.array([1 + four[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+        elif k == 1:
+            q = np.array(
+                [m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - four[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]
+            )
+        elif k == 2:
+            q = np.array(
+                [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - four[0], m[1, 2] + m[2, 1]]
+            )
+        else:
+            q = np.array(
+                [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - four[0]]
+            )
+        q /= np.linalg.norm(q)
+        return -q if q[0] < 0 else q
+
+    @property
+    def quat_xyzw(self) -> Array:
+        """Unit quaternion, scalar last, scalar >= 0."""
+        return np.roll(self.quat_wxyz, -1)
+
+    @property
+    def rpy(self) -> Array:
+        """Roll, pitch, yaw [rad]; at the pitch singularity roll is 0."""
+        m = self.matrix
+        pitch = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
+        if abs(np.cos(pitch)) < 1e-9:
+            return np.array([0.0, pitch, np.arctan2(-m[0, 1], m[1, 1])])
+        return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
+
+    def log(self) -> Array:
+        """The rotation vector [rad], of length <= pi."""
+        w, *v = self.quat_wxyz
+        n = float(np.linalg.norm(v))
+        if n < 1e-12:
+            return 2.0 * np.asarray(v)
+        return 2.0 * np.arctan2(n, w) / n * np.asarray(v)
+
+    def inv(self) -> SO3:
+        return SO3(self.matrix.T)
+
+    def __matmul__(self, other: SO3) -> SO3:
+        return SO3(self.matrix @ other.matrix)
+
+
+@dataclass(frozen=True, eq=False)
+class SE3:
+    """A rigid transform: rotation and translation [m]."""
+
+    rotation: SO3
+    translation: Array  # (3,)
+
+    @staticmethod
+    def identity() -> SE3:
+        return SE3(SO3.identity(), np.zeros(3))
+
+    @staticmethod
+    def from_xyz(x: float, y: float, z: float) -> SE3:
+        return SE3(SO3.identity(), _finite((x, y, z), 3, "a position"))
+
+    @staticmethod
+    def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> SE3:
+        """From a position [m] and roll-pitch-yaw [rad], as URDF's `<origin>`."""
+        return SE3(SO3.from_rpy(rpy), _finite(xyz, 3, "a position"))
+
+    @staticmethod
+    def from_matrix(matrix: ArrayLike) -> SE3:
+        """From a 4x4 homogeneous matrix."""
+        m = np.asarray(matrix, dtype=float)
+        if m.shape != (4, 4):
+            raise InputError(f"a homogeneous transform has shape (4, 4), got {m.shape}")
+        return SE3(SO3(m[:3, :3].copy()), m[:3, 3].copy())
+
+    @staticmethod
+    def from_quat_wxyz(xyz: ArrayLike, quat_wxyz: ArrayLike) -> SE3:
+        return SE3(SO3.from_quat_wxyz(quat_wxyz), _finite(xyz, 3, "a position"))
+
+    @staticmethod
+    def from_quat_xyzw(xyz: ArrayLike, quat_xyzw: ArrayLike) -> SE3:
+        return SE3(SO3.from_quat_xyzw(quat_xyzw), _finite(xyz, 3, "a position"))
+
+    @staticmethod
+    def from_mapping(value: object, what: str = "pose") -> SE3:
+        """From a cell file's pose: `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` or
+        `{xyz: [...], rpy: [...]}` / `{xyz, rpy_deg}` / `{xyz, quat_xyzw}`.
+
+        Raises:
+            InputError: anything else, naming `what`.
+        """
+        try:
+            if isinstance(value, Sequence) and not isinstance(value, str):
+                if len(value) == 3:
+                    return SE3.from_xyz_rpy(value)
+                if len(value) == 6:
+                    return SE3.from_xyz_rpy(value[:3], value[3:])
+            elif isinstance(value, dict):
+                unknown = set(value) - {"xyz", "rpy", "rpy_deg", "quat_xyzw"}
+                if not unknown and len(value) <= 2:
+                    xyz = value.get("xyz", (0.0, 0.0, 0.0))
+                    if "quat_xyzw" in value:
+                        return SE3.from_quat_xyzw(xyz, value["quat_xyzw"])
+                    rpy = value.get("rpy", np.deg2rad(value.get("rpy_deg", (0.0, 0.0, 0.0))))
+                    return SE3.from_xyz_rpy(xyz, rpy)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{what}: {error}") from error
+        except InputError as error:
+            raise InputError(f"{what}: {error}") from error
+        raise InputError(
+            f"{what}: {value!r} is not a pose",
+            cure="write [x, y, z], [x, y, z, roll, pitch, yaw] or {xyz: [...], rpy_deg: [...]}",
+        )
+
+    @property
+    def matrix(self) -> Array:
+        m = np.eye(4)
+        m[:3, :3] = self.rotation.matrix
+        m[:3, 3] = self.translation
+        return m
+
+    @property
+    def quat_wxyz(self) -> Array:
+        return self.rotation.quat_wxyz
+
+    @property
+    def quat_xyzw(self) -> Array:
+        return self.rotation.quat_xyzw
+
+    def inv(self) -> SE3:
+        R = self.rotation.matrix.T
+        return SE3(SO3(R), -R @ self.translation)
+
+    def __matmul__(self, other: SE3) -> SE3:
+        R = self.rotation.matrix
+        return SE3(SO3(R @ other.rotation.matrix), R @ other.translation + self.translation)
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Map points (..., 3) from the child frame to the parent frame."""
+        return np.asarray(points, float) @ self.rotation.matrix.T + self.translation
+
+    def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
+        """The same orientation, moved in the parent frame [m]."""
+        return SE3(self.rotation, self.translation + np.array([x, y, z]))
+
+    def distance_to(self, other: SE3) -> tuple[float, float]:
+        """Distance in metres and in radians."""
+        angle = float(np.linalg.norm((self.rotation.inv() @ other.rotation).log()))
+        return float(np.linalg.norm(self.translation - other.translation)), angle
+
+    def isclose(self, other: SE3, position: float = 1e-9, rotation: float = 1e-9) -> bool:
+        metres, radians = self.distance_to(other)
+        return metres <= position and radians <= rotation
+
+    def interpolate(self, other: SE3, fraction: float) -> SE3:
+        """Straight line in position, constant angular velocity in orientation."""
+        turn = SO3.exp(fraction * (self.rotation.inv() @ other.rotation).log())
+        return SE3(
+            self.rotation @ turn, (1 - fraction) * self.translation + fraction * other.translation
+        )
+
+    def __repr__(self) -> str:
+        xyz = ", ".join(f"{v:.4f}" for v in self.translation)
+        rpy = ", ".join(f"{v:.1f}" for v in np.rad2deg(self.rotation.rpy))
+        return f"SE3(xyz=[{xyz}] m, rpy=[{rpy}] deg)"

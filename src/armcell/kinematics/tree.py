@@ -1,0 +1,177 @@
+"""Forward kinematics and Jacobians of a robot's whole tree, on flat arrays (Numba)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, UnknownNameError
+from armcell.model import RobotModel
+
+Array = NDArray[np.float64]
+
+FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
+_KINDS = {"fixed": FIXED, "revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
+
+
+@njit(cache=True)
+def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, out):
+    """Fill `out` (links, 4, 4) with T_root_link; link 0 is the root, link i+1 the child of joint i."""
+    for i in range(4):
+        for j in range(4):
+            out[0, i, j] = 1.0 if i == j else 0.0
+    for joint in range(len(parent)):
+        P = out[parent[joint]]
+        F = T_parent_joint[joint]
+        A = np.empty((3, 4))  # P @ F, the joint frame
+        for i in range(3):
+            for j in range(4):
+                A[i, j] = P[i, 0] * F[0, j] + P[i, 1] * F[1, j] + P[i, 2] * F[2, j]
+            A[i, 3] += P[i, 3]
+        T = out[joint + 1]
+        T[3, 0] = T[3, 1] = T[3, 2] = 0.0
+        T[3, 3] = 1.0
+        if kind[joint] == FIXED:
+            for i in range(3):
+                for j in range(4):
+                    T[i, j] = A[i, j]
+            continue
+        value = multiplier[joint] * q[column[joint]] + offset[joint]
+        x, y, z = axis[joint]
+        if kind[joint] == PRISMATIC:
+            for i in range(3):
+                for j in range(3):
+                    T[i, j] = A[i, j]
+                T[i, 3] = A[i, 3] + value * (A[i, 0] * x + A[i, 1] * y + A[i, 2] * z)
+            continue
+        c, s = np.cos(value), np.sin(value)
+        v = 1.0 - c  # Rodrigues
+        r00, r01, r02 = c + x * x * v, x * y * v - z * s, x * z * v + y * s
+        r10, r11, r12 = y * x * v + z * s, c + y * y * v, y * z * v - x * s
+        r20, r21, r22 = z * x * v - y * s, z * y * v + x * s, c + z * z * v
+        for i in range(3):
+            a0, a1, a2 = A[i, 0], A[i, 1], A[i, 2]
+            T[i, 0] = a0 * r00 + a1 * r10 + a2 * r20
+            T[i, 1] = a0 * r01 + a1 * r11 + a2 * r21
+            T[i, 2] = a0 * r02 + a1 * r12 + a2 * r22
+            T[i, 3] = A[i, 3]
+
+
+@njit(cache=True)
+def chain_jacobian(Ts, point, joints, kind, axis, column, multiplier, group_column, out):
+    """Fill `out` (6, n): velocity of `point` (3,) [root frame] over angular velocity, per group joint."""
+    out[:] = 0.0
+    for k in range(len(joints)):
+        joint = joints[k]
+        if kind[joint] == FIXED:
+            continue
+        target = group_column[column[joint]]
+        if target < 0:
+            continue
+        T = Ts[joint + 1]
+        ax, ay, az = axis[joint]
+        m = multiplier[joint]
+        wx = (T[0, 0] * ax + T[0, 1] * ay + T[0, 2] * az) * m
+        wy = (T[1, 0] * ax + T[1, 1] * ay + T[1, 2] * az) * m
+        wz = (T[2, 0] * ax + T[2, 1] * ay + T[2, 2] * az) * m
+        if kind[joint] == PRISMATIC:
+            out[0, target] += wx
+            out[1, target] += wy
+            out[2, target] += wz
+        else:
+            dx, dy, dz = point[0] - T[0, 3], point[1] - T[1, 3], point[2] - T[2, 3]
+            out[0, target] += wy * dz - wz * dy
+            out[1, target] += wz * dx - wx * dz
+            out[2, target] += wx * dy - wy * dx
+            out[3, target] += wx
+            out[4, target] += wy
+            out[5, target] += wz
+
+
+class KinematicTree:
+    """A `RobotModel` as arrays. One per model: `kinematic_tree(model)`."""
+
+    def __init__(self, model: RobotModel):
+        self.model = model
+        joints = list(model.joints.values())
+        self.link_names = (model.root_link, *(j.child for j in joints))
+        self.link_index = {name: i for i, name in enumerate(self.link_names)}
+        at = {name: i for i, name in enumerate(model.joint_names)}
+        n = len(joints)
+        self.parent = np.array([self.link_index[j.parent] for j in joints], dtype=np.int64)
+        self.T_parent_joint = np.array([j.T_parent_joint.matrix for j in joints]).reshape(n, 4, 4)
+        self.kind = np.array([_KINDS[j.type] for j in joints], dtype=np.int64)
+        self.axis = np.array([j.axis for j in joints], dtype=float).reshape(n, 3)
+        self.column = np.zeros(n, dtype=np.int64)
+        self.multiplier = np.ones(n)
+        self.offset = np.zeros(n)
+        for i, joint in enumerate(joints):
+            source, mult, off = joint, 1.0, 0.0
+            while source.mimic is not None:  # a mimic of a mimic is followed to the driven joint
+                off += mult * source.mimic.offset
+                mult *= source.mimic.multiplier
+                source = model.joints[source.mimic.joint]
+            if joint.movable:
+                self.column[i], self.multiplier[i], self.offset[i] = at[source.name], mult, off
+        self.joint_index = {j.name: i for i, j in enumerate(joints)}
+
+    def link_transforms(self, q: ArrayLike) -> Array:
+        """T_root_link of every link in `link_names` order, (links, 4, 4), at positions q (dof,)."""
+        out = np.empty((len(self.link_names), 4, 4))
+        q = np.ascontiguousarray(q, dtype=float)
+        forward(
+            self.parent, self.T_parent_joint, self.kind, self.axis, self.column, self.multiplier, self.offset, q, out
+        )
+        return out
+
+    def full_positions(self, q: ArrayLike) -> dict[str, float]:
+        """Positions of all movable joints, mimic joints included, by name."""
+        q = np.asarray(q, dtype=float)
+        return {
+            name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])
+            for name, i in self.joint_index.items()
+            if self.kind[i] != FIXED
+        }
+
+    def link_pose(self, q: ArrayLike, link: str) -> SE3:
+        """T_root_link of one link."""
+        if link not in self.link_index:
+            raise UnknownNameError("link", link, self.link_index)
+        return SE3.from_matrix(self.link_transforms(q)[self.link_index[link]])
+
+    def path_to(self, link: str) -> Array:
+        """Indices of the joints between the root and a link, root first."""
+        if link not in self.link_index:
+            raise UnknownNameError("link", link, self.link_index)
+        found, i = [], self.link_index[link]
+        while i > 0:
+            found.append(i - 1)
+            i = self.parent[i - 1]
+        return np.array(found[::-1], dtype=np.int64)
+
+    def jacobian(self, q: ArrayLike, link: str, joint_names: tuple[str, ...] | None = None) -> Array:
+        """Geometric Jacobian (6, n) at the link's origin, in the root frame: linear over angular velocity.
+
+        Args:
+            q: positions (dof,).
+            joint_names: columns wanted; all actuated joints by default.
+        """
+        names = self.model.joint_names if joint_names is None else joint_names
+        group_column = np.full(self.model.dof, -1, dtype=np.int64)
+        group_column[self.model.columns(names)] = np.arange(len(names))
+        Ts = self.link_transforms(q)
+        out = np.empty((6, len(names)))
+        chain_jacobian(
+            Ts, Ts[self.link_index[link], :3, 3], self.path_to(link), self.kind, self.axis, self.column,
+            self.multiplier, group_column, out,
+        )  # fmt: skip
+        return out
+
+
+@lru_cache(maxsize=64)
+def kinematic_tree(model: RobotModel) -> KinematicTree:
+    """The tree of a model, made once (models are frozen and hash by identity)."""
+    return KinematicTree(model)

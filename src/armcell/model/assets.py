@@ -1,0 +1,113 @@
+"""Finding and loading meshes: `package://` URIs, files, scale, colours."""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from armcell.core import InputError, Mesh
+
+MAX_MESH_BYTES = 100_000_000
+MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
+
+
+def installed_share() -> list[Path]:
+    """Share folders of robot descriptions installed by pip (`example-robot-data` lives in cmeel.prefix)."""
+    found = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path if entry]
+    return [share for share in found if share.is_dir()]
+
+
+def resolve_uri(uri: str, base: Path) -> Path:
+    """The file a URDF's mesh URI means.
+
+    `package://pkg/rest` is looked for in the folders above `base`, in ROS_PACKAGE_PATH and
+    AMENT_PREFIX_PATH, and among the descriptions installed by pip. Other URIs are relative to `base`.
+
+    Args:
+        uri: as written in the file.
+        base: folder of the file that says it.
+    Raises:
+        InputError: no such file; lists where it was looked for.
+    """
+    if uri.startswith("package://"):
+        package, _, rest = uri[len("package://") :].partition("/")
+        roots = [base, *base.parents]
+        tried = [root / package / rest for root in roots]
+        tried += [root / rest for root in roots if root.name == package]
+        for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+            for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+                tried += [Path(entry) / package / rest, Path(entry) / "share" / package / rest]
+                if Path(entry).name == package:
+                    tried.append(Path(entry) / rest)
+        tried += [share / package / rest for share in installed_share()]
+        for path in tried:
+            if path.is_file():
+                return path
+        raise InputError(
+            f"{uri} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
+            cure=f"put package {package!r} beside the URDF or add its parent folder to ROS_PACKAGE_PATH",
+        )
+    if "://" in uri and not uri.startswith("file://"):
+        raise InputError(f"{uri}: only package:// and file:// URIs are read", cure="use a local file")
+    path = Path(uri.removeprefix("file://"))
+    path = path if path.is_absolute() else base / path
+    if not path.is_file():
+        raise InputError(f"mesh file {path} not found", cure="check the path")
+    return path
+
+
+def _checked(path: Path) -> Path:
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(f"mesh format {path.suffix!r} is not read", file=path, cure="use STL, OBJ, DAE, PLY or GLB")
+    if path.stat().st_size > MAX_MESH_BYTES:
+        raise InputError(f"mesh is larger than {MAX_MESH_BYTES} bytes", file=path)
+    return path
+
+
+@lru_cache(maxsize=256)
+def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
+    """A mesh file as one triangle mesh [m].
+
+    Raises:
+        InputError: unreadable, empty or not finite.
+    """
+    try:
+        loaded = trimesh.load(_checked(path), force="mesh", process=False)
+        vertices = np.asarray(loaded.vertices, dtype=float)  # pyright: ignore[reportAttributeAccessIssue]
+        faces = np.asarray(loaded.faces)  # pyright: ignore[reportAttributeAccessIssue]
+    except InputError:
+        raise
+    except Exception as error:  # every mesh library has errors of its own; the file is what is wrong
+        raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
+    if len(faces) == 0:
+        raise InputError("mesh has no triangles", file=path)
+    merged = trimesh.Trimesh(vertices * np.asarray(scale), faces, process=False)
+    merged.merge_vertices(merge_tex=True, merge_norm=True)
+    return Mesh(merged.vertices, merged.faces.astype(np.int32), path)
+
+
+@lru_cache(maxsize=256)
+def load_visual(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
+    """A visual mesh with its colours baked into the faces, for drawing.
+
+    Raises:
+        InputError: unreadable.
+    """
+    try:
+        scene = trimesh.load(_checked(path), process=False)
+        parts = scene.dump() if isinstance(scene, trimesh.Scene) else [scene]
+        for part in parts:
+            if isinstance(part, trimesh.Trimesh) and hasattr(part.visual, "to_color"):
+                part.visual = part.visual.to_color()
+        mesh = trimesh.util.concatenate([part for part in parts if isinstance(part, trimesh.Trimesh)])
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
+    mesh.apply_scale(np.asarray(scale))
+    return mesh

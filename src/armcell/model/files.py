@@ -1,0 +1,79 @@
+"""Reading files from outside: size caps, no entity expansion, no network, one clear line on error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from lxml import etree
+
+from armcell.core import InputError
+
+MAX_TEXT_BYTES = 20_000_000
+MAX_YAML_BYTES = 2_000_000
+MAX_YAML_ALIASES = 50  # anchors are fine, a "billion laughs" document is not
+
+
+def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: missing, a folder, larger than `limit` bytes or not UTF-8.
+    """
+    try:
+        if path.is_dir():
+            raise InputError("is a folder, a file is needed", file=path)
+        if path.stat().st_size > limit:
+            raise InputError(f"is larger than {limit} bytes", file=path)
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError("file not found", file=path, cure="check the path") from None
+    except PermissionError:
+        raise InputError("no permission to read", file=path) from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text ({error.reason} at byte {error.start})", file=path) from None
+
+
+def parse_xml(text: str, file: Path | str) -> etree._Element:
+    """The root element of an XML text.
+
+    Raises:
+        InputError: not well-formed (with the line), or it declares a DOCTYPE (entity bombs).
+    """
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True
+    )
+    try:
+        root = etree.fromstring(text.encode(), parser)
+    except etree.XMLSyntaxError as error:
+        raise InputError(f"is not valid XML: {error.msg}", file=file, line=error.lineno) from None
+    if root.getroottree().docinfo.doctype:
+        raise InputError("declares a DOCTYPE, which armcell refuses", file=file, cure="delete the DOCTYPE")
+    return root
+
+
+def read_xml(path: Path) -> etree._Element:
+    return parse_xml(read_text(path), path)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file whose top level is a mapping.
+
+    Raises:
+        InputError: missing, not YAML (with the line), not a mapping, or too many aliases.
+    """
+    text = read_text(path, MAX_YAML_BYTES)
+    try:
+        aliases = sum(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.CSafeLoader))
+        if aliases > MAX_YAML_ALIASES:
+            raise InputError(f"uses {aliases} YAML aliases, at most {MAX_YAML_ALIASES} are allowed", file=path)
+        data = yaml.load(text, yaml.CSafeLoader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else None
+        raise InputError(f"is not valid YAML: {error.problem}", file=path, line=line) from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InputError(f"is not valid YAML: {error}", file=path) from None
+    if not isinstance(data, dict):
+        raise InputError(f"top level is {type(data).__name__}, a mapping is needed", file=path)
+    return data

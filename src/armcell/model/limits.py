@@ -1,0 +1,76 @@
+"""Limits that URDF lacks or overstates: acceleration, jerk and tightened velocities, from joint_limits.yaml.
+
+The file has MoveIt's form (`joint_limits: {joint: {has_velocity_limits, max_velocity, ...}}`) with
+`max_jerk`, `min_position` and `max_position` besides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from armcell.core import InputError, UnknownNameError
+from armcell.model.files import read_yaml
+from armcell.model.robot import RobotModel
+
+_FIELDS = {
+    "max_velocity": "velocity",
+    "max_acceleration": "acceleration",
+    "max_jerk": "jerk",
+    "max_effort": "effort",
+    "min_position": "lower",
+    "max_position": "upper",
+}
+_SWITCHES = {
+    "has_velocity_limits": "max_velocity",
+    "has_acceleration_limits": "max_acceleration",
+    "has_jerk_limits": "max_jerk",
+    "has_effort_limits": "max_effort",
+    "has_position_limits": None,
+    "has_deceleration_limits": None,
+    "max_deceleration": None,
+}
+
+
+def with_joint_limits(model: RobotModel, path: Path) -> RobotModel:
+    """The model with joint_limits.yaml applied. A limit may be tightened, never widened.
+
+    Raises:
+        InputError: unknown joint or key, wrong type, or a limit wider than the URDF's.
+    """
+    data = read_yaml(path).get("joint_limits")
+    if not isinstance(data, dict):
+        raise InputError("has no mapping 'joint_limits'", file=path)
+    joints = dict(model.joints)
+    for name, entry in data.items():
+        if name not in joints:
+            raise UnknownNameError("joint", name, joints, file=path)
+        joints[name] = replace(joints[name], limits=_tightened(joints[name].limits, name, entry, path))
+    return replace(model, joints=joints)
+
+
+def _tightened(limits: Any, name: str, entry: Any, path: Path):
+    where = {"file": path, "element": f"joint_limits/{name}"}
+    if not isinstance(entry, dict):
+        raise InputError("is not a mapping", **where)
+    off = {_SWITCHES[k] for k, v in entry.items() if k in _SWITCHES and v is False}
+    for key, value in entry.items():
+        if key in _SWITCHES:
+            continue
+        if key not in _FIELDS:
+            raise UnknownNameError("key", key, [*_FIELDS, *_SWITCHES], **where)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"{key} is {value!r}, a number is needed", **where)
+        if key in off:
+            continue
+        attribute = _FIELDS[key]
+        old = getattr(limits, attribute)
+        if attribute not in ("lower", "upper") and value <= 0:
+            raise InputError(f"{key} is {value:g}, it must be positive", **where)
+        if (attribute == "lower" and value < old) or (attribute != "lower" and value > old * (1 + 1e-6) + 1e-9):
+            raise InputError(
+                f"{key} {value:g} is wider than the robot's own {old:g}", **where, cure="limits may only be tightened"
+            )
+        limits = replace(limits, **{attribute: float(value)})
+    return limits

@@ -1,0 +1,141 @@
+"""`load_robot`: by library name, folder, URDF or xacro file."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from armcell.core import SE3, InputError, UnknownNameError
+from armcell.model.assets import resolve_uri
+from armcell.model.compose import Part, compose
+from armcell.model.files import read_yaml
+from armcell.model.limits import with_joint_limits
+from armcell.model.robot import Gripper, RobotModel
+from armcell.model.srdf import with_srdf
+from armcell.model.urdf import load_urdf
+
+LIBRARY = Path(__file__).parent / "library"
+ROBOT_FILE = "robot.yaml"
+_KEYS = {"name", "source", "urdf", "root", "srdf", "joint_limits", "grippers", "parts"}
+
+
+def robot_names() -> list[str]:
+    """Robots in the library."""
+    return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
+
+
+def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
+    """A robot model.
+
+    Args:
+        robot: a library name (`robot_names()`), a folder with robot.yaml, or a URDF or xacro file
+            (an SRDF of the same name beside it is applied).
+        base: folder that relative paths start from; the current folder by default.
+    Raises:
+        InputError: with file, element, reason and cure.
+    """
+    if isinstance(robot, str) and robot in robot_names():
+        return load_folder(LIBRARY / robot)
+    path = Path(robot)
+    if not path.is_absolute() and base is not None:
+        path = base / path
+    if path.is_dir():
+        return load_folder(path)
+    if path.suffix in (".urdf", ".xacro") or path.is_file():
+        model = load_urdf(path)
+        srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
+        return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
+    if isinstance(robot, str) and "/" not in robot and "." not in robot:
+        raise UnknownNameError("robot", robot, robot_names())
+    raise InputError("no such robot file or folder", file=path, cure=f"library robots: {', '.join(robot_names())}")
+
+
+def load_folder(folder: Path) -> RobotModel:
+    """A robot from a folder with robot.yaml: one URDF, or parts mounted on each other."""
+    file = folder / ROBOT_FILE
+    data = read_yaml(file)
+    for key in data:
+        if key not in _KEYS:
+            raise UnknownNameError("key", key, _KEYS, file=file)
+    if ("urdf" in data) == ("parts" in data):
+        raise InputError("needs either 'urdf' or 'parts'", file=file)
+    if "urdf" in data:
+        model = load_urdf(_urdf_path(str(data["urdf"]), folder, file))
+        if "root" in data:
+            model = rerooted(model, str(data["root"]))
+        model = with_adjacent_disabled(model)
+    else:
+        model = compose(str(data.get("name", folder.name)), [_part(p, folder, file) for p in data["parts"]])
+    model = replace(model, name=str(data.get("name", folder.name)), source=str(data.get("source", model.source)))
+    if "srdf" in data:
+        grippers = model.grippers
+        model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
+    if "joint_limits" in data:
+        model = with_joint_limits(model, folder / str(data["joint_limits"]))
+    grippers = dict(model.grippers)
+    for name, entry in (data.get("grippers") or {}).items():
+        grippers[name] = _gripper(model, name, entry, file)
+    return replace(model, grippers=grippers)
+
+
+def rerooted(model: RobotModel, link: str) -> RobotModel:
+    """Only the part of a robot from `link` down (drops a URDF's own "world" link, say)."""
+    keep = set(model.subtree(link))
+    return replace(
+        model,
+        root_link=link,
+        links={n: v for n, v in model.links.items() if n in keep},
+        joints={n: j for n, j in model.joints.items() if j.parent in keep},
+    )
+
+
+def with_adjacent_disabled(model: RobotModel) -> RobotModel:
+    """Links joined by a joint may touch: the least a robot without an SRDF needs."""
+    pairs = {frozenset((j.parent, j.child)): "Adjacent" for j in model.joints.values()}
+    return replace(model, disabled_collisions={**pairs, **model.disabled_collisions})
+
+
+def _urdf_path(uri: str, folder: Path, file: Path) -> Path:
+    try:
+        return resolve_uri(uri, folder)
+    except InputError as error:
+        raise InputError(error.reason, file=file, element="urdf", cure=error.cure) from None
+
+
+def _part(entry: Any, folder: Path, file: Path) -> Part:
+    if not isinstance(entry, dict) or "robot" not in entry:
+        raise InputError("each of 'parts' needs a 'robot'", file=file, element="parts")
+    for key in entry:
+        if key not in ("robot", "prefix", "parent_link", "pose"):
+            raise UnknownNameError("key", key, ["robot", "prefix", "parent_link", "pose"], file=file, element="parts")
+    return Part(
+        load_robot(entry["robot"], folder),
+        str(entry.get("prefix", "")),
+        str(entry.get("parent_link", "world")),
+        SE3.from_mapping(entry.get("pose", [0.0, 0.0, 0.0]), f"{file}: parts: pose"),
+    )
+
+
+def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
+    where = {"file": file, "element": f"grippers/{name}"}
+    known = {f.name for f in fields(Gripper)} - {"name"}
+    if not isinstance(entry, dict):
+        raise InputError("is not a mapping", **where)
+    for key in entry:
+        if key not in known:
+            raise UnknownNameError("key", key, known, **where)
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+    try:
+        gripper = Gripper(name=name, **values)
+    except TypeError as error:
+        raise InputError(f"is incomplete: {error}", **where) from None
+    for link in (gripper.tcp_link, *gripper.finger_links, *gripper.hand_links):
+        if link not in model.links:
+            raise UnknownNameError("link", link, model.links, **where)
+    if gripper.joint_name not in model.joint_names:
+        raise UnknownNameError("actuated joint", gripper.joint_name, model.joint_names, **where)
+    for group in (gripper.arm_group, gripper.group):
+        if group not in model.groups:
+            raise UnknownNameError("planning group", group, model.groups, **where)
+    return gripper

@@ -1,0 +1,319 @@
+"""`RobotModel`: what a robot is. Frozen; its state lives elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, InputError, JointState, Shape, UnknownNameError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    mass: float  # [kg]
+    T_link_com: SE3  # origin at the centre of mass
+    inertia: Array  # (3, 3) about the centre of mass, in the com frame [kg m^2]
+
+
+@dataclass(frozen=True, eq=False)
+class Collision:
+    shape: Shape
+    T_link_shape: SE3
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """Either a mesh file (loaded when it is drawn) or a shape."""
+
+    T_link_visual: SE3
+    shape: Shape | None = None
+    file: Path | None = None
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    color: tuple[float, float, float, float] | None = None  # RGBA 0..1
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    name: str
+    inertial: Inertial | None = None
+    collisions: tuple[Collision, ...] = ()
+    visuals: tuple[Visual, ...] = ()
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Position [rad or m], velocity, acceleration, jerk and effort [Nm or N] limits of one joint."""
+
+    lower: float = -np.inf
+    upper: float = np.inf
+    velocity: float = np.inf
+    acceleration: float = np.inf
+    jerk: float = np.inf
+    effort: float = np.inf
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """`position = multiplier * position(joint) + offset`."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One degree of freedom (or none): revolute, continuous, prismatic or fixed."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    T_parent_joint: SE3
+    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)  # unit, in the joint frame
+    limits: JointLimits = JointLimits()
+    mimic: Mimic | None = None
+    damping: float = 0.0
+    friction: float = 0.0
+
+    @property
+    def movable(self) -> bool:
+        return self.type != "fixed"
+
+    @property
+    def actuated(self) -> bool:
+        return self.movable and self.mimic is None
+
+
+@dataclass(frozen=True)
+class Group:
+    """A planning group: actuated joints in the model's order, and for a chain its two ends."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    base_link: str | None = None
+    tip_link: str | None = None
+
+
+@dataclass(frozen=True)
+class EndEffector:
+    """SRDF's end_effector: `group` (of the gripper) mounted on `parent_link`, moved by `parent_group`."""
+
+    name: str
+    group: str
+    parent_link: str
+    parent_group: str | None = None
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """A parallel gripper: two fingers that move symmetrically along the tcp frame's y axis.
+
+    The tcp frame's z axis points out of the hand, between the finger tips. `width` is the gap between
+    the finger pads: `width = width_per_joint * q + width_offset` with q the driven joint.
+    """
+
+    name: str
+    arm_group: str
+    group: str
+    joint_name: str
+    tcp_link: str
+    finger_links: tuple[str, ...]
+    hand_links: tuple[str, ...]  # everything that may be near the object: palm and fingers
+    width_per_joint: float = 2.0
+    width_offset: float = 0.0
+    max_width: float = 0.08  # [m]
+    max_force: float = 70.0  # [N] per finger
+    finger_depth: float = 0.02  # [m] from the tcp to the palm side that may hold the object
+    pad_depth: float = 0.01  # [m] how far the pads reach beyond the tcp point
+
+    def joint_position(self, width: float) -> float:
+        return (width - self.width_offset) / self.width_per_joint
+
+    def width(self, joint_position: float) -> float:
+        return joint_position * self.width_per_joint + self.width_offset
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """Links and joints as a tree, groups, end effectors, named states and allowed collisions.
+
+    `joint_names` is the canonical order of the actuated joints (depth first from the root, children in
+    file order). Positions vectors `q` everywhere are in this order unless they carry names.
+    """
+
+    name: str
+    root_link: str
+    links: Mapping[str, Link]
+    joints: Mapping[str, Joint]  # topological order
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    end_effectors: Mapping[str, EndEffector] = field(default_factory=dict)
+    grippers: Mapping[str, Gripper] = field(default_factory=dict)
+    named_states: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    disabled_collisions: Mapping[frozenset[str], str] = field(default_factory=dict)
+    source: str = ""
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(j.name for j in self.joints.values() if j.actuated)
+
+    @cached_property
+    def movable_joint_names(self) -> tuple[str, ...]:
+        """Actuated and mimic joints."""
+        return tuple(j.name for j in self.joints.values() if j.movable)
+
+    @cached_property
+    def parent_joint(self) -> Mapping[str, Joint]:
+        """The joint that carries a link."""
+        return {j.child: j for j in self.joints.values()}
+
+    @property
+    def dof(self) -> int:
+        return len(self.joint_names)
+
+    def link(self, name: str) -> Link:
+        if name not in self.links:
+            raise UnknownNameError("link", name, self.links)
+        return self.links[name]
+
+    def joint(self, name: str) -> Joint:
+        if name not in self.joints:
+            raise UnknownNameError("joint", name, self.joints)
+        return self.joints[name]
+
+    def group(self, name: str) -> Group:
+        if name not in self.groups:
+            raise UnknownNameError("planning group", name, self.groups)
+        return self.groups[name]
+
+    def gripper(self, name: str | None = None, arm_group: str | None = None) -> Gripper:
+        """A gripper by its name, or the one that an arm group carries, or the only one."""
+        if name is not None:
+            if name not in self.grippers:
+                raise UnknownNameError("gripper", name, self.grippers)
+            return self.grippers[name]
+        fitting = [g for g in self.grippers.values() if arm_group in (None, g.arm_group)]
+        if len(fitting) != 1:
+            of = f" of group {arm_group!r}" if arm_group else ""
+            raise InputError(
+                f"robot {self.name!r} has {len(fitting)} grippers{of}", cure=f"name one of {sorted(self.grippers)}"
+            )
+        return fitting[0]
+
+    def columns(self, joint_names: Iterable[str]) -> list[int]:
+        """Positions of joints in `joint_names` order.
+
+        Raises:
+            UnknownNameError: not an actuated joint of this robot.
+        """
+        at = {name: i for i, name in enumerate(self.joint_names)}
+        columns = []
+        for name in joint_names:
+            if name not in at:
+                raise UnknownNameError("actuated joint", name, at)
+            columns.append(at[name])
+        return columns
+
+    @cached_property
+    def lower(self) -> Array:
+        return np.array([self.joints[n].limits.lower for n in self.joint_names])
+
+    @cached_property
+    def upper(self) -> Array:
+        return np.array([self.joints[n].limits.upper for n in self.joint_names])
+
+    def limits(self, joint_names: Iterable[str], kind: str) -> Array:
+        """One kind of limit ("velocity", "acceleration", "jerk", "effort", ...) of some joints."""
+        return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
+
+    def neutral(self) -> Array:
+        """Zero, or the middle of the range where zero is out of limits."""
+        low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
+        high = np.where(np.isfinite(self.upper), self.upper, np.inf)
+        middle = np.where(np.isfinite(low) & np.isfinite(high), (low + high) / 2, 0.0)
+        return np.where((low <= 0) & (high >= 0), 0.0, middle)
+
+    def named_state(self, group: str, name: str) -> JointState:
+        """A named target of a group (SRDF's group_state)."""
+        self.group(group)
+        states = self.named_states.get(group, {})
+        if name not in states:
+            raise UnknownNameError(f"named state of group {group!r}", name, states)
+        return JointState.from_mapping(states[name])
+
+    def default_positions(self) -> Array:
+        """`neutral()` with every group's "home" (else "ready", "default", "open") state applied, (dof,)."""
+        q = self.neutral()
+        for group in self.groups:
+            states = self.named_states.get(group, {})
+            for name in ("home", "ready", "default", "open"):
+                if name in states:
+                    for joint, value in states[name].items():
+                        q[self.columns((joint,))[0]] = value
+                    break
+        return q
+
+    def check_positions(self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9) -> Array:
+        """The positions as an array, within limits.
+
+        Raises:
+            InputError: wrong length, not finite, or out of limits (names the joint, value and limit).
+        """
+        names = tuple(joint_names) if joint_names is not None else self.joint_names
+        values = np.asarray(q, dtype=float)
+        if values.shape != (len(names),):
+            raise InputError(f"{values.shape} positions given for {len(names)} joints of {self.name!r}")
+        for name, value in zip(names, values, strict=True):
+            limits = self.joint(name).limits
+            if not np.isfinite(value):
+                raise InputError(f"position of joint {name!r} is not finite")
+            if not limits.lower - margin <= value <= limits.upper + margin:
+                raise InputError(
+                    f"joint {name!r} at {value:.4g} is outside its limits [{limits.lower:.4g}, {limits.upper:.4g}]"
+                )
+        return values
+
+    def subtree(self, link: str) -> tuple[str, ...]:
+        """A link and everything below it."""
+        self.link(link)
+        found = [link]
+        for joint in self.joints.values():  # topological order, so one pass is enough
+            if joint.parent in found:
+                found.append(joint.child)
+        return tuple(found)
+
+    def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
+        """The joints from `base` down to `tip`.
+
+        Raises:
+            InputError: tip is not below base.
+        """
+        self.link(base), self.link(tip)
+        joints: list[Joint] = []
+        link = tip
+        while link != base:
+            if link not in self.parent_joint:
+                raise InputError(f"link {tip!r} is not below link {base!r}")
+            joints.append(self.parent_joint[link])
+            link = joints[-1].parent
+        return tuple(reversed(joints))
+
+    @cached_property
+    def rigid_groups(self) -> tuple[frozenset[str], ...]:
+        """Links that never move against each other (joined by fixed joints only)."""
+        of: dict[str, set[str]] = {self.root_link: {self.root_link}}
+        for joint in self.joints.values():
+            if joint.movable:
+                of[joint.child] = {joint.child}
+            else:
+                of[joint.child] = of[joint.parent]
+                of[joint.parent].add(joint.child)
+        return tuple({id(s): frozenset(s) for s in of.values()}.values())

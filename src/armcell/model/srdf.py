@@ -1,0 +1,136 @@
+"""SRDF: groups, end effectors, named states and allowed collisions on top of a URDF's tree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from lxml import etree
+
+from armcell.core import InputError, UnknownNameError
+from armcell.model.files import read_xml
+from armcell.model.robot import EndEffector, Group, RobotModel
+
+
+def with_srdf(model: RobotModel, path: Path) -> RobotModel:
+    """The model with an SRDF file applied.
+
+    Raises:
+        InputError: broken XML, or a name the URDF does not have (with file and line).
+    """
+    root = read_xml(Path(path))
+    if root.tag != "robot":
+        raise InputError("root element is not <robot>", file=path, cure="is this an SRDF file?")
+    return replace(
+        model,
+        groups=_groups(model, root, path),
+        end_effectors=_end_effectors(root, path),
+        named_states=_named_states(model, root, path),
+        disabled_collisions=_disabled(model, root, path),
+    )
+
+
+def _get(element: etree._Element, name: str, path: Path) -> str:
+    value = element.get(name)
+    if not value:
+        raise InputError(
+            f"attribute {name!r} is missing", file=path, line=element.sourceline, element=f"<{element.tag}>"
+        )
+    return value
+
+
+def _groups(model: RobotModel, root: etree._Element, path: Path) -> dict[str, Group]:
+    elements = {_get(e, "name", path): e for e in root.findall("group")}
+    groups: dict[str, Group] = {}
+
+    def build(name: str, trail: tuple[str, ...]) -> Group:
+        if name in groups:
+            return groups[name]
+        element = elements[name]
+        where = {"file": path, "line": element.sourceline, "element": f"<group name={name!r}>"}
+        if name in trail:
+            raise InputError(f"contains itself ({' -> '.join((*trail, name))})", **where)
+        joints: set[str] = set()
+        links: set[str] = set()
+        base = tip = None
+        for part in element:
+            if part.tag == "joint":
+                joint = _get(part, "name", path)
+                if joint not in model.joints:
+                    raise UnknownNameError("joint", joint, model.joints, **where)
+                joints.add(joint)
+                links.add(model.joints[joint].child)
+            elif part.tag == "link":
+                link = _get(part, "name", path)
+                if link not in model.links:
+                    raise UnknownNameError("link", link, model.links, **where)
+                links.add(link)
+                if link in model.parent_joint:
+                    joints.add(model.parent_joint[link].name)
+            elif part.tag == "chain":
+                base, tip = _get(part, "base_link", path), _get(part, "tip_link", path)
+                for link in (base, tip):
+                    if link not in model.links:
+                        raise UnknownNameError("link", link, model.links, **where)
+                try:
+                    chain = model.chain(base, tip)
+                except InputError as error:
+                    raise InputError(error.reason, **where) from None
+                joints.update(j.name for j in chain)
+                links.update(j.child for j in chain)
+            elif part.tag == "group":
+                sub = _get(part, "name", path)
+                if sub not in elements:
+                    raise UnknownNameError("group", sub, elements, **where)
+                inner = build(sub, (*trail, name))
+                joints.update(inner.joint_names)
+                links.update(inner.link_names)
+        actuated = tuple(n for n in model.joint_names if n in joints)
+        if not actuated and not links:
+            raise InputError("is empty", **where)
+        groups[name] = Group(name, actuated, tuple(n for n in model.links if n in links), base, tip)
+        return groups[name]
+
+    for name in elements:
+        build(name, ())
+    return groups
+
+
+def _end_effectors(root: etree._Element, path: Path) -> dict[str, EndEffector]:
+    found = {}
+    for e in root.findall("end_effector"):
+        name = _get(e, "name", path)
+        found[name] = EndEffector(name, _get(e, "group", path), _get(e, "parent_link", path), e.get("parent_group"))
+    return found
+
+
+def _named_states(model: RobotModel, root: etree._Element, path: Path) -> dict[str, dict[str, dict[str, float]]]:
+    states: dict[str, dict[str, dict[str, float]]] = {}
+    for element in root.findall("group_state"):
+        name, group = _get(element, "name", path), _get(element, "group", path)
+        where = {"file": path, "line": element.sourceline, "element": f"<group_state name={name!r}>"}
+        values: dict[str, float] = {}
+        for part in element.findall("joint"):
+            joint = _get(part, "name", path)
+            if joint not in model.joints:
+                raise UnknownNameError("joint", joint, model.joints, **where)
+            try:
+                values[joint] = float(_get(part, "value", path))
+            except ValueError:
+                raise InputError(f"value of joint {joint!r} is not a number", **where) from None
+        values = {joint: v for joint, v in values.items() if model.joints[joint].actuated}
+        states.setdefault(group, {})[name] = values
+    return states
+
+
+def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[frozenset[str], str]:
+    pairs = {}
+    for element in root.findall("disable_collisions"):
+        link1, link2 = _get(element, "link1", path), _get(element, "link2", path)
+        for link in (link1, link2):
+            if link not in model.links:
+                raise UnknownNameError(
+                    "link", link, model.links, file=path, line=element.sourceline, element="<disable_collisions>"
+                )
+        pairs[frozenset((link1, link2))] = element.get("reason", "")
+    return pairs

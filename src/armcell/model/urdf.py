@@ -1,0 +1,329 @@
+"""URDF -> links and joints. Every complaint names file, line, element and cure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from armcell.core import SE3, Box, Capsule, Cylinder, InputError, Shape, Sphere
+from armcell.model.assets import load_mesh, resolve_uri
+from armcell.model.files import parse_xml, read_text
+from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
+
+JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
+
+
+def load_urdf(path: Path) -> RobotModel:
+    """A robot from a URDF or xacro file (`*.xacro`), without groups.
+
+    Raises:
+        InputError: see the module.
+    """
+    path = Path(path)
+    text = read_text(path)
+    if path.suffix == ".xacro":
+        text = expand_xacro(path, text)
+    return parse_urdf(text, path)
+
+
+def expand_xacro(path: Path, text: str) -> str:
+    """The URDF text that a xacro file stands for."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError("declares a DOCTYPE or entity, which armcell refuses", file=path)
+    from xacrodoc import XacroDoc
+
+    try:
+        return XacroDoc.from_file(path, resolve_packages=False).to_urdf_string()
+    except Exception as error:  # xacro raises many types, SystemExit aside
+        raise InputError(f"xacro cannot expand it: {error}", file=path) from None
+
+
+def parse_urdf(text: str, file: Path) -> RobotModel:
+    """A robot from URDF text; `file` is used for messages and to find meshes."""
+    return _Reader(file).robot(parse_xml(text, file))
+
+
+class _Reader:
+    """Carries the file and its folder through the elements, for messages."""
+
+    def __init__(self, file: Path):
+        self.file = file
+        self.folder = file.resolve().parent
+
+    def fail(self, element: etree._Element, reason: str, cure: str | None = None) -> InputError:
+        name = element.get("name")
+        label = f"<{element.tag}{f' name={name!r}' if name else ''}>"
+        return InputError(reason, file=self.file, line=element.sourceline, element=label, cure=cure)
+
+    def attribute(self, element: etree._Element, name: str) -> str:
+        value = element.get(name)
+        if value is None or not value.strip():
+            raise self.fail(element, f"attribute {name!r} is missing")
+        return value
+
+    def numbers(self, element: etree._Element, name: str, count: int, default: str | None = None) -> list[float]:
+        text = element.get(name, default)
+        try:
+            values = [float(v) for v in (text or "").split()]
+        except ValueError:
+            raise self.fail(element, f"{name}={text!r} is not a list of numbers") from None
+        if len(values) != count or not np.all(np.isfinite(values)):
+            raise self.fail(element, f"{name}={text!r} must be {count} finite number{'s' if count > 1 else ''}")
+        return values
+
+    def number(self, element: etree._Element, name: str, default: float | None = None) -> float:
+        return self.numbers(element, name, 1, None if default is None else repr(default))[0]
+
+    def origin(self, element: etree._Element) -> SE3:
+        origin = element.find("origin")
+        if origin is None:
+            return SE3.identity()
+        return SE3.from_xyz_rpy(
+            self.numbers(origin, "xyz", 3, "0 0 0"), self.numbers(origin, "rpy", 3, "0 0 0")
+        )
+
+    def robot(self, root: etree._Element) -> RobotModel:
+        if root.tag != "robot":
+            raise self.fail(root, "root element is not <robot>", cure="is this a URDF file?")
+        materials = {m.get("name"): self.color(m) for m in root.findall("material")}
+        links: dict[str, Link] = {}
+        for element in root.findall("link"):
+            link = self.link(element, materials)
+            if link.name in links:
+                raise self.fail(element, "a second link of this name")
+            links[link.name] = link
+        if not links:
+            raise self.fail(root, "has no <link>")
+        joints: dict[str, Joint] = {}
+        for element in root.findall("joint"):
+            for joint in self.joint(element, links):
+                if joint.name in joints:
+                    raise self.fail(element, "a second joint of this name")
+                joints[joint.name] = joint
+        for joint in joints.values():
+            if joint.mimic and joint.mimic.joint not in joints:
+                raise InputError(
+                    f"mimics unknown joint {joint.mimic.joint!r}", file=self.file, element=f"joint {joint.name!r}"
+                )
+        root_link, ordered = self.tree(links, joints)
+        name = root.get("name") or self.file.stem
+        return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
+
+    def tree(self, links: dict[str, Link], joints: dict[str, Joint]) -> tuple[str, dict[str, Joint]]:
+        """The root link and the joints depth first."""
+        parent: dict[str, str] = {}
+        children: dict[str, list[Joint]] = {name: [] for name in links}
+        for joint in joints.values():
+            if joint.child in parent:
+                raise InputError(
+                    f"link {joint.child!r} is the child of both {parent[joint.child]!r} and {joint.name!r}",
+                    file=self.file,
+                    cure="a robot is a tree: each link has one parent joint",
+                )
+            parent[joint.child] = joint.name
+            children[joint.parent].append(joint)
+        roots = [name for name in links if name not in parent]
+        if len(roots) != 1:
+            what = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "a loop of joints and no root link"
+            raise InputError(f"has {what}, exactly one is needed", file=self.file)
+        ordered: dict[str, Joint] = {}
+        stack = list(reversed(children[roots[0]]))
+        while stack:
+            joint = stack.pop()
+            ordered[joint.name] = joint
+            stack.extend(reversed(children[joint.child]))
+        if len(ordered) != len(joints):
+            lost = sorted(set(joints) - set(ordered))
+            raise InputError(f"joints {', '.join(lost[:5])} form a loop apart from the root", file=self.file)
+        return roots[0], ordered
+
+    def color(self, material: etree._Element) -> tuple[float, float, float, float] | None:
+        color = material.find("color")
+        if color is None:
+            return None
+        r, g, b, a = self.numbers(color, "rgba", 4)
+        return (r, g, b, a)
+
+    def link(self, element: etree._Element, materials: dict) -> Link:
+        name = self.attribute(element, "name")
+        inertial = element.find("inertial")
+        return Link(
+            name=name,
+            inertial=None if inertial is None else self.inertial(inertial),
+            collisions=tuple(
+                Collision(self.shape(c), self.origin(c)) for c in element.findall("collision")
+            ),
+            visuals=tuple(self.visual(v, materials) for v in element.findall("visual")),
+        )
+
+    def inertial(self, element: etree._Element) -> Inertial:
+        mass_element, inertia = element.find("mass"), element.find("inertia")
+        if mass_element is None:
+            raise self.fail(element, "has no <mass>")
+        mass = self.number(mass_element, "value")
+        if mass < 0:
+            raise self.fail(mass_element, f"mass {mass:g} kg is negative")
+        I = np.zeros((3, 3))  # noqa: E741
+        if inertia is not None:
+            for (i, j), key in {(0, 0): "ixx", (0, 1): "ixy", (0, 2): "ixz", (1, 1): "iyy", (1, 2): "iyz", (2, 2): "izz"}.items():
+                I[i, j] = I[j, i] = self.number(inertia, key, 0.0)
+        return Inertial(mass, self.origin(element), I)
+
+    def geometry(self, element: etree._Element) -> etree._Element:
+        geometry = element.find("geometry")
+        if geometry is None or len(geometry) == 0:
+            raise self.fail(element, "has no <geometry>")
+        return geometry[0]
+
+    def mesh_file(self, geometry: etree._Element) -> tuple[Path, tuple[float, float, float]]:
+        sx, sy, sz = self.numbers(geometry, "scale", 3, "1 1 1")
+        if 0.0 in (sx, sy, sz):
+            raise self.fail(geometry, "mesh scale has a zero")
+        try:
+            return resolve_uri(self.attribute(geometry, "filename"), self.folder), (sx, sy, sz)
+        except InputError as error:
+            raise self.fail(geometry, error.reason, error.cure) from None
+
+    def shape(self, element: etree._Element) -> Shape:
+        geometry = self.geometry(element)
+        try:
+            match geometry.tag:
+                case "box":
+                    return Box(*self.numbers(geometry, "size", 3))
+                case "sphere":
+                    return Sphere(self.number(geometry, "radius"))
+                case "cylinder":
+                    return Cylinder(self.number(geometry, "radius"), self.number(geometry, "length"))
+                case "capsule":
+                    return Capsule(self.number(geometry, "radius"), self.number(geometry, "length"))
+                case "mesh":
+                    return load_mesh(*self.mesh_file(geometry))
+        except InputError as error:
+            if error.line is not None:
+                raise
+            raise self.fail(geometry, str(error)) from None
+        raise self.fail(geometry, "unknown geometry", cure="box, sphere, cylinder, capsule and mesh exist")
+
+    def visual(self, element: etree._Element, materials: dict) -> Visual:
+        material = element.find("material")
+        color = None
+        if material is not None:
+            color = self.color(material) or materials.get(material.get("name"))
+        geometry = self.geometry(element)
+        if geometry.tag == "mesh":
+            file, scale = self.mesh_file(geometry)
+            return Visual(self.origin(element), file=file, scale=scale, color=color)
+        return Visual(self.origin(element), shape=self.shape(element), color=color)
+
+    def joint(self, element: etree._Element, links: dict[str, Link]) -> list[Joint]:
+        """One joint; a planar or floating joint becomes a chain of single ones with massless links."""
+        name, type_ = self.attribute(element, "name"), self.attribute(element, "type")
+        if type_ not in JOINT_TYPES:
+            raise self.fail(element, f"unknown joint type {type_!r}", cure=f"known: {', '.join(sorted(JOINT_TYPES))}")
+        ends = {}
+        for end in ("parent", "child"):
+            found = element.find(end)
+            if found is None:
+                raise self.fail(element, f"has no <{end}>")
+            ends[end] = self.attribute(found, "link")
+            if ends[end] not in links:
+                raise self.fail(element, f"{end} link {ends[end]!r} does not exist")
+        axis_element = element.find("axis")
+        axis = np.array([1.0, 0.0, 0.0])
+        if axis_element is not None:
+            axis = np.array(self.numbers(axis_element, "xyz", 3))
+            if type_ != "fixed":
+                if np.linalg.norm(axis) < 1e-9:
+                    raise self.fail(axis_element, "axis has length zero")
+                axis = axis / np.linalg.norm(axis)
+        limits = self.limits(element, type_)
+        mimic_element = element.find("mimic")
+        mimic = None
+        if mimic_element is not None:
+            mimic = Mimic(
+                self.attribute(mimic_element, "joint"),
+                self.number(mimic_element, "multiplier", 1.0),
+                self.number(mimic_element, "offset", 0.0),
+            )
+        dynamics = element.find("dynamics")
+        whole = Joint(
+            name=name,
+            type=type_,
+            parent=ends["parent"],
+            child=ends["child"],
+            T_parent_joint=self.origin(element),
+            axis=tuple(axis.tolist()),
+            limits=limits,
+            mimic=mimic,
+            damping=0.0 if dynamics is None else self.number(dynamics, "damping", 0.0),
+            friction=0.0 if dynamics is None else self.number(dynamics, "friction", 0.0),
+        )
+        if type_ == "planar":
+            return self.expanded(whole, links, planar_steps(axis))
+        if type_ == "floating":
+            return self.expanded(whole, links, FLOATING_STEPS)
+        return [whole]
+
+    def limits(self, element: etree._Element, type_: str) -> JointLimits:
+        limit = element.find("limit")
+        if limit is None:
+            if type_ in ("revolute", "prismatic"):
+                raise self.fail(element, f"a {type_} joint needs <limit>", cure="add <limit lower= upper= effort= velocity=>")
+            return JointLimits()
+        bounded = type_ in ("revolute", "prismatic")
+        lower = self.number(limit, "lower", 0.0) if bounded else -np.inf
+        upper = self.number(limit, "upper", 0.0) if bounded else np.inf
+        if lower > upper:
+            raise self.fail(limit, f"lower {lower:g} is above upper {upper:g}")
+        positive = lambda v: v if v > 0 else np.inf  # noqa: E731  (0 stands for "not given" in many files)
+        return JointLimits(
+            lower,
+            upper,
+            velocity=positive(self.number(limit, "velocity", 0.0)),
+            effort=positive(self.number(limit, "effort", 0.0)),
+        )
+
+    @staticmethod
+    def expanded(joint: Joint, links: dict[str, Link], steps: list[tuple[str, str, tuple]]) -> list[Joint]:
+        """MoveIt names the variables of a multi-dof joint `joint/x`; each becomes a joint of its own."""
+        chain, parent, T = [], joint.parent, joint.T_parent_joint
+        for i, (suffix, type_, axis) in enumerate(steps):
+            child = joint.child if i == len(steps) - 1 else f"{joint.name}/{suffix}_link"
+            if child != joint.child:
+                links[child] = Link(child)
+            chain.append(
+                replace(
+                    joint, name=f"{joint.name}/{suffix}", type=type_, parent=parent, child=child,
+                    T_parent_joint=T, axis=axis, limits=JointLimits(), mimic=None,
+                )
+            )  # fmt: skip
+            parent, T = child, SE3.identity()
+        return chain
+
+
+FLOATING_STEPS = [
+    ("trans_x", "prismatic", (1.0, 0.0, 0.0)),
+    ("trans_y", "prismatic", (0.0, 1.0, 0.0)),
+    ("trans_z", "prismatic", (0.0, 0.0, 1.0)),
+    ("yaw", "continuous", (0.0, 0.0, 1.0)),
+    ("pitch", "continuous", (0.0, 1.0, 0.0)),
+    ("roll", "continuous", (1.0, 0.0, 0.0)),
+]
+
+
+def planar_steps(normal: np.ndarray) -> list[tuple[str, str, tuple]]:
+    """A planar joint moves in the plane normal to its axis and turns about it."""
+    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    x = np.cross(np.cross(normal, helper), normal)
+    x /= np.linalg.norm(x)
+    if abs(normal[2]) > 0.999:
+        x = np.array([1.0, 0.0, 0.0])
+    y = np.cross(normal, x)
+    return [
+        ("x", "prismatic", tuple(x.tolist())),
+        ("y", "prismatic", tuple(y.tolist())),
+        ("theta", "continuous", tuple(normal.tolist())),
+    ]

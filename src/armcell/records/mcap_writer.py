@@ -1,0 +1,262 @@
+"""Writing a run as MCAP with ROS 2 messages, which Foxglove and `ros2 bag` open as they are.
+
+Topics: /joint_states, /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events (JSON in a
+String) and, where the URDF's text is at hand, /robot_description. Frames: "world" is the root; the
+robot's links hang below it as in its tree, objects directly.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import ArrayLike, NDArray
+from rosbags.typesys import Stores, get_typestore
+
+from armcell.core import SE3, Event, JointState, JointTrajectory
+from armcell.kinematics import kinematic_tree
+from armcell.scene import WORLD, PlanningScene
+
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+
+PROFILE = "ros2"
+STORE = Stores.ROS2_HUMBLE
+NANO = 1_000_000_000
+_CHUNK_BYTES = 512 * 1024
+_LATCHED_QOS = (
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"  # transient local: kept for late comers
+)
+_MAX_URDF_BYTES = 4_000_000
+
+
+@cache
+def typestore() -> Any:
+    """The message definitions in use."""
+    return get_typestore(STORE)
+
+
+def schema_text(message_type: str) -> str:
+    """A message's definition followed by those of every type nested in it, as `ros2msg` wants it."""
+    return typestore().generate_msgdef(message_type, ros_version=2)[0]
+
+
+def ros_name(name: str) -> str:
+    """A name that ROS accepts as a part of a topic: letters, digits and underscores, no digit first."""
+    legal = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return f"_{legal}" if not legal or legal[0].isdigit() else legal
+
+
+class McapWriter:
+    """One MCAP file of one run. Written under a temporary name, given its own by `close`.
+
+    Args:
+        file: where the record shall be.
+        scene: whose robot and objects; its fixed objects become static transforms.
+        start_ns: what cell time 0 is, in nanoseconds since 1970; now by default.
+    """
+
+    def __init__(self, file: Path, scene: PlanningScene, start_ns: int | None = None):
+        self.file = Path(file)
+        self.start_ns = time.time_ns() if start_ns is None else start_ns
+        self._part = self.file.with_name(self.file.name + ".part")
+        self._scene = scene
+        self._tree = kinematic_tree(scene.model)
+        self._types = typestore().types
+        self._last_ns = 0  # log times never go back, even if the cell's clock is set back
+        self._closed = False
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._topics: dict[str, str] = {}  # by object
+        self._stream = self._part.open("wb")
+        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile=PROFILE, library="armcell")
+        joints = list(scene.model.joints.values())
+        self._moving = [i for i, joint in enumerate(joints) if joint.movable]
+        self._ends = [(joint.parent, joint.child) for joint in joints]
+        self._write_static()
+
+    # --- what is recorded ---
+    def write_state(
+        self, time: float, joints: JointState, q: ArrayLike, object_poses: dict[str, SE3]
+    ) -> None:
+        """The cell at `time` [s]: joint states as measured, the tree at positions q (dof,), objects in world."""
+        stamp = self._stamp(time)
+        empty = np.zeros(0)
+        self._write(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            time,
+            header=self._header(stamp, ""),
+            name=list(joints.joint_names),
+            position=joints.positions,
+            velocity=empty if joints.velocities is None else joints.velocities,
+            effort=empty if joints.efforts is None else joints.efforts,
+        )
+        transforms = self._link_transforms(q, self._moving, stamp)
+        for name, T in object_poses.items():
+            transform, pose = self._both(T)
+            transforms.append(self._transform(stamp, WORLD, name, transform))
+            self._write(
+                self._object_topic(name),
+                "geometry_msgs/msg/PoseStamped",
+                time,
+                header=self._header(stamp, WORLD),
+                pose=pose,
+            )
+        self._write("/tf", "tf2_msgs/msg/TFMessage", time, transforms=transforms)
+
+    def write_event(self, event: Event) -> None:
+        record = {"time": event.time, "kind": event.kind, "text": event.text, "data": event.data}
+        text = json.dumps(record, default=_plain, ensure_ascii=False)
+        self._write("/events", "std_msgs/msg/String", event.time, data=text)
+
+    def write_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        Point, Duration = (
+            self._type("trajectory_msgs/msg/JointTrajectoryPoint"),
+            self._type("builtin_interfaces/msg/Duration"),
+        )
+        empty = np.zeros(0)
+        points = []
+        for i, at in enumerate(trajectory.times):
+            sec, nanosec = divmod(round(float(at) * NANO), NANO)
+            points.append(
+                Point(
+                    positions=trajectory.positions[i],
+                    velocities=empty if trajectory.velocities is None else trajectory.velocities[i],
+                    accelerations=empty if trajectory.accelerations is None else trajectory.accelerations[i],
+                    effort=empty,
+                    time_from_start=Duration(sec=sec, nanosec=nanosec),
+                )
+            )
+        self._write(
+            "/planned_trajectory",
+            "trajectory_msgs/msg/JointTrajectory",
+            time,
+            header=self._header(self._stamp(time), WORLD),
+            joint_names=list(trajectory.joint_names),
+            points=points,
+        )
+
+    def close(self) -> None:
+        """Finish the file and give it its name. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._writer.finish()
+        finally:
+            self._stream.close()
+        self._part.replace(self.file)
+
+    def __enter__(self) -> McapWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- how ---
+    def _write_static(self) -> None:
+        scene, stamp = self._scene, self._stamp(0.0)
+        fixed = [i for i in range(len(self._ends)) if i not in set(self._moving)]
+        transforms = self._link_transforms(scene.positions, fixed, stamp)
+        roots = {} if scene.model.root_link == WORLD else {scene.model.root_link: SE3.identity()}
+        still = {name: o.T_world_object for name, o in scene.objects.items() if not o.movable}
+        for name, T in {**roots, **still}.items():
+            transforms.append(self._transform(stamp, WORLD, name, self._both(T)[0]))
+        self._write("/tf_static", "tf2_msgs/msg/TFMessage", 0.0, latched=True, transforms=transforms)
+        urdf = urdf_text(scene)
+        if urdf is not None:
+            self._write("/robot_description", "std_msgs/msg/String", 0.0, latched=True, data=urdf)
+
+    def _write(
+        self, topic: str, message_type: str, time: float, latched: bool = False, **fields: Any
+    ) -> None:
+        data = typestore().serialize_cdr(self._type(message_type)(**fields), message_type)
+        now = max(self._nanoseconds(time), self._last_ns)
+        self._last_ns = now
+        self._writer.add_message(self._channel(topic, message_type, latched), now, bytes(data), now)
+
+    def _channel(self, topic: str, message_type: str, latched: bool) -> int:
+        if topic not in self._channels:
+            if message_type not in self._schemas:
+                text = schema_text(message_type).encode()
+                self._schemas[message_type] = self._writer.register_schema(message_type, "ros2msg", text)
+            metadata = {"offered_qos_profiles": _LATCHED_QOS} if latched else {}
+            self._channels[topic] = self._writer.register_channel(
+                topic, "cdr", self._schemas[message_type], metadata
+            )
+        return self._channels[topic]
+
+    def _object_topic(self, name: str) -> str:
+        if name not in self._topics:
+            topic = f"/object_pose/{ros_name(name)}"
+            while topic in self._topics.values():  # "a b" and "a-b" must not share one
+                topic += "_"
+            self._topics[name] = topic
+        return self._topics[name]
+
+    def _link_transforms(self, q: ArrayLike, joints: list[int], stamp: Any) -> list[Any]:
+        """TransformStamped of some joints, parent link -> child link, at q (dof,)."""
+        Ts = self._tree.link_transforms(q)
+        found = []
+        for i in joints:
+            P, C = Ts[self._tree.parent[i]], Ts[i + 1]
+            R = P[:3, :3].T
+            T = np.eye(4)
+            T[:3, :3] = R @ C[:3, :3]
+            T[:3, 3] = R @ (C[:3, 3] - P[:3, 3])
+            found.append(self._transform(stamp, *self._ends[i], self._both(SE3.from_matrix(T))[0]))
+        return found
+
+    def _both(self, T: SE3) -> tuple[Any, Any]:
+        """A transform as geometry_msgs Transform and Pose."""
+        x, y, z = T.translation.tolist()
+        qw, qx, qy, qz = T.quat_wxyz.tolist()
+        rotation = self._type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw)
+        transform = self._type("geometry_msgs/msg/Transform")(
+            self._type("geometry_msgs/msg/Vector3")(x, y, z), rotation
+        )
+        return transform, self._type("geometry_msgs/msg/Pose")(
+            self._type("geometry_msgs/msg/Point")(x, y, z), rotation
+        )
+
+    def _transform(self, stamp: Any, parent: str, child: str, transform: Any) -> Any:
+        return self._type("geometry_msgs/msg/TransformStamped")(self._header(stamp, parent), child, transform)
+
+    def _header(self, stamp: Any, frame: str) -> Any:
+        return self._type("std_msgs/msg/Header")(stamp, frame)
+
+    def _stamp(self, time: float) -> Any:
+        sec, nanosec = divmod(self._nanoseconds(time), NANO)
+        return self._type("builtin_interfaces/msg/Time")(sec, nanosec)
+
+    def _nanoseconds(self, time: float) -> int:
+        return self.start_ns + round(time * NANO)
+
+    def _type(self, name: str) -> Any:
+        return self._types[name]
+
+
+def urdf_text(scene: PlanningScene) -> str | None:
+    """The robot's URDF, if `model.source` names the file and it is of a size to be sent."""
+    source = scene.model.source
+    if not source.endswith(".urdf"):
+        return None
+    path = Path(source)
+    try:
+        return path.read_text() if path.stat().st_size <= _MAX_URDF_BYTES else None
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: arrays and numpy numbers as lists and numbers, the rest as text."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -1,0 +1,152 @@
+"""The report's plots, as PNG. Matplotlib's object API with Agg only: no global state, no display."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from armcell.model import RobotModel
+from armcell.records.recorder import Series
+from armcell.records.stages import StageSpan
+
+Array = NDArray[np.float64]
+
+WIDTH_IN, DPI = 10.5, 110
+# Okabe and Ito's colour-blind-safe palette, its yellow (too faint on white) replaced by grey.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
+_STYLES = ("-", "--", ":")  # from the ninth curve on
+_BANDS = ("#F1F4F8", "#FFFFFF")
+_INK, _FAINT = "#374151", "#D5DAE1"
+_LABEL_GAP_IN = 0.15  # stage names closer than this would overlap
+MAX_OBJECTS = len(PALETTE)
+
+
+def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) -> dict[str, bytes]:
+    """Positions and velocities over time, one figure per arm, by its group's name ("joints" for the rest)."""
+    figures = {}
+    for name, joints in _arms(model).items():
+        columns = [series.joint_names.index(joint) for joint in joints]
+        figure, (above, below) = _figure(2, 5.6)
+        _curves(above, series.times, {j: series.positions[:, c] for j, c in zip(joints, columns)})
+        _curves(below, series.times, {j: series.velocities[:, c] for j, c in zip(joints, columns)})
+        _finish(figure, (above, below), ("position [rad]", "velocity [rad/s]"), stages, series.times)
+        figures[name] = _png(figure)
+    return figures
+
+
+def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
+    """Width and force per finger over time; None if neither was recorded."""
+    rows = [
+        ("width [mm]", {name: 1000 * v for name, v in series.gripper_width.items()}),
+        ("force per finger [N]", dict(series.gripper_force)),
+    ]
+    rows = [(label, curves) for label, curves in rows if curves and _any_finite(curves)]
+    if not rows:
+        return None
+    figure, axes = _figure(len(rows), 1.2 + 1.9 * len(rows))
+    for ax, (_, curves) in zip(axes, rows):
+        _curves(ax, series.times, curves)
+        low, high = ax.get_ylim()
+        ax.set_ylim(min(0.0, low), high + 0.05 * (high - low))
+    _finish(figure, axes, [label for label, _ in rows], stages, series.times)
+    return _png(figure)
+
+
+def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
+    """z of the movable objects in the world frame; of many, those that moved most."""
+    heights = {n: 1000 * z for n, z in series.object_heights.items() if np.isfinite(z).any()}
+    if not heights:
+        return None
+    moved = sorted(heights, key=lambda n: -float(np.nanmax(heights[n]) - np.nanmin(heights[n])))[:MAX_OBJECTS]
+    figure, axes = _figure(1, 3.1)
+    _curves(axes[0], series.times, {n: heights[n] for n in heights if n in moved})
+    _finish(figure, axes, ["height of origin [mm]"], stages, series.times)
+    return _png(figure)
+
+
+def _arms(model: RobotModel) -> dict[str, list[str]]:
+    """Revolute joints by the arm that has them; sliding ones (fingers) show as the gripper's width."""
+    turning = [n for n in model.joint_names if model.joint(n).type != "prismatic"]
+    arms: dict[str, list[str]] = {}
+    for gripper in model.grippers.values():
+        members = model.groups[gripper.arm_group].joint_names if gripper.arm_group in model.groups else ()
+        arms[gripper.arm_group] = [n for n in turning if n in members]
+    rest = [n for n in turning if not any(n in names for names in arms.values())]
+    return {name: names for name, names in {**arms, "joints": rest}.items() if names}
+
+
+# --- one look for all ---
+def _figure(rows: int, height_in: float) -> tuple[Figure, tuple[Axes, ...]]:
+    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure, tuple(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def _curves(ax: Axes, times: Array, curves: Mapping[str, Array]) -> None:
+    for i, (name, values) in enumerate(curves.items()):
+        style = _STYLES[i // len(PALETTE) % len(_STYLES)]
+        ax.plot(times, values, color=PALETTE[i % len(PALETTE)], linestyle=style, linewidth=1.5, label=name)
+
+
+def _finish(
+    figure: Figure, axes: Sequence[Axes], labels: Sequence[str], stages: Sequence[StageSpan], times: Array
+) -> None:
+    begin, end = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
+    end = max(end, begin + 1e-3)
+    for ax, label in zip(axes, labels):
+        ax.set_ylabel(label, color=_INK, fontsize=9)
+        ax.set_xlim(begin, end)
+        ax.grid(True, axis="y", color=_FAINT, linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.tick_params(colors=_INK, labelsize=8, length=3)
+        for side in ("top", "right"):
+            ax.spines[side].set_visible(False)
+        for side in ("left", "bottom"):
+            ax.spines[side].set_color("#9AA3AF")
+        for i, stage in enumerate(stages):
+            ax.axvspan(stage.begin, stage.end, color=_BANDS[i % 2], zorder=0, linewidth=0)
+            ax.axvline(stage.begin, color=_FAINT, linewidth=0.8, zorder=0.5)
+    axes[-1].set_xlabel("cell time [s]", color=_INK, fontsize=9)
+    handles, names = axes[0].get_legend_handles_labels()
+    if names:
+        figure.legend(handles, names, loc="outside right upper", fontsize=8, frameon=False, labelcolor=_INK)
+    _name_stages(axes[0], [s for s in stages if s.end > begin and s.begin < end], begin, end)
+
+
+def _name_stages(ax: Axes, stages: Sequence[StageSpan], begin: float, end: float) -> None:
+    """Stage names above the topmost axes, leaning; where two would overlap the shorter stage's goes."""
+    gap = (end - begin) * _LABEL_GAP_IN / (0.8 * WIDTH_IN)
+    named = list(stages)
+
+    def middle(stage: StageSpan) -> float:
+        return (max(stage.begin, begin) + min(stage.end, end)) / 2
+
+    while True:
+        close = [(a, b) for a, b in pairwise(named) if middle(b) - middle(a) < gap]
+        if not close:
+            break
+        named.remove(min(close[0], key=lambda s: s.end - s.begin))
+    top = ax.secondary_xaxis("top")
+    top.set_xticks([middle(s) for s in named], [s.name for s in named])
+    top.tick_params(axis="x", length=0, pad=1, labelsize=7.5, labelcolor=_INK, labelrotation=35)
+    for label in top.get_xticklabels():
+        label.set_horizontalalignment("left")
+        label.set_rotation_mode("anchor")
+    top.spines["top"].set_visible(False)
+
+
+def _any_finite(curves: Mapping[str, Array]) -> bool:
+    return any(np.isfinite(values).any() for values in curves.values())
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()

@@ -1,0 +1,210 @@
+"""`RunRecorder`: an observer that keeps a run: MCAP on disk as it goes, series in memory for the report."""
+
+from __future__ import annotations
+
+import re
+import threading
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import Event, InputError, JointState, JointTrajectory, StateSample
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+MCAP_FILE = "run.mcap"
+MAX_RATE_HZ = 100.0
+"""Of the cell's clock: denser samples are passed over (the last one is always kept)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A key moment: `rgb` (h, w, 3) uint8."""
+
+    time: float  # [s]
+    title: str
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What was sampled, as arrays over time; NaN where a value was not known."""
+
+    times: Array  # (n,) [s]
+    joint_names: tuple[str, ...]  # the model's order
+    positions: Array  # (n, dof) [rad or m]
+    velocities: Array  # (n, dof) [rad/s or m/s]
+    efforts: Array  # (n, dof) [Nm or N]
+    gripper_width: dict[str, Array]  # (n,) [m]
+    gripper_force: dict[str, Array]  # (n,) [N] per finger
+    object_positions: dict[str, Array]  # (n, 3) [m], in the world frame
+    object_quats_wxyz: dict[str, Array]  # (n, 4)
+
+    @property
+    def object_heights(self) -> dict[str, Array]:
+        """z of each object's origin in the world frame (n,) [m]."""
+        return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
+
+
+def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
+    """Make `root/<YYYYmmdd-HHMMSS>-<cell>/`; a second run within the same second gets "-2" and so on.
+
+    Args:
+        root: usually "runs"; made if missing.
+        cell: the cell's name or path (its last part counts).
+    """
+    stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(cell).stem).strip("._") or "run"
+    base = f"{now or datetime.now():%Y%m%d-%H%M%S}-{stem}"
+    root.mkdir(parents=True, exist_ok=True)
+    for count in range(1, 10_000):
+        folder = root / (base if count == 1 else f"{base}-{count}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise InputError(f"no free folder name for {base}", file=root)
+
+
+class RunRecorder:
+    """Observer that writes `run.mcap` into a folder and keeps what the report needs.
+
+    The MCAP has a temporary name until `close`; leaving the `with` block closes it, after an error too.
+
+    Args:
+        folder: the run's folder (`new_run_folder`); made if missing.
+        scene: the robot and objects that are watched.
+        start_ns: what cell time 0 is in the MCAP, nanoseconds since 1970; now by default.
+    """
+
+    def __init__(self, folder: Path, scene: PlanningScene, start_ns: int | None = None):
+        from armcell.records.mcap_writer import McapWriter
+
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.scene = scene
+        self.events: list[Event] = []
+        self.trajectories: list[tuple[float, JointTrajectory]] = []
+        self.pictures: list[Picture] = []
+        self._samples: list[StateSample] = []
+        self._skipped: StateSample | None = None  # the newest one, if it was passed over
+        self._due = -np.inf
+        self._q = np.array(scene.positions)
+        self._column = {name: i for i, name in enumerate(scene.model.joint_names)}
+        self._lock = threading.RLock()
+        self._closed = False
+        self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns)
+
+    @property
+    def mcap_file(self) -> Path:
+        """Where the record is once closed."""
+        return self._mcap.file
+
+    # --- Observer ---
+    def on_state(self, sample: StateSample) -> None:
+        with self._lock:
+            if self._closed:
+                return
+            if sample.time < self._due - 1e-9 and not self._clock_set_back(sample.time):
+                self._skipped = sample
+                return
+            self._keep(sample)
+
+    def on_event(self, event: Event) -> None:
+        with self._lock:
+            self.events.append(event)
+            if not self._closed:
+                self._mcap.write_event(event)
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        with self._lock:
+            self.trajectories.append((time, trajectory))
+            if not self._closed:
+                self._mcap.write_trajectory(time, trajectory)
+
+    # --- besides ---
+    def add_picture(self, time: float, title: str, rgb: NDArray[np.uint8]) -> None:
+        """A picture of a key moment for the report, `rgb` (h, w, 3) uint8."""
+        image = np.asarray(rgb)
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
+            raise InputError(
+                f"picture {title!r} has shape {image.shape} of {image.dtype}, need (h, w, 3) of uint8"
+            )
+        with self._lock:
+            self.pictures.append(Picture(time, title, image.copy()))
+
+    def series(self) -> Series:
+        """Everything sampled so far."""
+        with self._lock:
+            samples, skipped = list(self._samples), self._skipped
+        return _series(self.scene.model.joint_names, [*samples, skipped] if skipped else samples)
+
+    def close(self) -> None:
+        """Write the last sample and finish the MCAP. May be called twice."""
+        with self._lock:
+            if self._closed:
+                return
+            if self._skipped is not None:
+                self._keep(self._skipped)
+            self._closed = True
+            self._mcap.close()
+
+    def __enter__(self) -> RunRecorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- how ---
+    def _clock_set_back(self, time: float) -> bool:
+        return bool(self._samples) and time < self._samples[-1].time - 1 / MAX_RATE_HZ
+
+    def _keep(self, sample: StateSample) -> None:
+        self._samples.append(sample)
+        self._skipped = None
+        self._due = (np.floor(sample.time * MAX_RATE_HZ + 1e-6) + 1) / MAX_RATE_HZ
+        for name, value in zip(sample.joints.joint_names, sample.joints.positions, strict=True):
+            if name in self._column:
+                self._q[self._column[name]] = value
+        self._mcap.write_state(sample.time, sample.joints, self._q, sample.object_poses)
+
+
+def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
+    def column(values: Any, size: int) -> Array:
+        missing = np.full(size, np.nan)
+        return np.array([missing if v is None else v for v in values]).reshape(len(samples), size)
+
+    def joints(kind: str) -> Array:
+        return column((_in_order(joint_names, s.joints, kind) for s in samples), len(joint_names))
+
+    def by_name(kind: str) -> dict[str, Array]:
+        names = dict.fromkeys(name for s in samples for name in getattr(s, kind))
+        return {n: np.array([getattr(s, kind).get(n, np.nan) for s in samples], dtype=float) for n in names}
+
+    objects = dict.fromkeys(name for s in samples for name in s.object_poses)
+    poses = {n: [s.object_poses.get(n) for s in samples] for n in objects}
+    return Series(
+        times=np.array([s.time for s in samples], dtype=float),
+        joint_names=joint_names,
+        positions=joints("positions"),
+        velocities=joints("velocities"),
+        efforts=joints("efforts"),
+        gripper_width=by_name("gripper_width"),
+        gripper_force=by_name("gripper_force"),
+        object_positions={n: column((T and T.translation for T in Ts), 3) for n, Ts in poses.items()},
+        object_quats_wxyz={n: column((T and T.quat_wxyz for T in Ts), 4) for n, Ts in poses.items()},
+    )
+
+
+def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
+    """One kind of value of a state in the order wanted, NaN for joints it does not have."""
+    values = getattr(state, kind)
+    if values is None or state.joint_names == joint_names:
+        return values
+    known = dict(zip(state.joint_names, values, strict=True))
+    return np.array([known.get(name, np.nan) for name in joint_names])

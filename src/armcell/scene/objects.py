@@ -1,0 +1,110 @@
+"""What stands in the cell besides the robot: objects, their shapes and their physical properties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+
+Color = tuple[float, float, float, float]
+
+DEFAULT_DENSITY = 600.0
+"""[kg/m^3] where no mass is given: between softwood and plastic parts."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """Friction as MuJoCo and Coulomb mean it: one sliding coefficient (soft contacts have no separate
+    static one), a torsional and a rolling one [m]. Defaults: painted wood on rubber.
+    """
+
+    friction: float = 0.8
+    torsional_friction: float = 0.005
+    rolling_friction: float = 0.0001
+
+    def __post_init__(self) -> None:
+        for name in ("friction", "torsional_friction", "rolling_friction"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0:
+                raise InputError(f"{name} is {value:g}, it must be a number >= 0")
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionObject:
+    """A named rigid object. `shapes` are placed in the object's own frame.
+
+    `movable` objects are free bodies in physics (they can be picked); the others are fixed obstacles.
+    `mass` [kg] None means volume times `DEFAULT_DENSITY`.
+    """
+
+    name: str
+    shapes: tuple[tuple[Shape, SE3], ...]  # (shape, T_object_shape)
+    T_world_object: SE3 = SE3.identity()
+    color: Color = (0.6, 0.6, 0.6, 1.0)
+    movable: bool = False
+    mass: float | None = None
+    material: Material = Material()
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("an object needs a name")
+        if not self.shapes:
+            raise InputError(f"object {self.name!r} has no shape")
+        if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
+            raise InputError(f"object {self.name!r}: mass is {self.mass:g} kg, it must be positive")
+        if self.movable and any(isinstance(s, Plane) for s, _ in self.shapes):
+            raise InputError(f"object {self.name!r}: a plane cannot move")
+
+    @staticmethod
+    def single(name: str, shape: Shape, pose: SE3 | None = None, **properties) -> CollisionObject:
+        """An object of one shape at its own origin."""
+        return CollisionObject(name, ((shape, SE3.identity()),), pose or SE3.identity(), **properties)
+
+    def at(self, T_world_object: SE3) -> CollisionObject:
+        return replace(self, T_world_object=T_world_object)
+
+    @property
+    def volume(self) -> float:
+        """[m^3], the sum over the shapes."""
+        return sum(shape_volume(shape) for shape, _ in self.shapes)
+
+    @property
+    def mass_kg(self) -> float:
+        return self.mass if self.mass is not None else DEFAULT_DENSITY * self.volume
+
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest corner (3,), (3,) [m] of the box around it, in the object's frame."""
+        from armcell.core.geometry import local_bounds
+
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for shape, T in self.shapes:
+            centre, half = local_bounds(shape)
+            centre = T.apply(centre)
+            half = np.abs(T.rotation.matrix) @ half
+            low, high = np.minimum(low, centre - half), np.maximum(high, centre + half)
+        return low, high
+
+
+def shape_volume(shape: Shape) -> float:
+    """[m^3]; a plane has none, a mesh that is not closed takes its convex hull's."""
+    match shape:
+        case Box():
+            return shape.x * shape.y * shape.z
+        case Sphere():
+            return 4 / 3 * np.pi * shape.radius**3
+        case Cylinder():
+            return np.pi * shape.radius**2 * shape.length
+        case Capsule():
+            return np.pi * shape.radius**2 * (shape.length + 4 / 3 * shape.radius)
+        case Cone():
+            return np.pi * shape.radius**2 * shape.length / 3
+        case Mesh():
+            import trimesh
+
+            mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+            return float(abs(mesh.volume) if mesh.is_watertight else mesh.convex_hull.volume)
+        case Plane():
+            return 0.0

@@ -1,0 +1,27 @@
+"""Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
+
+from armcell.sim.build import BuiltModel, GripperIndex, build
+from armcell.sim.camera import Camera
+from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
+from armcell.sim.convex import convex_pieces
+from armcell.sim.grip import GripperState, WeldEvent
+from armcell.sim.pace import Pacer
+from armcell.sim.settings import PhysicsSettings
+from armcell.sim.world import SimWorld, WorldSnapshot
+
+__all__ = [
+    "BuiltModel",
+    "Camera",
+    "ContactMonitor",
+    "GripperIndex",
+    "GripperState",
+    "Pacer",
+    "PhysicsContact",
+    "PhysicsSettings",
+    "SimWorld",
+    "UnwantedContact",
+    "WeldEvent",
+    "WorldSnapshot",
+    "build",
+    "convex_pieces",
+]

@@ -1,0 +1,111 @@
+"""Convex pieces of a mesh: a physics engine collides with hulls, a robot's arm is not its hull.
+
+A mesh is cut by planes along its axes, each time where it makes the hulls smallest, until another cut
+would save little. Only hull volumes are compared, so a mesh need not be closed. The pieces' union holds
+the mesh: a cut's outline goes to both sides, and so does everything between it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from armcell.core import InputError, Mesh
+
+Array = NDArray[np.float64]
+
+MIN_SAVING = 0.02
+"""Of the whole hull's volume that a cut must save to be worth another geom."""
+MAX_PIECES = 12
+_FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+
+
+@lru_cache(maxsize=256)
+def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
+    """Convex meshes whose union holds `mesh`; one if it is (nearly) convex. Deterministic."""
+    triangles = mesh.vertices[mesh.faces]
+    total = _hull_volume(triangles)
+    if total == 0.0:
+        raise InputError("mesh is flat: it has no volume", **({"file": mesh.file} if mesh.file else {}))
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    if solid.is_watertight and total - abs(solid.volume) < MIN_SAVING * total:
+        return (_hull(triangles),)  # no cut can save more than the excess there is
+    pieces = [triangles]
+    cuts = [_best_cut(triangles)]
+    while len(pieces) < MAX_PIECES:
+        best = max(range(len(pieces)), key=lambda i: cuts[i][0])
+        saving, halves = cuts[best]
+        if saving < MIN_SAVING * total or halves is None:
+            break
+        pieces[best : best + 1] = halves
+        cuts[best : best + 1] = [_best_cut(half) for half in halves]
+    return tuple(_hull(piece) for piece in pieces)
+
+
+def _hull_volume(triangles: Array) -> float:
+    points = triangles.reshape(-1, 3)
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):  # flat or empty: no volume
+        return 0.0
+
+
+def _hull(triangles: Array) -> Mesh:
+    """The convex hull with outward faces."""
+    points = np.unique(triangles.reshape(-1, 3), axis=0)
+    hull = ConvexHull(points)
+    index = np.full(len(points), -1)
+    index[hull.vertices] = np.arange(len(hull.vertices))
+    faces = index[hull.simplices]
+    vertices = points[hull.vertices]
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Mesh(vertices, faces.astype(np.int32))
+
+
+def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
+    """(volume saved [m^3], the two halves) of the best axis-aligned cut."""
+    points = triangles.reshape(-1, 3)
+    low, high = points.min(0), points.max(0)
+    whole = _hull_volume(triangles)
+    best: tuple[float, list[Array] | None] = (0.0, None)
+    for axis in range(3):
+        for fraction in _FRACTIONS:
+            at = low[axis] + fraction * (high[axis] - low[axis])
+            halves = [_clip(triangles, axis, at, side) for side in (1.0, -1.0)]
+            volumes = [_hull_volume(half) for half in halves]
+            if min(volumes) <= 0.0:
+                continue
+            saving = whole - sum(volumes)
+            if saving > best[0]:
+                best = (saving, halves)
+    return best
+
+
+def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
+    """The part (k, 3, 3) of triangles (n, 3, 3) with side * (x[axis] - at) <= 0."""
+    height = side * (triangles[:, :, axis] - at)  # (n, 3)
+    above = height > 0
+    count = above.sum(1)
+    parts = [triangles[count == 0]]
+    for one_above in (True, False):  # triangles with one corner to cut off, or with one corner to keep
+        rows = np.flatnonzero(count == (1 if one_above else 2))
+        if len(rows) == 0:
+            continue
+        odd = np.argmax(above[rows] if one_above else ~above[rows], axis=1)
+        order = (odd[:, None] + np.arange(3)) % 3
+        tri = np.take_along_axis(triangles[rows], order[:, :, None], axis=1)
+        h = np.take_along_axis(height[rows], order, axis=1)
+        p, q, r = tri[:, 0], tri[:, 1], tri[:, 2]
+        pq = p + (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None] * (q - p)
+        pr = p + (h[:, 0] / (h[:, 0] - h[:, 2]))[:, None] * (r - p)
+        if one_above:
+            parts += [np.stack([pq, q, r], 1), np.stack([pq, r, pr], 1)]
+        else:
+            parts.append(np.stack([p, pq, pr], 1))
+    return np.concatenate(parts)

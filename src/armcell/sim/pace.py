@@ -1,0 +1,46 @@
+"""Whether the simulation's clock waits for the wall's."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from armcell.core import InputError
+
+
+class Pacer:
+    """Lock-step (`time_scale` None: never waits) or wall clock times a scale (2.0 is twice real time).
+
+    The clock starts at the first `wait_until`. A simulation that cannot keep up is not rushed afterwards:
+    the clock is set back by what was missed beyond `MAX_LAG_S`.
+    """
+
+    MAX_LAG_S = 0.1
+
+    def __init__(self, time_scale: float | None = None, clock: Callable[[], float] = time.monotonic,
+                 sleep: Callable[[float], None] = time.sleep):  # fmt: skip
+        if time_scale is not None and not 0 < time_scale < float("inf"):
+            raise InputError(f"time scale is {time_scale}, it must be above 0 (None: do not wait)")
+        self.time_scale = time_scale
+        self._clock, self._sleep = clock, sleep
+        self._zero: float | None = None  # wall time of simulation time 0
+
+    def reset(self) -> None:
+        """Start the clock anew at the next `wait_until`."""
+        self._zero = None
+
+    def wait_until(self, sim_time: float) -> float:
+        """Sleep until the wall clock has reached a simulation time [s]; returns the seconds slept."""
+        if self.time_scale is None:
+            return 0.0
+        now = self._clock()
+        wall = sim_time / self.time_scale
+        if self._zero is None:
+            self._zero = now - wall
+        ahead = self._zero + wall - now
+        if ahead > 0:
+            self._sleep(ahead)
+            return ahead
+        if -ahead > self.MAX_LAG_S:
+            self._zero += -ahead - self.MAX_LAG_S
+        return 0.0

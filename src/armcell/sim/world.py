@@ -1,0 +1,380 @@
+"""`SimWorld`: a planning scene as real physics, stepped only when told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, ArmcellError, InputError, JointState, StateSample, UnknownNameError
+from armcell.kinematics import kinematic_tree
+from armcell.model import RobotModel
+from armcell.scene import PlanningScene
+from armcell.sim.build import BuiltModel, build, scene_objects
+from armcell.sim.camera import Camera
+from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
+from armcell.sim.grip import (
+    GripperDrive,
+    GripperState,
+    WeldEvent,
+    Welder,
+    body_pose,
+    gripper_state,
+    relative_pose,
+)
+from armcell.sim.settings import PhysicsSettings
+
+Array = NDArray[np.float64]
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_DIVERGED = tuple(
+    int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")
+)
+
+
+@dataclass(frozen=True, eq=False)
+class WorldSnapshot:
+    """Everything the next step depends on, and what the world has recorded. Only for the world it is of."""
+
+    built: BuiltModel
+    physics: Array
+    equality_data: Array
+    equality_solref: Array
+    drives: tuple
+    welder: tuple
+    monitor: tuple
+    watches: dict
+
+
+class SimWorld:
+    """Physics of one scene. All poses are in the world frame, which is the frame of the robot's root link.
+
+    Nothing is random in it and nothing moves but by `step`: the same calls give the same bits.
+
+    Attributes:
+        robot: the scene's `RobotModel`.
+        monitor: unwanted contacts, looked for at every physics step.
+        cameras: by name.
+        rng: for whatever wants seeded noise on this world's sensors; physics itself has none.
+        mj_model, mj_data: MuJoCo's own, for viewers; do not step them.
+    """
+
+    def __init__(
+        self,
+        scene: PlanningScene,
+        settings: PhysicsSettings | None = None,
+        cameras: Iterable[Camera] = (),
+        seed: int = 0,
+    ):
+        self.settings = settings or PhysicsSettings()
+        self.cameras = {camera.name: camera for camera in cameras}
+        self.seed = seed
+        self._build(scene)
+        self.reset()
+
+    def _build(self, scene: PlanningScene) -> None:
+        self.built = build(scene, self.settings)
+        self.robot: RobotModel = scene.model
+        self.mj_model = self.built.mj
+        self.mj_data = mujoco.MjData(self.mj_model)
+        self._tree = kinematic_tree(scene.model)
+        self._drives = {n: GripperDrive(g, self.settings) for n, g in self.built.grippers.items()}
+        self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
+        self._columns: dict[tuple[str, ...], Any] = {}
+        self.render_cache: Any = None  # of camera.py: the same scene with its visual meshes
+
+    def reset(self, scene: PlanningScene | None = None) -> None:
+        """Back to a scene (by default the last one given): time 0, at rest, records cleared.
+
+        A scene that differs only in joint positions and poses of movable objects is not compiled anew.
+        """
+        if scene is not None:
+            if _same_build(self.built.scene, scene):
+                self.built = replace(self.built, scene=scene, objects=scene_objects(scene))
+            else:
+                self._build(scene)
+        built, data = self.built, self.mj_data
+        mujoco.mj_resetData(self.mj_model, data)
+        self.rng = np.random.default_rng(self.seed)
+        self.monitor = ContactMonitor(built)
+        self._welder = Welder(built, self.settings)
+        self._watches: dict[str, tuple[str, SE3]] = {}
+        for name, start in built.object_qpos.items():
+            self._write_pose(start, built.objects[name].T_world_object)
+        self.set_positions(built.scene.positions)
+
+    # --- time ---
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the last reset."""
+        return float(self.mj_data.time)
+
+    @property
+    def timestep(self) -> float:
+        return float(self.settings.timestep)
+
+    def step(self, n: int = 1) -> None:
+        """Take n physics steps.
+
+        Raises:
+            ArmcellError: the state is no longer finite.
+        """
+        model, data = self.mj_model, self.mj_data
+        step = mujoco.mj_step
+        before = [drive.update for drive in self._drives.values()]
+        after = [self.monitor.update]
+        if self.settings.grip_mode != "friction":
+            after.append(self._welder.update)
+        for _ in range(n):
+            for call in before:
+                call(data)
+            step(model, data)
+            for call in after:
+                call(data)
+        mujoco.mj_kinematics(model, data)  # a step leaves poses where it began; this brings them up to date
+        if any(data.warning[w].number for w in _DIVERGED):
+            raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
+
+    # --- robot ---
+    def joint_state(self) -> JointState:
+        """Actuated joints in the model's order. Efforts include the gravity that the arm compensates."""
+        data, built = self.mj_data, self.built
+        return JointState(
+            self.robot.joint_names,
+            data.qpos[built.qpos],
+            data.qvel[built.dofs],
+            data.qfrc_actuator[built.dofs] + data.qfrc_gravcomp[built.dofs],
+            self.time,
+        )
+
+    def set_arm_target(
+        self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
+    ) -> None:
+        """Where the joints shall be now [rad or m] and how fast they shall be moving [rad/s or m/s].
+
+        A gripper's driven joint among them is driven to that position at the gripper's full force.
+
+        Raises:
+            UnknownNameError: not an actuated joint.
+            InputError: wrong length, or a value that is not finite.
+        """
+        names = tuple(joint_names)
+        if names not in self._columns:
+            self._columns[names] = self._split(names)
+        arm, pos, vel, fingers = self._columns[names]
+        q = np.asarray(positions, dtype=float)
+        v = np.zeros(len(names)) if velocities is None else np.asarray(velocities, dtype=float)
+        if q.shape != (len(names),) or v.shape != q.shape:
+            raise InputError(f"target of {len(names)} joints has shapes {q.shape} and {v.shape}")
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            raise InputError(f"target of joints {', '.join(names)} is not finite")
+        self.mj_data.ctrl[pos] = q[arm]
+        self.mj_data.ctrl[vel] = v[arm]
+        for column, gripper in fingers:
+            index = self.built.grippers[gripper]
+            self.set_gripper_target(gripper, index.gripper.width(float(q[column])), index.max_force)
+
+    def _split(self, names: tuple[str, ...]) -> tuple:
+        columns = self.robot.columns(names)
+        arm = [i for i, name in enumerate(names) if name not in self._driven]
+        pos = self.built.pos_ctrl[[columns[i] for i in arm]]
+        vel = self.built.vel_ctrl[[columns[i] for i in arm]]
+        return arm, pos, vel, [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
+
+    def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
+        """Drive a gripper to a width [m] with at most a force per finger [N] (the gripper's largest by default).
+
+        Width 0 grasps: the fingers close until blocked and then press with that force. A width above the
+        present one opens, which releases a weld.
+        """
+        index = self._gripper(gripper)
+        force = index.max_force if force_per_finger is None else float(force_per_finger)
+        if not (np.isfinite(width) and np.isfinite(force) and force > 0):
+            raise InputError(f"gripper target of width {width} m and force {force} N is not possible")
+        present = index.gripper.width(float(self.mj_data.ten_length[index.tendon]))
+        if width > present + 1e-4:
+            self._welder.release(self.mj_data, gripper)
+        self._drives[gripper].command(float(width), force)
+
+    def gripper_state(self, gripper: str) -> GripperState:
+        """Width, contact force per finger and the object between the fingers, as of the last step."""
+        self._gripper(gripper)
+        return gripper_state(self.built, self.mj_data, gripper)
+
+    def _gripper(self, name: str):
+        if name not in self.built.grippers:
+            raise UnknownNameError("gripper", name, self.built.grippers)
+        return self.built.grippers[name]
+
+    def link_pose(self, link: str) -> SE3:
+        """T_world_link."""
+        self.robot.link(link)
+        return body_pose(self.mj_data, self.built.body[link])
+
+    def set_positions(self, q: ArrayLike) -> None:
+        """Put the robot at positions (dof,), at rest, with its targets there. For set-up: nothing is simulated."""
+        q = self.robot.check_positions(q, margin=1e-3)
+        data, built = self.mj_data, self.built
+        for name, value in self._tree.full_positions(q).items():
+            data.qpos[built.joint_qpos[name]] = value
+            data.qvel[built.joint_dof[name]] = 0.0
+        arm = built.pos_ctrl >= 0
+        data.ctrl[built.pos_ctrl[arm]] = q[arm]
+        data.ctrl[built.vel_ctrl[arm]] = 0.0
+        for name, drive in self._drives.items():
+            self._welder.release(data, name)
+            joint = drive.index.gripper.joint_name
+            drive.hold(float(data.qpos[built.joint_qpos[joint]]))
+        data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(self.mj_model, data)
+
+    # --- objects ---
+    def object_pose(self, name: str) -> SE3:
+        """T_world_object."""
+        self._object(name)
+        return body_pose(self.mj_data, self.built.body[name])
+
+    def object_twist(self, name: str) -> Array:
+        """Velocity (6,) of an object's origin [m/s] over its angular velocity [rad/s], world frame."""
+        self._object(name)
+        start = self.built.object_dof.get(name)
+        if start is None:
+            return np.zeros(6)
+        velocity = self.mj_data.qvel[start : start + 6].copy()
+        velocity[3:] = self.object_pose(name).rotation.matrix @ velocity[3:]  # MuJoCo's is in the body frame
+        return velocity
+
+    def set_object_pose(self, name: str, T_world_object: SE3) -> None:
+        """Put a movable object somewhere, at rest. For set-up: nothing is simulated.
+
+        Raises:
+            UnknownNameError: no movable object of that name.
+        """
+        if name not in self.built.object_qpos:
+            raise UnknownNameError("movable object", name, self.built.object_qpos)
+        self._write_pose(self.built.object_qpos[name], T_world_object)
+        start = self.built.object_dof[name]
+        self.mj_data.qvel[start : start + 6] = 0.0
+        self.mj_data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(self.mj_model, self.mj_data)
+
+    def _object(self, name: str) -> None:
+        if name not in self.built.objects:
+            raise UnknownNameError("object", name, self.built.objects)
+
+    def _write_pose(self, start: int, T: SE3) -> None:
+        self.mj_data.qpos[start : start + 3] = T.translation
+        self.mj_data.qpos[start + 3 : start + 7] = T.quat_wxyz
+
+    # --- the whole ---
+    def scene(self) -> PlanningScene:
+        """The present state as a planning scene. Positions are clipped to the limits, which physics treats
+        as soft; bodies attached in the scene given are plain objects here.
+        """
+        scene = self.built.scene
+        q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
+        objects = {
+            name: item.at(self.object_pose(name)) if name in self.built.object_qpos else item
+            for name, item in self.built.objects.items()
+        }
+        return replace(scene, positions=q, objects=objects, attached={})
+
+    def sample(self) -> StateSample:
+        """The present state for watchers."""
+        grippers = {name: self.gripper_state(name) for name in self.built.grippers}
+        return StateSample(
+            time=self.time,
+            joints=self.joint_state(),
+            object_poses={name: self.object_pose(name) for name in self.built.object_qpos},
+            gripper_width={name: state.width for name, state in grippers.items()},
+            gripper_force={name: state.force_per_finger for name, state in grippers.items()},
+        )
+
+    def contacts(self) -> list[PhysicsContact]:
+        """Contacts of the last step by name, deepest first."""
+        return read_contacts(self.built, self.mj_data)
+
+    # --- grip ---
+    @property
+    def welds(self) -> tuple[WeldEvent, ...]:
+        """Every weld made since the reset. Always empty in mode "friction"."""
+        return tuple(self._welder.events)
+
+    def watch_slip(self, item: str, gripper: str) -> None:
+        """Remember where an object now is in a gripper's tcp frame; `slip` measures from there."""
+        self._object(item)
+        index = self._gripper(gripper)
+        self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
+
+    def slip(self, gripper: str | None = None) -> tuple[float, float]:
+        """How far the watched object has moved in the gripper [m] and turned [rad].
+
+        Args:
+            gripper: needed only when more than one is watched.
+        """
+        if gripper is None and len(self._watches) == 1:
+            gripper = next(iter(self._watches))
+        if gripper is None or gripper not in self._watches:
+            raise UnknownNameError("watched gripper", gripper, self._watches)
+        item, T_then = self._watches[gripper]
+        index = self.built.grippers[gripper]
+        return T_then.distance_to(relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
+
+    # --- time travel ---
+    def snapshot(self) -> WorldSnapshot:
+        """The full state, targets and records included."""
+        physics = np.empty(mujoco.mj_stateSize(self.mj_model, _STATE))
+        mujoco.mj_getState(self.mj_model, self.mj_data, physics, _STATE)
+        return WorldSnapshot(
+            built=self.built,
+            physics=physics,
+            equality_data=self.mj_model.eq_data.copy(),
+            equality_solref=self.mj_model.eq_solref.copy(),
+            drives=tuple(drive.get_state() for drive in self._drives.values()),
+            welder=self._welder.get_state(),
+            monitor=self.monitor._get_state(),
+            watches=dict(self._watches),
+        )
+
+    def restore(self, snapshot: WorldSnapshot) -> None:
+        """Back to a snapshot of this world: from there on the same calls give the same bits.
+
+        Raises:
+            InputError: the snapshot is of another world, or of before a reset that built another model.
+        """
+        if snapshot.built.mj is not self.mj_model:
+            raise InputError("the snapshot is of another world")
+        self.built = snapshot.built
+        self.mj_model.eq_data[:] = snapshot.equality_data
+        self.mj_model.eq_solref[:] = snapshot.equality_solref
+        for _ in range(2):  # contacts and forces first, which spoils the warm start; then the state again
+            mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
+            mujoco.mj_forward(self.mj_model, self.mj_data) if _ == 0 else None
+        for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
+            drive.set_state(state)
+        self._welder.set_state(snapshot.welder)
+        self.monitor._set_state(snapshot.monitor)
+        self._watches = dict(snapshot.watches)
+
+
+def _same_build(a: PlanningScene, b: PlanningScene) -> bool:
+    """Whether two scenes compile to the same model but for joint positions and free bodies' poses."""
+    if a.model is not b.model or dict(a.allowed) != dict(b.allowed) or set(a.attached) != set(b.attached):
+        return False
+    olds, news = scene_objects(a), scene_objects(b)
+    if list(olds) != list(news):
+        return False
+    for name, new in news.items():
+        old = olds[name]
+        free = new.movable or name in b.attached
+        if old.shapes is not new.shapes or (old.mass, old.material, old.movable, old.color) != (
+            new.mass, new.material, new.movable, new.color
+        ):  # fmt: skip
+            return False
+        if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):
+            return False
+    return True

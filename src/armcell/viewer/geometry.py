@@ -1,0 +1,207 @@
+"""From shapes, meshes and links to what a browser can draw: coloured triangles and viser nodes.
+
+viser's quaternions are scalar first; colours here are RGBA in 0..1 as everywhere in armcell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+from armcell.model.robot import Link, Visual
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+
+Array = NDArray[np.float64]
+Color = tuple[float, float, float, float]
+
+DEFAULT_COLOR: Color = (0.78, 0.80, 0.82, 1.0)
+COLLISION_COLOR: Color = (0.90, 0.45, 0.0, 0.45)
+MAX_FACES = 5000
+"""Per coloured part of a mesh file: beyond this it is decimated, or a software-rendered browser crawls."""
+SMOOTH_ANGLE = np.deg2rad(35.0)
+"""Edges sharper than this keep their crease when shaded."""
+PLANE_DRAWN_M = 6.0
+PLANE_THICKNESS_M = 0.01
+_SECTIONS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles of one colour, in the frame of what they belong to [m]."""
+
+    vertices: Array  # (v, 3)
+    faces: NDArray[np.int32]  # (f, 3)
+    color: Color
+
+
+# --- shapes ---
+def _plane(_: Plane) -> trimesh.Trimesh:
+    slab = trimesh.creation.box((PLANE_DRAWN_M, PLANE_DRAWN_M, PLANE_THICKNESS_M))
+    return slab.apply_translation((0.0, 0.0, -PLANE_THICKNESS_M / 2))
+
+
+def _cone(shape: Cone) -> trimesh.Trimesh:
+    cone = trimesh.creation.cone(shape.radius, shape.length, sections=_SECTIONS)
+    return cone.apply_translation((0.0, 0.0, -shape.length / 2))  # trimesh puts the base at z = 0
+
+
+def _capsule(shape: Capsule) -> trimesh.Trimesh:
+    capsule = trimesh.creation.capsule(shape.length, shape.radius, count=(_SECTIONS, _SECTIONS))
+    return capsule.apply_translation(-capsule.bounds.mean(axis=0))
+
+
+_TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
+    Box: lambda s: trimesh.creation.box((s.x, s.y, s.z)),
+    Sphere: lambda s: trimesh.creation.icosphere(3, s.radius),
+    Cylinder: lambda s: trimesh.creation.cylinder(s.radius, s.length, sections=_SECTIONS),
+    Capsule: _capsule,
+    Cone: _cone,
+    Plane: _plane,
+    Mesh: lambda s: trimesh.Trimesh(s.vertices, s.faces, process=False),
+}
+
+
+def shape_part(shape: Shape, color: Color) -> Part:
+    """A shape as triangles in its own frame; a plane becomes a thin slab below z = 0."""
+    return _shaded(_TESSELLATE[type(shape)](shape), color)
+
+
+# --- mesh files ---
+@lru_cache(maxsize=256)
+def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Part, ...]:
+    """A visual mesh file as one part per colour, decimated where heavy.
+
+    Raises:
+        InputError: unreadable or without triangles.
+    """
+    try:
+        loaded: Any = trimesh.load(path, process=False)
+        meshes = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
+        by_color: dict[Color, list[trimesh.Trimesh]] = {}
+        for mesh in meshes:
+            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+                bare = trimesh.Trimesh(mesh.vertices * np.asarray(scale), mesh.faces, process=False)
+                by_color.setdefault(_own_color(mesh), []).append(bare)
+    except Exception as error:  # every mesh library has errors of its own; the file is what is wrong
+        raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
+    if not by_color:
+        raise InputError("mesh has no triangles", file=path)
+    return tuple(_shaded(trimesh.util.concatenate(some), color) for color, some in by_color.items())
+
+
+def _own_color(mesh: trimesh.Trimesh) -> Color:
+    """The one colour of a mesh: its material's, or the mean of its vertices' or faces'."""
+    visual: Any = mesh.visual
+    if not visual.defined:
+        return DEFAULT_COLOR
+    material = getattr(visual, "material", None)
+    rgba = np.asarray(visual.main_color if material is None else material.main_color, dtype=float)
+    red, green, blue, alpha = (float(v) for v in rgba[:4] / 255)
+    return red, green, blue, alpha if alpha > 0 else 1.0  # some exporters write alpha 0 for opaque
+
+
+def _shaded(mesh: trimesh.Trimesh, color: Color) -> Part:
+    """Merged, decimated, and split at sharp edges: a browser shades smoothly over shared vertices."""
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    vertices, faces = decimated(np.asarray(mesh.vertices), np.asarray(mesh.faces), MAX_FACES)
+    split = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces, process=False), angle=SMOOTH_ANGLE)
+    return Part(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32), color)
+
+
+def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Array, NDArray[Any]]:
+    """At most about `max_faces` triangles, by vertex clustering on a grid that coarsens until they fit.
+
+    No vertex moves by more than the grid's diagonal; for drawing only, never for collision.
+    """
+    out_vertices, out_faces = vertices, faces
+    cell = float(np.ptp(vertices, axis=0).max()) / 400
+    while len(out_faces) > max_faces:
+        _, member = np.unique(np.floor(vertices / cell).astype(np.int64), axis=0, return_inverse=True)
+        member = member.ravel()
+        count = np.bincount(member)
+        out_vertices = np.stack([np.bincount(member, vertices[:, i]) / count for i in range(3)], axis=1)
+        out_faces = member[faces]
+        a, b, c = out_faces.T
+        out_faces = out_faces[(a != b) & (b != c) & (c != a)]
+        cell *= 1.25
+    return out_vertices, out_faces
+
+
+# --- viser nodes ---
+def node_name(*parts: str) -> str:
+    """A viser scene path; a slash inside a name must not make a level of its own."""
+    return "/" + "/".join(quote(part, safe="") for part in parts)
+
+
+def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
+    """Draw a part as a child of the node that `name` lies under; returns viser's handle."""
+    alpha = part.color[3]
+    return api.add_mesh_simple(
+        name,
+        part.vertices,
+        part.faces,
+        color=tuple(round(255 * c) for c in part.color[:3]),  # pyright: ignore[reportArgumentType]
+        opacity=None if alpha >= 1.0 else alpha,
+        side="double",
+        wxyz=T.quat_wxyz,
+        position=T.translation,
+        visible=visible,
+    )
+
+
+def visual_parts(visual: Visual) -> tuple[Part, ...]:
+    """A link's visual; the URDF's colour, where given, goes before the file's own (as in RViz)."""
+    if visual.shape is not None:
+        return (shape_part(visual.shape, visual.color or DEFAULT_COLOR),)
+    if visual.file is None:
+        return ()
+    parts = file_parts(visual.file, visual.scale)
+    if visual.color is None:
+        return parts
+    return tuple(Part(p.vertices, p.faces, visual.color) for p in parts)
+
+
+def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]]:
+    """Draw a link below the node `name`: handles of its visuals and of its (hidden) collision shapes.
+
+    A link without visuals shows its collision shapes in grey.
+    """
+    drawn = [(p, v.T_link_visual) for v in link.visuals for p in visual_parts(v)]
+    if not drawn:
+        drawn = [(shape_part(c.shape, DEFAULT_COLOR), c.T_link_shape) for c in link.collisions]
+    visuals = [add_part(api, f"{name}/visual/{i}", part, T) for i, (part, T) in enumerate(drawn)]
+    collisions = [
+        add_part(
+            api, f"{name}/collision/{i}", shape_part(c.shape, COLLISION_COLOR), c.T_link_shape, visible=False
+        )
+        for i, c in enumerate(link.collisions)
+    ]
+    return visuals, collisions
+
+
+def add_object_shape(api: SceneApi, name: str, shape: Shape, T: SE3, color: Color) -> Any:
+    """Draw one shape of an object; a plane gets a grid on top."""
+    handle = add_part(api, name, shape_part(shape, color), T)
+    if isinstance(shape, Plane):
+        api.add_grid(
+            f"{name}/grid",
+            width=PLANE_DRAWN_M,
+            height=PLANE_DRAWN_M,
+            cell_size=0.1,
+            section_size=0.5,
+            cell_color=(175, 175, 175),
+            section_color=(130, 130, 130),
+            position=(0.0, 0.0, 0.001),  # above the slab, or the two would flicker
+        )
+    return handle

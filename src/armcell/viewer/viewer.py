@@ -1,0 +1,242 @@
+"""`CellViewer`: an observer that shows a cell in the browser."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, Event, JointState, JointTrajectory, StateSample
+from armcell.kinematics import kinematic_tree
+from armcell.scene import PlanningScene
+from armcell.viewer.geometry import add_link, add_object_shape, node_name
+from armcell.viewer.panel import StatusPanel
+from armcell.viewer.server import free_port, start_server, stop_server
+
+if TYPE_CHECKING:
+    import viser
+
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+
+UPDATE_HZ = 30.0
+"""Of wall time; samples between two updates are passed over, the last one is always shown."""
+PATH_SAMPLES = 80
+PATH_COLOR = (0, 114, 178)
+
+
+class CellViewer:
+    """Shows robot, objects, planned tool paths and the cell's status at `url`.
+
+    The `on_...` calls only hand over what happened; a thread of the viewer's own does the kinematics and
+    the sending, so the thread that steps the physics is never held up.
+
+    Args:
+        scene: what stands in the cell; its state is shown until the first sample.
+        host: address to listen on.
+        port: the first port to try; when it is taken the next free one is used (see `url`).
+        title: shown on top of the panel; the robot's name by default.
+    Raises:
+        InputError: the host is no address of this machine, or no port is free.
+    """
+
+    def __init__(
+        self, scene: PlanningScene, host: str = "127.0.0.1", port: int = 8080, title: str | None = None
+    ):
+        free = free_port(host, port)
+        self._scene = scene
+        self._tree = kinematic_tree(scene.model)
+        self._tips = _tool_links(scene)
+        self._q = np.array(scene.positions)
+        self._host = host
+        self._server = start_server(host, free, title or scene.model.name)
+        self.port = self._server.get_port()
+        if port not in (0, self.port):
+            logger.warning("port %d is in use: the viewer is at %s", port, self.url)
+
+        self.link_frames: dict[str, viser.FrameHandle] = {}
+        self.object_frames: dict[str, viser.FrameHandle] = {}
+        self._collisions: list[Any] = []
+        self._paths: list[Any] = []
+        try:
+            self._build()
+        except BaseException:  # a visual that cannot be read, say: leave no server behind
+            stop_server(self._server)
+            raise
+        self._panel = StatusPanel(
+            self._server.gui, title or scene.model.name, scene.model.grippers, self._shown
+        )
+
+        self._wake = threading.Condition()
+        self._sample: StateSample | None = None
+        self._events: list[Event] = []
+        self._trajectory: JointTrajectory | None = None
+        self._closing = False
+        self._worker = threading.Thread(target=self._run, name="armcell-viewer", daemon=True)
+        self._worker.start()
+
+    @property
+    def url(self) -> str:
+        """Where to point a browser on this machine."""
+        host = "127.0.0.1" if self._host in ("", "0.0.0.0", "::") else self._host
+        return f"http://{host}:{self.port}"
+
+    @property
+    def server(self) -> viser.ViserServer:
+        """viser's own server, to add to the view."""
+        return self._server
+
+    # --- Observer: called from the thread that steps the cell ---
+    def on_state(self, sample: StateSample) -> None:
+        with self._wake:
+            self._sample = sample
+            self._wake.notify()
+
+    def on_event(self, event: Event) -> None:
+        with self._wake:
+            self._events.append(event)
+            self._wake.notify()
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        with self._wake:
+            self._trajectory = trajectory
+            self._wake.notify()
+
+    def close(self) -> None:
+        """Stop the server and its threads; the port is free afterwards. May be called twice."""
+        with self._wake:
+            if self._closing:
+                return
+            self._closing = True
+            self._wake.notify()
+        self._worker.join(timeout=5.0)
+        stop_server(self._server)
+
+    def __enter__(self) -> CellViewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- building ---
+    def _build(self) -> None:
+        api, model = self._server.scene, self._scene.model
+        api.set_up_direction("+z")
+        for name, link in model.links.items():
+            path = node_name("robot", name)
+            self.link_frames[name] = api.add_frame(path, show_axes=False)
+            self._collisions += add_link(api, path, link)[1]
+        for name in (*self._scene.objects, *self._scene.attached):
+            item = self._scene.object(name)
+            path = node_name("objects", name)
+            self.object_frames[name] = api.add_frame(path, show_axes=False)
+            for i, (shape, T) in enumerate(item.shapes):
+                add_object_shape(api, f"{path}/{i}", shape, T, item.color)
+            _place(self.object_frames[name], item.T_world_object)
+        self._place_links()
+        centre, radius = self._extent()
+        camera = self._server.initial_camera
+        camera.look_at = centre
+        camera.position = centre + radius * np.array([1.5, 1.15, 0.85])
+        camera.fov = float(np.deg2rad(45.0))
+
+    def _extent(self) -> tuple[Array, float]:
+        """Middle and radius [m] of what a first look should show: the links' and small objects' origins."""
+        points = [*self._tree.link_transforms(self._q)[:, :3, 3]]
+        points += [
+            o.T_world_object.translation for o in self._scene.objects.values() if o.bounds()[1].max() < 2.0
+        ]
+        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        return (low + high) / 2, max(0.5, float(np.linalg.norm(high - low)) / 2)
+
+    def _shown(self, what: str, visible: bool) -> None:
+        """A checkbox of the panel was clicked."""
+        for handle in tuple({"collision": self._collisions, "path": self._paths}[what]):
+            handle.visible = visible
+
+    # --- updating: the viewer's own thread from here on ---
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                while not (self._closing or self._sample or self._events or self._trajectory):
+                    self._wake.wait()
+                if self._closing:
+                    return
+                sample, events, trajectory = self._sample, self._events, self._trajectory
+                self._sample, self._events, self._trajectory = None, [], None
+            begin = time.monotonic()
+            try:
+                with self._server.atomic():
+                    self._show(sample, events, trajectory)
+            except Exception:  # a view that fails must not end the run it looks at
+                logger.exception("the viewer could not show an update")
+            rest = 1 / UPDATE_HZ - (time.monotonic() - begin)
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing, timeout=max(0.0, rest))
+
+    def _show(
+        self, sample: StateSample | None, events: list[Event], trajectory: JointTrajectory | None
+    ) -> None:
+        if sample is not None:
+            self._q = _merged(self._scene, self._q, sample.joints)
+            self._place_links()
+            for name, T in sample.object_poses.items():
+                if name in self.object_frames:
+                    _place(self.object_frames[name], T)
+        if trajectory is not None:
+            self._draw_path(trajectory)
+        self._panel.update(sample, events)
+
+    def _place_links(self) -> None:
+        for name, T in zip(self._tree.link_names, self._tree.link_transforms(self._q), strict=True):
+            _place(self.link_frames[name], SE3.from_matrix(T))
+
+    def _draw_path(self, trajectory: JointTrajectory) -> None:
+        """The way each moved tool will go, as a line in the world frame, in place of the last one."""
+        for handle in self._paths:
+            handle.remove()
+        self._paths = []
+        times = np.linspace(trajectory.times[0], trajectory.times[-1], PATH_SAMPLES)
+        qs = [
+            _merged(self._scene, self._q, JointState(trajectory.joint_names, trajectory.sample(t)[0]))
+            for t in times
+        ]
+        Ts = np.array([self._tree.link_transforms(q) for q in qs])  # (samples, links, 4, 4)
+        for tip in self._tips:
+            points = Ts[:, self._tree.link_index[tip], :3, 3]
+            if np.ptp(points, axis=0).max() < 1e-4:  # another arm's, or only the fingers move
+                continue
+            self._paths.append(
+                self._server.scene.add_line_segments(
+                    node_name("path", tip),
+                    np.stack([points[:-1], points[1:]], axis=1),
+                    PATH_COLOR,
+                    thickness=0.004,
+                    visible=self._panel.shows("path"),
+                )
+            )
+
+
+def _merged(scene: PlanningScene, q: Array, joints: JointState) -> Array:
+    """`q` (dof,) with the robot's actuated joints among `joints` overwritten."""
+    q, at = q.copy(), {name: i for i, name in enumerate(scene.model.joint_names)}
+    for name, value in zip(joints.joint_names, joints.positions, strict=True):
+        if name in at:
+            q[at[name]] = value
+    return q
+
+
+def _place(frame: Any, T_world_frame: SE3) -> None:
+    frame.wxyz = T_world_frame.quat_wxyz
+    frame.position = T_world_frame.translation
+
+
+def _tool_links(scene: PlanningScene) -> tuple[str, ...]:
+    """The tcp links of the grippers, or of a robot without any the tips of its chains."""
+    tips = [g.tcp_link for g in scene.model.grippers.values()]
+    tips = tips or [g.tip_link for g in scene.model.groups.values() if g.tip_link]
+    return tuple(dict.fromkeys(tips))
