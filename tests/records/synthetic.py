@@ -29,7 +29,9 @@ def panda_scene() -> PlanningScene:
         "cube", Box(0.05, 0.05, 0.05), SE3.from_xyz(0.5, 0.1, 0.025), color=(0.84, 0.37, 0, 1), movable=True
     )
     wall = CollisionObject.single("wall", Box(0.02, 0.3, 0.3), SE3.from_xyz(0.45, -0.2, 0.15))
-    return PlanningScene.of(load_robot("panda"), objects=[cube, wall, CollisionObject.single("floor", Plane())])
+    return PlanningScene.of(
+        load_robot("panda"), objects=[cube, wall, CollisionObject.single("floor", Plane())]
+    )
 
 
 def play(scene: PlanningScene, observer, rate: float = 500.0) -> float:
@@ -42,7 +44,9 @@ def play(scene: PlanningScene, observer, rate: float = 500.0) -> float:
     T_cube = scene.object("cube").T_world_object
     rng = np.random.default_rng(3)
     for name, planner, seconds, goal, width in STAGES:
-        observer.on_event(Event(time, "stage", f"{name} begins", {"name": name, "phase": "begin", "planner": planner}))
+        observer.on_event(
+            Event(time, "stage", f"{name} begins", {"name": name, "phase": "begin", "planner": planner})
+        )
         start, end = q.copy(), q.copy()
         end[at], end[finger] = goal, width
         if np.ptp(end[at] - start[at]) > 0:
@@ -62,13 +66,17 @@ def play(scene: PlanningScene, observer, rate: float = 500.0) -> float:
             effort = 4 * v + rng.normal(0, 0.05, len(v))
             state = JointState(model.joint_names, q, v, effort, time + s * seconds)
             observer.on_state(
-                StateSample(time + s * seconds, state, {"cube": T_cube}, {"hand": 2 * q[finger]}, {"hand": force})
+                StateSample(
+                    time + s * seconds, state, {"cube": T_cube}, {"hand": 2 * q[finger]}, {"hand": force}
+                )
             )
         time += seconds
         if name == "close gripper":
             T_tcp = SE3.from_matrix(tree.link_transforms(q)[tree.link_index["panda_hand_tcp"]])
             held = T_tcp.inv() @ T_cube
-            observer.on_event(Event(time, "grasp", "cube held by friction, 32.0 N per finger", {"object": "cube"}))
+            observer.on_event(
+                Event(time, "grasp", "cube held by friction, 32.0 N per finger", {"object": "cube"})
+            )
         observer.on_event(Event(time, "stage", f"{name} done", {"name": name, "phase": "end"}))
     return time
 
@@ -104,6 +112,12 @@ def panda_result() -> dict:
         "unwanted_contacts": [],
         "min_clearance_m": 0.0123,
         "welds": [],
-        "versions": {"armcell": "0.1.0", "mujoco": "4.0.0", "ompl": "2.0.1", "numpy": "2.4.6", "python": "3.11.2"},
+        "versions": {
+            "armcell": "0.1.0",
+            "mujoco": "4.0.0",
+            "ompl": "2.0.1",
+            "numpy": "2.4.6",
+            "python": "3.11.2",
+        },
         "command": "armcell run panda_pick --seed 7 --headless",
     }

@@ -67,18 +67,18 @@ class MotionBound:
         return self.per_joint @ np.abs(dq)
 
 
-def certify_path(checker: ExactChecker, waypoints: ArrayLike, slack: float = 0.0,
+def certify_path(checker: ExactChecker, waypoints: ArrayLike, slack: ArrayLike | None = None,
                  bound: MotionBound | None = None) -> Certificate:  # fmt: skip
     """Prove a piecewise linear motion (k, n) free of contact.
 
     Args:
-        slack: extra motion [rad] that the true motion may deviate from the straight edges.
+        slack: how far each joint (n,) may be from the straight edges at the same instant [rad].
     Returns:
         A certificate; `at` counts along the waypoints, 0..1.
     """
     points = np.asarray(waypoints, dtype=float)
     bound = bound or MotionBound(checker)
-    slack_bound = slack * np.sqrt(len(checker.joint_names)) * bound.per_joint.max(axis=1, initial=0.0)
+    slack_bound = bound.along(np.zeros(points.shape[1]) if slack is None else np.asarray(slack, dtype=float))
     clearance, edges = np.inf, max(len(points) - 1, 1)
     if len(points) == 1:
         points = np.vstack([points, points])

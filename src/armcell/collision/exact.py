@@ -13,7 +13,7 @@ from armcell.collision.broad import box_gaps, world_boxes
 from armcell.collision.shapes import Solid, solid
 from armcell.core import SE3, Contact
 from armcell.kinematics import kinematic_tree
-from armcell.scene import PlanningScene
+from armcell.scene import CollisionObject, PlanningScene
 
 Array = NDArray[np.float64]
 
@@ -70,9 +70,10 @@ class ExactChecker:
     def _prepare_pairs(self) -> None:
         scene, geometries = self.scene, self.geometries
         rigid = {link: i for i, links in enumerate(self.model.rigid_groups) for link in links}
-        home = [
-            -1 if g.link < 0 else rigid[self.tree.link_names[g.link]] for g in geometries
-        ]
+        # What stands in the world and what is rigid with the robot's root never move against each other:
+        # a base on its table is how robots are mounted, not a collision.
+        root = rigid[self.model.root_link]
+        home = [root if g.link < 0 else rigid[self.tree.link_names[g.link]] for g in geometries]
         moved_by = [self._group_joints_above(g.link) for g in geometries]
         active, fixed, margins_active, margins_fixed = [], [], [], []
         for i, a in enumerate(geometries):
@@ -172,6 +173,16 @@ class ExactChecker:
                 return False
         return True
 
+    def relax_margins(self, q: ArrayLike) -> None:
+        """Lower the padding of pairs that are closer than it at q, but do not touch: a motion may start
+        there and leave, it just comes no closer (0.1 mm less than now)."""
+        self.place(q)
+        for pairs, margins in ((self.pairs, self.margins), (self.fixed_pairs, self.fixed_margins)):
+            for p in np.flatnonzero((self.pair_gaps(pairs) <= margins) & (margins > 0)):
+                distance = self.pair_distance(int(pairs[p, 0]), int(pairs[p, 1]))
+                if distance <= margins[p]:
+                    margins[p] = max(distance - 1e-4, 0.0)
+
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
         """Every pair of bodies that touches at q (or is within the padding), deepest first."""
         self.place(q)
@@ -226,3 +237,30 @@ def _geometries(scene: PlanningScene) -> list[Geometry]:
         for shape, T_object_shape in item.shapes:
             found.append(Geometry(item.name, -1, solid(shape), item.T_world_object @ T_object_shape, 0.0))
     return found
+
+
+def neighbours(scene: PlanningScene, name: str, within: float = 0.002) -> list[str]:
+    """Objects whose surface is at most `within` [m] from an object in the world: what it stands on."""
+    item = scene.object(name)
+    request, near = coal.DistanceRequest(), []
+    for other in scene.objects.values():
+        if other.name != name and _object_distance(item, other, request) <= within:
+            near.append(other.name)
+    return near
+
+
+def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.DistanceRequest) -> float:
+    best, result = np.inf, coal.DistanceResult()
+    for shape_a, T_a in a.shapes:
+        A = a.T_world_object @ T_a
+        for shape_b, T_b in b.shapes:
+            B = b.T_world_object @ T_b
+            result.clear()
+            best = min(
+                best,
+                coal.distance(
+                    solid(shape_a).exact, coal.Transform3s(A.rotation.matrix, A.translation),
+                    solid(shape_b).exact, coal.Transform3s(B.rotation.matrix, B.translation), request, result,
+                ),
+            )  # fmt: skip
+    return float(best)

@@ -5,6 +5,7 @@ from armcell.core.events import Event, Observer, StateSample
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
+from armcell.core.requests import CartesianRequest, Goal, JointGoal, NamedGoal, PlanRequest, PoseGoal
 from armcell.core.results import Contact, ExecutionResult, IKResult, Outcome, PlanResult
 from armcell.core.transforms import SE3, SO3
 
@@ -14,23 +15,29 @@ __all__ = [
     "ArmcellError",
     "Box",
     "Capsule",
+    "CartesianRequest",
     "Cone",
     "Contact",
     "Cylinder",
     "ErrorCode",
     "Event",
     "ExecutionResult",
+    "Goal",
     "IKResult",
     "InputError",
+    "JointGoal",
     "JointPath",
     "JointState",
     "JointTrajectory",
     "Mesh",
     "MissingExtraError",
+    "NamedGoal",
     "Observer",
     "Outcome",
     "Plane",
+    "PlanRequest",
     "PlanResult",
+    "PoseGoal",
     "Registry",
     "Shape",
     "Sphere",

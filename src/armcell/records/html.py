@@ -21,7 +21,7 @@ CSS = """
         --good:#0b7a55; --good-bg:#e6f5ef; --bad:#b3360b; --bad-bg:#fdeee7; --accent:#0072b2; }
 * { box-sizing:border-box; }
 body { margin:0; background:var(--ground); color:var(--ink); line-height:1.45;
-       font:15px/1.45 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue","Liberation Sans",Arial,sans-serif; }
+       font-size:15px; font-family:system-ui,"Segoe UI",Roboto,"Liberation Sans",Arial,sans-serif; }
 main { max-width:1180px; margin:0 auto; padding:28px 24px 48px; }
 header { border-radius:12px; padding:20px 26px; margin-bottom:22px; border-left:8px solid; }
 header.good { background:var(--good-bg); border-color:var(--good); }
@@ -30,26 +30,36 @@ h1 { margin:0; font-size:26px; } header.good h1 { color:var(--good); } header.ba
 header p { margin:6px 0 0; overflow-wrap:anywhere; } header .what { color:var(--soft); margin:0 0 4px; }
 section { background:var(--paper); border:1px solid var(--line); border-radius:12px; padding:18px 24px 22px;
           margin-bottom:20px; }
-h2 { margin:0 0 12px; font-size:18px; } h3 { margin:18px 0 6px; font-size:14px; color:var(--soft); font-weight:600; }
+h2 { margin:0 0 12px; font-size:18px; }
+h3 { margin:18px 0 6px; font-size:14px; color:var(--soft); font-weight:600; }
 .wide { overflow-x:auto; }
 table { border-collapse:collapse; width:100%; font-size:14px; }
-th { text-align:left; color:var(--soft); font-weight:600; font-size:12.5px; border-bottom:2px solid var(--line); }
-th,td { padding:6px 10px; vertical-align:top; } td { border-bottom:1px solid var(--line); overflow-wrap:anywhere; }
-tr:last-child td { border-bottom:0; } .num { text-align:right; font-variant-numeric:tabular-nums; white-space:nowrap; }
+th { text-align:left; color:var(--soft); font-weight:600; font-size:12.5px;
+     border-bottom:2px solid var(--line); }
+th,td { padding:6px 10px; vertical-align:top; }
+td { border-bottom:1px solid var(--line); overflow-wrap:anywhere; }
+tr:last-child td { border-bottom:0; }
+.num { text-align:right; font-variant-numeric:tabular-nums; white-space:nowrap; }
 tr.bad td { background:var(--bad-bg); }
 .tag { display:inline-block; border-radius:99px; padding:1px 10px; font-size:12.5px; font-weight:600; }
-.tag.good { background:var(--good-bg); color:var(--good); } .tag.bad { background:var(--bad-bg); color:var(--bad); }
+.tag.good { background:var(--good-bg); color:var(--good); }
+.tag.bad { background:var(--bad-bg); color:var(--bad); }
 .keys { display:grid; grid-template-columns:repeat(auto-fill,minmax(165px,1fr)); gap:12px; }
 .key { border:1px solid var(--line); border-radius:10px; padding:10px 14px; }
 .key b { display:block; font-size:20px; font-variant-numeric:tabular-nums; overflow-wrap:anywhere; }
 .key span { color:var(--soft); font-size:12.5px; } .key.bad b { color:var(--bad); }
+.chips { display:flex; flex-wrap:wrap; gap:8px; }
+.chip { background:#f0f3f7; border-radius:99px; padding:2px 12px; font-size:13px; }
 .plot { width:100%; height:auto; display:block; }
 .pictures { display:grid; grid-template-columns:repeat(auto-fill,minmax(320px,1fr)); gap:16px; }
-figure { margin:0; } figure img { width:100%; height:auto; border-radius:8px; border:1px solid var(--line); display:block; }
+figure { margin:0; }
+figure img { width:100%; height:auto; border-radius:8px; border:1px solid var(--line); display:block; }
 figcaption { color:var(--soft); font-size:13px; margin-top:5px; }
 pre { background:#f0f3f7; border-radius:8px; padding:12px 14px; overflow-x:auto; font-size:13.5px; margin:0;
       font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"DejaVu Sans Mono",monospace; }
-.log { max-height:420px; overflow-y:auto; } .none { color:var(--soft); margin:0; }
+.log { max-height:420px; overflow-y:auto; }
+.log th:first-child { width:90px; } .log th:nth-child(2) { width:100px; }
+.none { color:var(--soft); margin:0; }
 footer { color:var(--soft); font-size:12.5px; text-align:center; }
 @media print { body { background:#fff; } .log { max-height:none; } section { break-inside:avoid; } }
 """

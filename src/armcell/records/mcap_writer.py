@@ -87,7 +87,7 @@ class McapWriter:
     def write_state(
         self, time: float, joints: JointState, q: ArrayLike, object_poses: dict[str, SE3]
     ) -> None:
-        """The cell at `time` [s]: joint states as measured, the tree at positions q (dof,), objects in world."""
+        """The cell at `time` [s]: joints as measured, the tree at positions q (dof,), objects in world."""
         stamp = self._stamp(time)
         empty = np.zeros(0)
         self._write(
@@ -119,10 +119,8 @@ class McapWriter:
         self._write("/events", "std_msgs/msg/String", event.time, data=text)
 
     def write_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
-        Point, Duration = (
-            self._type("trajectory_msgs/msg/JointTrajectoryPoint"),
-            self._type("builtin_interfaces/msg/Duration"),
-        )
+        Point = self._type("trajectory_msgs/msg/JointTrajectoryPoint")
+        Duration = self._type("builtin_interfaces/msg/Duration")
         empty = np.zeros(0)
         points = []
         for i, at in enumerate(trajectory.times):

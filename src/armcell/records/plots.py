@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +20,9 @@ from armcell.records.stages import StageSpan
 Array = NDArray[np.float64]
 
 WIDTH_IN, DPI = 10.5, 110
+# Fixed margins [in], so that the time axes of all figures stand below each other.
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN, LEGEND_ROW_IN = 0.75, 0.55, 0.85, 0.48, 0.22, 0.22
+_LEGEND_COLUMNS_IN = 1.3  # width of one entry
 # Okabe and Ito's colour-blind-safe palette, its yellow (too faint on white) replaced by grey.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
 _STYLES = ("-", "--", ":")  # from the ninth curve on
@@ -33,7 +37,7 @@ def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) 
     figures = {}
     for name, joints in _arms(model).items():
         columns = [series.joint_names.index(joint) for joint in joints]
-        figure, (above, below) = _figure(2, 5.6)
+        figure, (above, below) = _figure(2, 2.0, len(joints))
         _curves(above, series.times, {j: series.positions[:, c] for j, c in zip(joints, columns)})
         _curves(below, series.times, {j: series.velocities[:, c] for j, c in zip(joints, columns)})
         _finish(figure, (above, below), ("position [rad]", "velocity [rad/s]"), stages, series.times)
@@ -50,7 +54,7 @@ def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
     rows = [(label, curves) for label, curves in rows if curves and _any_finite(curves)]
     if not rows:
         return None
-    figure, axes = _figure(len(rows), 1.2 + 1.9 * len(rows))
+    figure, axes = _figure(len(rows), 1.4, len(rows[0][1]))
     for ax, (_, curves) in zip(axes, rows):
         _curves(ax, series.times, curves)
         low, high = ax.get_ylim()
@@ -65,7 +69,7 @@ def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
     if not heights:
         return None
     moved = sorted(heights, key=lambda n: -float(np.nanmax(heights[n]) - np.nanmin(heights[n])))[:MAX_OBJECTS]
-    figure, axes = _figure(1, 3.1)
+    figure, axes = _figure(1, 1.8, len(moved))
     _curves(axes[0], series.times, {n: heights[n] for n in heights if n in moved})
     _finish(figure, axes, ["height of origin [mm]"], stages, series.times)
     return _png(figure)
@@ -83,10 +87,25 @@ def _arms(model: RobotModel) -> dict[str, list[str]]:
 
 
 # --- one look for all ---
-def _figure(rows: int, height_in: float) -> tuple[Figure, tuple[Axes, ...]]:
-    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained", facecolor="white")
+def _figure(rows: int, row_in: float, entries: int) -> tuple[Figure, tuple[Axes, ...]]:
+    """Axes of `row_in` height [in] below each other, with room for a legend of so many entries."""
+    legend = math.ceil(entries / _legend_columns(entries)) * LEGEND_ROW_IN if entries else 0.0
+    bottom = BOTTOM_IN + legend
+    height = TOP_IN + rows * row_in + (rows - 1) * GAP_IN + bottom
+    figure = Figure(figsize=(WIDTH_IN, height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
+    figure.subplots_adjust(
+        left=LEFT_IN / WIDTH_IN,
+        right=1 - RIGHT_IN / WIDTH_IN,
+        top=1 - TOP_IN / height,
+        bottom=bottom / height,
+        hspace=GAP_IN / row_in,
+    )
     return figure, tuple(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def _legend_columns(entries: int) -> int:
+    return max(1, min(entries, int((WIDTH_IN - LEFT_IN - RIGHT_IN) / _LEGEND_COLUMNS_IN)))
 
 
 def _curves(ax: Axes, times: Array, curves: Mapping[str, Array]) -> None:
@@ -96,7 +115,7 @@ def _curves(ax: Axes, times: Array, curves: Mapping[str, Array]) -> None:
 
 
 def _finish(
-    figure: Figure, axes: Sequence[Axes], labels: Sequence[str], stages: Sequence[StageSpan], times: Array
+    figure: Figure, axes: Sequence[Axes], labels: Iterable[str], stages: Sequence[StageSpan], times: Array
 ) -> None:
     begin, end = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
     end = max(end, begin + 1e-3)
@@ -116,7 +135,10 @@ def _finish(
     axes[-1].set_xlabel("cell time [s]", color=_INK, fontsize=9)
     handles, names = axes[0].get_legend_handles_labels()
     if names:
-        figure.legend(handles, names, loc="outside right upper", fontsize=8, frameon=False, labelcolor=_INK)
+        columns = _legend_columns(len(names))
+        figure.legend(
+            handles, names, loc="lower center", ncols=columns, fontsize=8, frameon=False, labelcolor=_INK
+        )
     _name_stages(axes[0], [s for s in stages if s.end > begin and s.begin < end], begin, end)
 
 

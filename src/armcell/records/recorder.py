@@ -167,7 +167,9 @@ class RunRecorder:
     def _keep(self, sample: StateSample) -> None:
         self._samples.append(sample)
         self._skipped = None
-        self._due = (np.floor(sample.time * MAX_RATE_HZ + 1e-6) + 1) / MAX_RATE_HZ
+        # From one due time to the next, so that the rate holds whatever the physics' step is.
+        late = not 0 <= sample.time - self._due < 1 / MAX_RATE_HZ
+        self._due = (sample.time if late else self._due) + 1 / MAX_RATE_HZ
         for name, value in zip(sample.joints.joint_names, sample.joints.positions, strict=True):
             if name in self._column:
                 self._q[self._column[name]] = value

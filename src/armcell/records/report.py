@@ -13,7 +13,7 @@ from armcell.core import ErrorCode
 from armcell.records import html
 from armcell.records.html import millimetres, number, seconds, text
 from armcell.records.recorder import RunRecorder
-from armcell.records.stages import ends_stage, stage_name, stage_spans
+from armcell.records.stages import stage_name, stage_spans
 
 logger = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ def write_report(folder: Path, result: Mapping[str, Any], recorder: RunRecorder)
         html.section("Unwanted contacts", _contacts(result)),
         html.section("Events", _events(recorder)),
         html.section("Repeat this run", _command(result)),
-        f"<footer>armcell · {text(recorder.folder.name)} · {text(recorder.mcap_file.name)} opens in Foxglove</footer>",
+        _footer(recorder),
     ]
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -63,13 +63,13 @@ def _verdict(result: Mapping[str, Any]) -> str:
 
 def _headline(result: Mapping[str, Any]) -> str:
     good = bool(result.get("success"))
-    what = [result.get("cell"), result.get("task"), result.get("mode")]
+    what = [text(result[k]) for k in ("cell", "task", "mode") if result.get(k)]
     seed = result.get("seed")
-    what += [f"seed {seed}"] if seed is not None else []
+    what += [f"seed {text(seed)}"] if seed is not None else []
     heading = "✓ Success" if good else f"✗ Failed: {_error_words(result)}"
     message = result.get("message")
     lines = [
-        f'<p class="what">{" · ".join(text(w) for w in what if w not in (None, ""))}</p>',
+        f'<p class="what">{" · ".join(str(w) for w in what if w)}</p>',
         f"<h1>{text(heading)}</h1>",
         f"<p>{text(message)}</p>" if message else "",
     ]
@@ -86,6 +86,11 @@ def _error_words(result: Mapping[str, Any]) -> str:
         name = next((c.name for c in ErrorCode if c.value == code), None)
     words = str(name or "cause not recorded").replace("_", " ").lower()
     return f"{words} ({code})" if code is not None else words
+
+
+def _footer(recorder: RunRecorder) -> str:
+    run, mcap = text(recorder.folder.name), text(recorder.mcap_file.name)
+    return f"<footer>armcell · {run} · {mcap} beside this file opens in Foxglove</footer>"
 
 
 # --- tables ---
@@ -153,8 +158,8 @@ def _key_numbers(result: Mapping[str, Any]) -> str:
     out = f'<div class="keys">{"".join(cards)}</div>'
     versions = result.get("versions")
     if isinstance(versions, Mapping) and versions:
-        rows = [[text(name), text(version)] for name, version in versions.items()]
-        out += "<h3>Versions</h3>" + html.table(["Package", "Version"], rows)
+        chips = "".join(f'<span class="chip">{text(n)} <b>{text(v)}</b></span>' for n, v in versions.items())
+        out += f'<h3>Versions</h3><div class="chips">{chips}</div>'
     elif versions:
         out += f"<h3>Versions</h3><p>{text(versions)}</p>"
     return out
@@ -200,8 +205,7 @@ def _events(recorder: RunRecorder) -> str:
             text(e.kind),
             text(
                 f"{stage_name(e)}: {e.text}" if e.kind == "stage" and stage_name(e) not in e.text else e.text
-            )
-            + (" (end)" if e.kind == "stage" and ends_stage(e) and "end" not in e.text.lower() else ""),
+            ),
         ]
         for e in events[:MAX_EVENTS]
     ]

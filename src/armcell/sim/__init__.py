@@ -1,7 +1,7 @@
 """Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
 
 from armcell.sim.build import BuiltModel, GripperIndex, build
-from armcell.sim.camera import Camera
+from armcell.sim.camera import Camera, has_gl, render_depth, render_rgb
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.convex import convex_pieces
 from armcell.sim.grip import GripperState, WeldEvent
@@ -24,4 +24,7 @@ __all__ = [
     "WorldSnapshot",
     "build",
     "convex_pieces",
+    "has_gl",
+    "render_depth",
+    "render_rgb",
 ]

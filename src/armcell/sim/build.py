@@ -36,15 +36,18 @@ class GripperIndex:
     """One gripper's servo. The servo's length is the driven joint's position (mean over the fingers)."""
 
     gripper: Gripper
-    tendon: int
     ctrl: int
-    actuator: int
+    joints: tuple[tuple[int, float], ...]  # (index in qpos, weight): the servo's length is their weighted sum
     lower: float  # [m] of the driven joint
     upper: float
     max_speed: float  # [m/s] of the driven joint
     max_force: float  # [N] per finger
     finger_owners: tuple[int, ...]
     tcp_body: int
+
+    def length(self, qpos: Array) -> float:
+        """Of the servo at a state. (MuJoCo's own is one step old after a step.)"""
+        return sum(weight * float(qpos[i]) for i, weight in self.joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +204,9 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
         armature=settings.armature,
         damping=[max(settings.joint_damping, joint.damping), 0.0, 0.0],  # linear, then higher powers of speed
         frictionloss=joint.friction,
+        # the engine's soft stops would let a closing finger sink millimetres into its limit
+        solref_limit=settings.object_solref,
+        solimp_limit=settings.object_solimp,
     )
 
 
@@ -292,10 +298,9 @@ def _add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: Physics
 def _add_gripper(
     spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings
 ) -> None:
-    fingers = _finger_joints(model, gripper.joint_name)
     tendon = spec.add_tendon(name=_tendon_name(gripper.name))
-    for joint, multiplier in fingers:
-        tendon.wrap_joint(joint, 1.0 / (len(fingers) * multiplier))
+    for joint, weight in _finger_weights(model, gripper.joint_name):
+        tendon.wrap_joint(joint, weight)
     actuator = spec.add_actuator(
         name=_tendon_name(gripper.name), target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON
     )
@@ -305,13 +310,13 @@ def _add_gripper(
     actuator.forcerange = [-limit, limit]
 
 
-def _finger_joints(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """The driven joint and those that mimic it, with their multipliers."""
+def _finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
+    """The driven joint and those that mimic it, weighted so that their sum is the mean finger position."""
     found = [(driven, 1.0)]
     for joint in model.joints.values():
         if joint.mimic is not None and joint.mimic.joint == driven and joint.mimic.multiplier != 0:
             found.append((joint.name, joint.mimic.multiplier))
-    return found
+    return [(name, 1.0 / (len(found) * multiplier)) for name, multiplier in found]
 
 
 def _servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
@@ -412,9 +417,8 @@ def _gripper_index(
     actuator = mj.actuator(_tendon_name(gripper.name)).id
     return GripperIndex(
         gripper=gripper,
-        tendon=mj.tendon(_tendon_name(gripper.name)).id,
         ctrl=int(mj.actuator_ctrladr[actuator]),
-        actuator=actuator,
+        joints=tuple((int(mj.joint(n).qposadr[0]), w) for n, w in _finger_weights(model, gripper.joint_name)),
         lower=limits.lower,
         upper=limits.upper,
         max_speed=min(limits.velocity, settings.finger_speed),

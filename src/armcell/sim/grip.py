@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -16,7 +17,7 @@ from armcell.sim.settings import PhysicsSettings
 Array = NDArray[np.float64]
 
 _CHECK_EVERY = 5  # steps between two looks of the weld modes
-_HELD_BEFORE_WATCHED = 0.2  # [s] a grip settles before "hybrid" measures slip from it
+_SETTLING = 0.2  # [s] both fingers press before "weld" fixes the object or "hybrid" measures its slip
 _WIDTH_TOLERANCE = 1e-4  # [m]
 
 
@@ -79,9 +80,14 @@ class GripperDrive:
         if gripper.width(self._target) <= gripper.width(closed) + _WIDTH_TOLERANCE:
             self._target = closed - np.sign(gripper.width_per_joint) * self._lead
 
+    def closing(self, data: mujoco.MjData) -> bool:
+        """Whether the fingers are told to be closer together than they are."""
+        width = self.index.gripper.width
+        return width(self._target) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
+
     def update(self, data: mujoco.MjData) -> None:
         """Set the servo's input for the next step."""
-        length = float(data.ten_length[self.index.tendon])
+        length = self.index.length(data.qpos)
         set_point, gap = self._set_point, self._target - self._set_point
         if gap:
             step = self._push_step if abs(set_point - length) > self._blocked_lead else self._step
@@ -148,9 +154,10 @@ class _Grip:
 class Welder:
     """The grip modes "weld" and "hybrid". Each weld and its release is an event."""
 
-    def __init__(self, built: BuiltModel, settings: PhysicsSettings):
+    def __init__(self, built: BuiltModel, settings: PhysicsSettings, drives: Mapping[str, GripperDrive]):
         self._built = built
         self._settings = settings
+        self._drives = drives
         self._grips = {name: _Grip() for name in built.grippers}
         self._steps = 0
         self.events: list[WeldEvent] = []
@@ -161,7 +168,7 @@ class Welder:
         if self._steps % _CHECK_EVERY:
             return
         for name, grip in self._grips.items():
-            if grip.event is None:
+            if grip.event is None and self._drives[name].closing(data):
                 self._grips[name] = self._look(data, name, grip)
 
     def release(self, data: mujoco.MjData, gripper: str) -> None:
@@ -186,13 +193,13 @@ class Welder:
                 # a grip that was being watched may lose contact because it slips: keep watching it
                 return self._slipped(data, name, grip) if grip.T_tcp_item is not None else _Grip()
             grip = _Grip(max(sorted(pressed), key=pressed.__getitem__), now)
+        if now - grip.since < _SETTLING:
+            return grip
         if settings.grip_mode == "weld":
             force = pressed[grip.item or ""]
             return self._weld(data, name, grip, f"both fingers press with {force:.1f} N or more")
         if grip.T_tcp_item is None:
-            if now - grip.since >= _HELD_BEFORE_WATCHED:
-                return replace(grip, T_tcp_item=self._pose(data, index, grip))
-            return grip
+            return replace(grip, T_tcp_item=self._pose(data, index, grip))
         return self._slipped(data, name, grip)
 
     def _slipped(self, data: mujoco.MjData, name: str, grip: _Grip) -> _Grip:
@@ -214,6 +221,7 @@ class Welder:
         built.mj.eq_data[weld, 3:6] = T.translation
         built.mj.eq_data[weld, 6:10] = T.quat_wxyz
         built.mj.eq_data[weld, 10] = 1.0  # torque scale
+        built.mj.eq_data[weld, 11] = 0.0  # the pose is given, not that of the model's reference state
         built.mj.eq_solref[weld] = (
             settings.weld_solref if settings.grip_mode == "weld" else settings.hybrid_solref
         )

@@ -101,7 +101,7 @@ class SimWorld:
         mujoco.mj_resetData(self.mj_model, data)
         self.rng = np.random.default_rng(self.seed)
         self.monitor = ContactMonitor(built)
-        self._welder = Welder(built, self.settings)
+        self._welder = Welder(built, self.settings, self._drives)
         self._watches: dict[str, tuple[str, SE3]] = {}
         for name, start in built.object_qpos.items():
             self._write_pose(start, built.objects[name].T_world_object)
@@ -195,7 +195,7 @@ class SimWorld:
         force = index.max_force if force_per_finger is None else float(force_per_finger)
         if not (np.isfinite(width) and np.isfinite(force) and force > 0):
             raise InputError(f"gripper target of width {width} m and force {force} N is not possible")
-        present = index.gripper.width(float(self.mj_data.ten_length[index.tendon]))
+        present = index.gripper.width(index.length(self.mj_data.qpos))
         if width > present + 1e-4:
             self._welder.release(self.mj_data, gripper)
         self._drives[gripper].command(float(width), force)
@@ -351,9 +351,9 @@ class SimWorld:
         self.built = snapshot.built
         self.mj_model.eq_data[:] = snapshot.equality_data
         self.mj_model.eq_solref[:] = snapshot.equality_solref
-        for _ in range(2):  # contacts and forces first, which spoils the warm start; then the state again
-            mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
-            mujoco.mj_forward(self.mj_model, self.mj_data) if _ == 0 else None
+        mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
+        mujoco.mj_forward(self.mj_model, self.mj_data)  # poses, contacts and forces, to be read
+        mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)  # forward spoils the warm start
         for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
             drive.set_state(state)
         self._welder.set_state(snapshot.welder)

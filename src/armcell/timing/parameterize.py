@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 
 FINE_TIME = 1e-3  # [s] step of the internal sampling
 MIN_ARC_INTERVALS = 8
+ACCELERATION_SHARE = 0.985
+"""Share of the acceleration limit that is planned with: between grid points and between trajectory
+points (quintic interpolation) up to 1.2 % more was measured."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ def parameterize(
         return JointTrajectory(joint_names, np.zeros(1), path.points[:1], np.zeros((1, len(joint_names))),
                                np.zeros((1, len(joint_names))))  # fmt: skip
     s, tangent, right, left, stop = _grid(path, settings)
-    x = speeds(s, tangent, right, left, stop, velocity, acceleration)
+    x = speeds(s, tangent, right, left, stop, velocity, ACCELERATION_SHARE * acceleration)
     return _sampled(path, joint_names, s, x, settings)
 
 
@@ -143,4 +146,16 @@ def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
         times=trajectory.times * factor,
         velocities=None if v is None else v / factor,
         accelerations=None if a is None else a / factor**2,
+    )
+
+
+def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
+    """The same motion from its end to its start; it keeps every symmetric limit."""
+    v, a = trajectory.velocities, trajectory.accelerations
+    return replace(
+        trajectory,
+        times=trajectory.times[-1] - trajectory.times[::-1],
+        positions=trajectory.positions[::-1],
+        velocities=None if v is None else -v[::-1],
+        accelerations=None if a is None else a[::-1],
     )

@@ -27,7 +27,7 @@ Color = tuple[float, float, float, float]
 
 DEFAULT_COLOR: Color = (0.78, 0.80, 0.82, 1.0)
 COLLISION_COLOR: Color = (0.90, 0.45, 0.0, 0.45)
-MAX_FACES = 5000
+MAX_FACES = 10_000
 """Per coloured part of a mesh file: beyond this it is decimated, or a software-rendered browser crawls."""
 SMOOTH_ANGLE = np.deg2rad(35.0)
 """Edges sharper than this keep their crease when shaded."""

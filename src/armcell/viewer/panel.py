@@ -43,10 +43,10 @@ class StatusPanel:
         return self._boxes[what].value
 
     def update(self, sample: StateSample | None, events: list[Event]) -> None:
-        """Write what is new; a stage's name is its event's `data["name"]`, else the event's text."""
+        """Write what is new; a stage's name is its event's `data["name"]` or `["stage"]`, else its text."""
         for event in events:
             if event.kind == "stage":
-                self.stage.value = str(event.data.get("name", event.text))
+                self.stage.value = str(event.data.get("name") or event.data.get("stage") or event.text)
             self.event.value = f"{event.time:.2f} s  {event.kind}: {event.text}"
         if sample is None:
             return

@@ -141,7 +141,7 @@ class CellViewer:
         centre, radius = self._extent()
         camera = self._server.initial_camera
         camera.look_at = centre
-        camera.position = centre + radius * np.array([1.5, 1.15, 0.85])
+        camera.position = centre + radius * np.array([2.0, 1.45, 1.05])
         camera.fov = float(np.deg2rad(45.0))
 
     def _extent(self) -> tuple[Array, float]:

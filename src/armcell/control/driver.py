@@ -1,0 +1,119 @@
+"""The Driver protocol: what every robot, simulated or real, offers to the rooms above."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from numpy.typing import ArrayLike
+
+from armcell.core import SE3, JointState, Registry
+from armcell.scene import PlanningScene
+
+
+@dataclass(frozen=True)
+class GripperReading:
+    """What a gripper reports."""
+
+    width: float  # [m]
+    force_per_finger: float  # [N]
+    held: str | None = None  # object between the fingers, where the driver can tell
+
+
+@dataclass(frozen=True)
+class ContactRecord:
+    """A contact nobody asked for, as the driver saw it."""
+
+    body_a: str
+    body_b: str
+    time: float  # [s]
+    depth: float  # [m]
+    count: int
+
+
+@dataclass(frozen=True)
+class WeldRecord:
+    """An object held by something else than friction."""
+
+    object: str
+    gripper: str
+    time: float
+    reason: str
+    released_at: float | None = None
+
+
+@dataclass(frozen=True)
+class DriverOptions:
+    """What a cell gives every driver; each takes what it needs."""
+
+    seed: int = 0
+    time_scale: float | None = None  # None: lock-step; 1.0: real time
+    physics: Any = None  # sim's PhysicsSettings
+    cameras: tuple = ()
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+class Driver(Protocol):
+    """A connected robot. Connect and disconnect by `with driver:`; the constructor does no I/O.
+
+    Time is the driver's own clock [s]; `advance` is the only thing that lets it pass, so no caller sleeps.
+    """
+
+    name: str
+    period: float  # [s] between commands
+    is_simulated: bool
+
+    def __enter__(self) -> Driver: ...
+    def __exit__(self, *exc: object) -> None: ...
+
+    @property
+    def now(self) -> float: ...
+
+    def joint_state(self) -> JointState:
+        """All actuated joints, in the model's order."""
+        ...
+
+    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> JointState:
+        """Set the joints' targets [rad, rad/s]; returns what was actually sent."""
+        ...
+
+    def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        """Drive to a width [m] with at most a force per finger [N]. Width 0 grasps."""
+        ...
+
+    def gripper(self, gripper: str) -> GripperReading: ...
+
+    def advance(self, duration: float) -> None:
+        """Let time pass [s]."""
+        ...
+
+    def stop(self) -> None:
+        """Hold the measured position now."""
+        ...
+
+    def object_poses(self) -> dict[str, SE3]:
+        """T_world_object of the movable objects, as far as the driver knows them."""
+        ...
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        """Contacts that are part of the task from now on (or no longer)."""
+        ...
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        """A held object may from now on touch nothing but its supports."""
+        ...
+
+    def unwatch_object(self, name: str) -> None: ...
+
+    def unwanted_contacts(self) -> list[ContactRecord]: ...
+
+    def welds(self) -> list[WeldRecord]: ...
+
+
+class DriverFactory(Protocol):
+    def __call__(self, scene: PlanningScene, options: DriverOptions) -> Driver: ...
+
+
+drivers: Registry[DriverFactory] = Registry("mode")
+"""Drivers by the name of the mode that uses them: sim, fake, real."""

@@ -1,0 +1,81 @@
+"""The simulated robot: MuJoCo behind the Driver protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from numpy.typing import ArrayLike
+
+from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.core import SE3, JointState
+from armcell.scene import PlanningScene
+from armcell.sim import Pacer, PhysicsSettings, SimWorld
+
+
+@drivers.register("sim")
+class SimDriver:
+    """Physics in lock-step (as fast as it can) or paced by the wall clock."""
+
+    name = "sim"
+    is_simulated = True
+
+    def __init__(self, scene: PlanningScene, options: DriverOptions):
+        self._scene, self._options = scene, options
+        self._settings = options.physics or PhysicsSettings()
+        self.period = 2 * self._settings.timestep
+        self._pacer = Pacer(options.time_scale)
+        self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
+
+    def __enter__(self) -> SimDriver:
+        self.world = SimWorld(self._scene, self._settings, self._options.cameras, self._options.seed)
+        self._pacer.reset()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        pass
+
+    @property
+    def now(self) -> float:
+        return self.world.time
+
+    def joint_state(self) -> JointState:
+        return self.world.joint_state()
+
+    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> JointState:
+        self.world.set_arm_target(joint_names, positions, velocities)
+        return JointState(joint_names, positions, velocities, time=self.now)  # type: ignore[arg-type]
+
+    def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        self.world.set_gripper_target(gripper, width, force)
+
+    def gripper(self, gripper: str) -> GripperReading:
+        state = self.world.gripper_state(gripper)
+        return GripperReading(state.width, state.force_per_finger, state.held)
+
+    def advance(self, duration: float) -> None:
+        self.world.step(max(round(duration / self._settings.timestep), 1))
+        self._pacer.wait_until(self.world.time)
+
+    def stop(self) -> None:
+        state = self.world.joint_state()
+        fingers = {g.joint_name for g in self.world.robot.grippers.values()}
+        arm = state.reindexed(n for n in state.joint_names if n not in fingers)
+        self.world.set_arm_target(arm.joint_names, arm.positions)
+
+    def object_poses(self) -> dict[str, SE3]:
+        return self.world.sample().object_poses
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        (self.world.monitor.allow if expected else self.world.monitor.forbid)(body, tuple(others))
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        self.world.monitor.watch(name, supports)
+
+    def unwatch_object(self, name: str) -> None:
+        self.world.monitor.unwatch(name)
+
+    def unwanted_contacts(self) -> list[ContactRecord]:
+        return [ContactRecord(c.body_a, c.body_b, c.time, c.depth, c.count) for c in self.world.monitor.unwanted]
+
+    def welds(self) -> list[WeldRecord]:
+        return [WeldRecord(w.object, w.gripper, w.time, w.reason, w.released_at) for w in self.world.welds]

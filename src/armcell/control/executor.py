@@ -1,0 +1,99 @@
+"""The executor: plays a trajectory on a driver with FollowJointTrajectory's semantics."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from armcell.control.driver import Driver
+from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
+
+
+@dataclass(frozen=True)
+class ExecutionSettings:
+    """Tolerances of a motion. 0.01 rad at the start is MoveIt's default."""
+
+    start_tolerance: float = 0.01  # [rad or m] measured start against the trajectory's
+    path_tolerance: float = 0.1  # [rad or m] tracking error that aborts
+    goal_tolerance: float = 0.005  # [rad or m]
+    goal_speed: float = 0.02  # [rad/s or m/s] below which the arm counts as at rest
+    settle_time: float = 1.0  # [s] to reach the goal after the trajectory's end
+
+
+Progress = Callable[[float], None]
+
+
+def execute(
+    driver: Driver,
+    trajectory: JointTrajectory,
+    settings: ExecutionSettings = ExecutionSettings(),
+    cancel: threading.Event | None = None,
+    progress: Progress | None = None,
+) -> ExecutionResult:
+    """Play a trajectory to its end and wait until the arm rests at the goal.
+
+    Args:
+        cancel: when set, the arm stops where it is and the result is PREEMPTED.
+        progress: called after each command with the fraction done, 0..1.
+    Returns:
+        SUCCESS; CONTROL_FAILED (wrong start, left the path, goal not reached) with joint and error;
+        PREEMPTED. After any but SUCCESS the driver holds the measured position.
+    """
+    names, began = trajectory.joint_names, driver.now
+    measured = driver.joint_state().reindexed(names)
+    if len(trajectory.times) == 0:
+        driver.stop()  # ROS: an empty trajectory means stop
+        return ExecutionResult(ErrorCode.SUCCESS, "empty trajectory: stopped", started=began, finished=began)
+    worst, joint = _largest(np.abs(measured.positions - trajectory.positions[0]), names)
+    if worst > settings.start_tolerance:
+        text = (
+            f"{joint} is {worst:.3f} from where the trajectory starts (tolerance {settings.start_tolerance:g}): "
+            "the robot moved since it was planned; plan again from the current state"
+        )
+        return ExecutionResult(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": worst}, began, began)
+    tracking = 0.0
+
+    def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:
+        if code is not ErrorCode.SUCCESS:
+            driver.stop()
+        error = float(np.max(np.abs(driver.joint_state().reindexed(names).positions - trajectory.positions[-1])))
+        return ExecutionResult(code, text, evidence, began, driver.now, tracking, error)
+
+    duration = trajectory.duration
+    while (t := driver.now - began) < duration - 1e-9:
+        if cancel is not None and cancel.is_set():
+            return ended(ErrorCode.PREEMPTED, f"cancelled at {t:.2f} of {duration:.2f} s")
+        q, v, _ = trajectory.sample(min(t + driver.period, duration))
+        driver.command(names, q, v)
+        driver.advance(driver.period)
+        worst, joint = _largest(np.abs(driver.joint_state().reindexed(names).positions - q), names)
+        tracking = max(tracking, worst)
+        if worst > settings.path_tolerance:
+            text = f"{joint} left the path by {worst:.3f} at {t:.2f} s (tolerance {settings.path_tolerance:g})"
+            return ended(ErrorCode.CONTROL_FAILED, text, joint=joint, error=worst)
+        if progress:
+            progress(min((t + driver.period) / duration, 1.0))
+    goal, rest = trajectory.positions[-1], np.zeros(len(names))
+    while True:
+        driver.command(names, goal, rest)
+        state = driver.joint_state().reindexed(names)
+        worst, joint = _largest(np.abs(state.positions - goal), names)
+        speed = 0.0 if state.velocities is None else float(np.max(np.abs(state.velocities), initial=0.0))
+        if worst <= settings.goal_tolerance and speed <= settings.goal_speed:
+            return ended(ErrorCode.SUCCESS, "")
+        if driver.now - began > duration + settings.settle_time:
+            text = f"{joint} ended {worst:.4f} from the goal (tolerance {settings.goal_tolerance:g})"
+            return ended(ErrorCode.CONTROL_FAILED, text, joint=joint, error=worst)
+        if cancel is not None and cancel.is_set():
+            return ended(ErrorCode.PREEMPTED, "cancelled at the goal")
+        driver.advance(driver.period)
+
+
+def _largest(errors: np.ndarray, names: tuple[str, ...]) -> tuple[float, str]:
+    if len(errors) == 0:
+        return 0.0, ""
+    i = int(np.argmax(errors))
+    return float(errors[i]), names[i]

@@ -1,0 +1,68 @@
+"""What can be asked of a planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from armcell.core.joints import JointState
+from armcell.core.transforms import SE3
+
+
+@dataclass(frozen=True, eq=False)
+class JointGoal:
+    """Joint positions to reach; joints not named stay where they are."""
+
+    state: JointState
+    tolerance: float = 1e-4  # [rad or m]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGoal:
+    """A pose of a link (the group's tip by default) in the world frame."""
+
+    T_world_link: SE3
+    link: str | None = None
+    position_tolerance: float = 1e-4  # [m]
+    orientation_tolerance: float = 1e-3  # [rad]
+
+
+@dataclass(frozen=True)
+class NamedGoal:
+    """A named state of the group (SRDF group_state)."""
+
+    name: str
+
+
+Goal = JointGoal | PoseGoal | NamedGoal
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRequest:
+    """A free-space motion of one group. Defaults are MoveIt's where it has one."""
+
+    group: str
+    goals: tuple[Goal, ...]  # any one of them will do
+    start: JointState | None = None  # the scene's state where None; joints not named keep the scene's
+    planner_id: str = "RRTConnect"
+    pipeline_id: str = "ompl"
+    planning_time: float = 5.0  # [s]
+    attempts: int = 1
+    velocity_scaling: float = 1.0  # (0, 1]
+    acceleration_scaling: float = 1.0  # (0, 1]
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class CartesianRequest:
+    """Straight lines of a link through poses, as compute_cartesian_path."""
+
+    group: str
+    waypoints: tuple[SE3, ...]  # T_world_link
+    link: str | None = None
+    start: JointState | None = None
+    max_step: float = 0.005  # [m] between checked poses
+    jump_threshold: float = 0.2  # [rad] largest joint step between two of them
+    avoid_collisions: bool = True
+    velocity_scaling: float = 1.0
+    acceleration_scaling: float = 1.0
+    max_cartesian_speed: float | None = None  # [m/s]

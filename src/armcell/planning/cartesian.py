@@ -1,0 +1,136 @@
+"""Straight lines of the tip: approach, retreat, lift. Says how far it comes, and why not farther."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import ExactChecker, certify_path
+from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, PlanResult
+from armcell.kinematics import NumericIK
+from armcell.planning.finish import clearance_along, finish
+from armcell.scene import PlanningScene
+from armcell.timing import TimingSettings, check_scaling, stretched
+
+Array = NDArray[np.float64]
+
+ROTATION_STEP = 0.05  # [rad] between checked poses
+DEVIATION = 2e-3  # [rad] the tip keeps its line: corners between the small steps are hardly cut
+
+
+def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResult:
+    """A straight-line motion of a link through the poses of the request.
+
+    Returns:
+        SUCCESS with `fraction` 1, or a code with the part that can be done (fraction < 1), its path and
+        trajectory, and in the message where it stops and why. Fraction 0 has neither.
+    Raises:
+        InputError: no waypoints, zero step, unknown group or link, scaling outside (0, 1].
+    """
+    began = time.monotonic()
+    check_scaling(request.velocity_scaling, "velocity scaling")
+    check_scaling(request.acceleration_scaling, "acceleration scaling")
+    if not request.waypoints:
+        raise InputError("the Cartesian path has no waypoints")
+    if not (np.isfinite(request.max_step) and request.max_step > 0):
+        raise InputError(f"max_step is {request.max_step:g} m, it must be positive")
+    if request.start is not None:
+        scene = replace(scene, positions=scene.state.updated(request.start).positions)
+    ik = NumericIK(scene.model, request.group, request.link)
+    checker = ExactChecker(scene, ik.joint_names)
+    checker.relax_margins(scene.positions[ik.columns])
+    path, wanted, stop = _follow(scene, request, ik, checker)
+    fraction = (len(path) - 1) / wanted if wanted else 1.0
+    code, message, evidence = (ErrorCode.SUCCESS, "", {}) if stop is None else stop
+    trajectory = None
+    if len(path) > 1:
+        if request.avoid_collisions:
+            certificate = certify_path(checker, path)
+            if not certificate.free:
+                keep = int(certificate.at * (len(path) - 1))
+                contact = certificate.contact
+                code, fraction = ErrorCode.INVALID_MOTION_PLAN, keep / wanted
+                message = f"stops at {fraction:.0%}: {contact.describe() if contact else 'in collision'}"
+                evidence = {"contacts": [contact]}
+                path = path[: keep + 1]
+        trajectory = _timed(checker, request, path) if len(path) > 1 else None
+    if trajectory is None and stop is None and wanted and len(path) > 1:
+        code, message, fraction = ErrorCode.INVALID_MOTION_PLAN, "the timed motion could not be proven free", 0.0
+    return PlanResult(
+        code,
+        message,
+        evidence,
+        path=JointPath(ik.joint_names, path) if len(path) > 1 else None,
+        trajectory=trajectory,
+        planner_id="cartesian",
+        planning_time=time.monotonic() - began,
+        fraction=float(fraction),
+        min_clearance=clearance_along(checker, trajectory, 12) if trajectory is not None else np.inf,
+    )
+
+
+def _timed(checker: ExactChecker, request: CartesianRequest, path: Array):
+    finished = finish(
+        checker if request.avoid_collisions else _blind(checker), path,
+        request.velocity_scaling, request.acceleration_scaling, TimingSettings(max_deviation=DEVIATION),
+    )  # fmt: skip
+    trajectory = finished.trajectory
+    if trajectory is None or request.max_cartesian_speed is None:
+        return trajectory
+    tip = _tip_positions(checker, request, trajectory.positions)
+    peak = np.max(np.linalg.norm(np.diff(tip, axis=0), axis=1) / np.diff(trajectory.times), initial=0.0)
+    return stretched(trajectory, max(1.0, float(peak) / request.max_cartesian_speed))
+
+
+def _tip_positions(checker: ExactChecker, request: CartesianRequest, path: Array) -> Array:
+    link = request.link or checker.model.group(request.group).tip_link or ""
+    index = checker.tree.link_index[link]
+    return np.array([checker.tree.link_transforms(checker.full(q))[index, :3, 3] for q in path])
+
+
+def _blind(checker: ExactChecker) -> ExactChecker:
+    """A checker that sees nothing, for avoid_collisions=False."""
+    return ExactChecker(replace(checker.scene, objects={}, attached={}), checker.joint_names)
+
+
+def _follow(scene: PlanningScene, request: CartesianRequest, ik: NumericIK, checker: ExactChecker):
+    """Joint positions step by step, the number of steps wanted, and why it stopped (or None)."""
+    poses = _interpolated(scene.frame_pose(ik.tip_link), request)
+    q = scene.positions.copy()
+    path = [q[ik.columns].copy()]
+    total = len(poses)
+    for k, pose in enumerate(poses):
+        position, angle, ok = ik.descend(q, pose)
+        at = f"at {k / total:.0%} ({k} of {total} steps)"
+        if not ok:
+            limits = [
+                n for n, v, lo, hi in zip(ik.joint_names, q[ik.columns], ik.lower, ik.upper, strict=True)
+                if v - lo < 1e-3 or hi - v < 1e-3
+            ]  # fmt: skip
+            why = f"{', '.join(limits)} at the limit" if limits else "out of reach or singular"
+            text = f"stops {at}: {why} ({position * 1000:.1f} mm, {np.rad2deg(angle):.1f} deg short)"
+            return np.array(path), total, (ErrorCode.NO_IK_SOLUTION, text, {"joints_at_limit": limits})
+        step = np.abs(q[ik.columns] - path[-1])
+        if step.max() > request.jump_threshold:
+            joint = ik.joint_names[int(np.argmax(step))]
+            text = f"stops {at}: {joint} would jump by {step.max():.2f} rad (threshold {request.jump_threshold:g})"
+            return np.array(path), total, (ErrorCode.PLANNING_FAILED, text, {"joint": joint})
+        if request.avoid_collisions and not checker.is_free(q[ik.columns]):
+            contacts = checker.contacts(q[ik.columns])
+            text = f"stops {at}: " + "; ".join(c.describe() for c in contacts[:3])
+            return np.array(path), total, (ErrorCode.INVALID_MOTION_PLAN, text, {"contacts": contacts})
+        path.append(q[ik.columns].copy())
+    return np.array(path), total, None
+
+
+def _interpolated(start: SE3, request: CartesianRequest) -> list[SE3]:
+    poses, at = [], start
+    for waypoint in request.waypoints:
+        metres, radians = at.distance_to(waypoint)
+        count = max(int(np.ceil(max(metres / request.max_step, radians / ROTATION_STEP))), 1)
+        poses += [at.interpolate(waypoint, (k + 1) / count) for k in range(count)]
+        at = waypoint
+    return poses

@@ -1,0 +1,97 @@
+"""Goals of a request as joint positions, or the reason why there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import ExactChecker
+from armcell.core import SE3, Contact, ErrorCode, InputError, JointGoal, NamedGoal, Outcome, PlanRequest, PoseGoal
+from armcell.kinematics import NumericIK
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+
+def joint_goals(scene: PlanningScene, request: PlanRequest, checker: ExactChecker,
+                rng: np.random.Generator) -> tuple[tuple[Array, ...], Outcome]:  # fmt: skip
+    """Collision-free goal positions (n,) of the group, nearest to the start first.
+
+    Returns:
+        The goals and SUCCESS, or no goals and the code, message and evidence of the last that failed.
+    """
+    model = scene.model
+    group = model.group(request.group)
+    found: list[Array] = []
+    failure = Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, "the request has no goal")
+    for goal in request.goals:
+        if isinstance(goal, PoseGoal):
+            result, positions = _from_pose(scene, request.group, goal, checker, rng)
+        else:
+            state = model.named_state(request.group, goal.name) if isinstance(goal, NamedGoal) else goal.state
+            result, positions = _from_joints(scene, group.joint_names, state, checker)
+        if result.ok:
+            found += positions
+        else:
+            failure = result
+    if not found:
+        return (), failure
+    start = scene.positions[checker.columns]
+    found.sort(key=lambda q: float(np.linalg.norm(q - start)))
+    return tuple(found), Outcome(ErrorCode.SUCCESS)
+
+
+def _from_joints(scene, joint_names, state, checker) -> tuple[Outcome, list[Array]]:
+    try:
+        # A joint of another group in the goal is misuse, not a failure of planning.
+        for name in state.joint_names:
+            if name not in joint_names:
+                raise InputError(f"goal names joint {name!r}, which the group does not move")
+        q = scene.state.updated(state).reindexed(joint_names).positions
+        scene.model.check_positions(q, joint_names)
+    except InputError as error:
+        return Outcome(ErrorCode.GOAL_STATE_INVALID, f"goal: {error}"), []
+    contacts = checker.contacts(q)
+    if contacts:
+        return _in_collision(contacts), []
+    return Outcome(ErrorCode.SUCCESS), [q]
+
+
+def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, list[Array]]:
+    ik = NumericIK(scene.model, group, goal.link)
+    valid, contacts = [], []
+    for q in ik.solutions(goal.T_world_link, scene.positions, rng):
+        touching = checker.contacts(q)
+        if touching:
+            contacts.append(touching)
+        else:
+            valid.append(q)
+        if len(valid) >= 4 or len(contacts) >= 16:
+            break
+    if valid:
+        return Outcome(ErrorCode.SUCCESS), valid
+    if contacts:
+        shallowest = min(contacts, key=lambda c: -min(x.distance for x in c))
+        outcome = _in_collision(shallowest)
+        text = f"each of {len(contacts)} joint solutions of the goal pose is in collision; the best: {outcome.message}"
+        return Outcome(ErrorCode.GOAL_IN_COLLISION, text, outcome.evidence), []
+    result = ik.solve(goal.T_world_link, scene.positions, rng=rng)
+    evidence = {**result.evidence, "target": goal.T_world_link, **_reach(scene, ik, goal.T_world_link)}
+    return Outcome(ErrorCode.NO_IK_SOLUTION, result.message, evidence), []
+
+
+def _reach(scene: PlanningScene, ik: NumericIK, target: SE3) -> dict[str, float]:
+    """How far the target is from the first joint of the chain, against the chain's stretched length."""
+    joints = [scene.model.joints[list(ik.tree.joint_index)[j]] for j in ik.joints]
+    first = next((i for i, j in enumerate(joints) if j.movable), 0)
+    base = ik.tree.link_pose(scene.positions, joints[first].child).translation
+    length = sum(float(np.linalg.norm(j.T_parent_joint.translation)) for j in joints[first + 1 :])
+    return {"distance_m": float(np.linalg.norm(target.translation - base)), "stretched_length_m": length}
+
+
+def _in_collision(contacts: list[Contact]) -> Outcome:
+    text = "goal in collision: " + "; ".join(c.describe() for c in contacts[:3])
+    return Outcome(ErrorCode.GOAL_IN_COLLISION, text, {"contacts": contacts})
+
+
+__all__ = ["JointGoal", "NamedGoal", "PoseGoal", "joint_goals"]

@@ -1,0 +1,133 @@
+"""The planning pipeline: check the request, find a path, shorten, prove and time it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import ExactChecker, certify_path
+from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult
+from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
+from armcell.planning.finish import clearance_along, finish
+from armcell.planning.goals import joint_goals
+from armcell.planning.problem import Problem, normalized_planner_id, planners
+from armcell.planning.simplify import simplify
+from armcell.scene import PlanningScene
+from armcell.timing import check_scaling
+
+Array = NDArray[np.float64]
+
+MAX_ROUNDS = 5
+"""How often a path that fails certification is planned anew with another seed."""
+
+
+def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
+    """A certified, timed motion of one group.
+
+    Args:
+        scene: the world; its state is the start where the request names none.
+        cancel: set it from another thread to stop.
+    Returns:
+        SUCCESS with path and trajectory, or the code, message and evidence (contacts, joints, distances).
+    Raises:
+        InputError: misuse: unknown group, planner, link or joint; scaling outside (0, 1].
+    """
+    began = time.monotonic()
+    check_scaling(request.velocity_scaling, "velocity scaling")
+    check_scaling(request.acceleration_scaling, "acceleration scaling")
+    planner_id = normalized_planner_id(request.planner_id)
+    planner = planners[planner_id]
+    group = scene.model.group(request.group)
+    if not group.joint_names:
+        raise InputError(f"group {request.group!r} has no joints")
+
+    def failed(outcome: Outcome) -> PlanResult:
+        spent = time.monotonic() - began
+        return PlanResult(outcome.code, outcome.message, outcome.evidence, planner_id=planner_id, planning_time=spent)
+
+    scene, problem_with_start = _started(scene, request)
+    if problem_with_start:
+        return failed(problem_with_start)
+    checker = ExactChecker(scene, group.joint_names)
+    start = scene.positions[checker.columns]
+    contacts = checker.contacts(start, padded=False)
+    if contacts:
+        text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
+        return failed(Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts}))
+    checker.relax_margins(start)
+    rng = np.random.default_rng(request.seed)
+    goals, outcome = joint_goals(scene, request, checker, rng)
+    if not outcome.ok:
+        return failed(outcome)
+    lower, upper = _bounds(scene, group.joint_names, start, goals)
+    answer = None
+    for round_ in range(MAX_ROUNDS):
+        seed = request.seed + 7919 * round_
+        problem = Problem(
+            checker, start, goals, lower, upper, seed, began + request.planning_time, cancel or threading.Event()
+        )
+        waypoints = _direct(problem) if round_ == 0 else None
+        used = "straight line" if waypoints is not None else planner_id
+        if waypoints is None:
+            answer = planner(problem)
+            if answer.waypoints is None:
+                break
+            waypoints = simplify(problem, answer.waypoints, rng)
+        finished = finish(checker, waypoints, request.velocity_scaling, request.acceleration_scaling)
+        if finished.trajectory is not None:
+            return PlanResult(
+                ErrorCode.SUCCESS,
+                path=JointPath(group.joint_names, waypoints),
+                trajectory=finished.trajectory,
+                planner_id=used,
+                planning_time=time.monotonic() - began,
+                min_clearance=clearance_along(checker, finished.trajectory),
+                evidence=answer.statistics if answer else {},
+            )
+    cancelled = cancel is not None and cancel.is_set()
+    timed_out = time.monotonic() - began >= request.planning_time
+    code = ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
+    message = (answer.message if answer else "") or "found paths, but none could be proven free between its samples"
+    return failed(Outcome(code, message, {"goals": len(goals), "checks": checker.checks}))
+
+
+def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene, Outcome | None]:
+    """The scene at the request's start state, or what is wrong with that."""
+    try:
+        if request.start is not None:
+            scene = replace(scene, positions=scene.state.updated(request.start).positions)
+        scene.model.check_positions(scene.positions, margin=1e-3)
+    except InputError as error:
+        return scene, Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
+    return scene, None
+
+
+def _bounds(scene: PlanningScene, names: tuple[str, ...], start: Array, goals: tuple[Array, ...]) -> tuple[Array, Array]:
+    """Sampling bounds: the limits, narrowed to one turn around start and goals where they span more."""
+    columns = scene.model.columns(names)
+    low, high = scene.model.lower[columns], scene.model.upper[columns]
+    points = np.vstack([start, *goals])
+    near_low, near_high = points.min(0) - np.pi / 2, points.max(0) + np.pi / 2
+    wide = ~np.isfinite(high - low) | (high - low > 2 * np.pi)
+    return (
+        np.where(wide, np.maximum(low, near_low), np.minimum(low, points.min(0))),
+        np.where(wide, np.minimum(high, near_high), np.maximum(high, points.max(0))),
+    )
+
+
+def _direct(problem: Problem) -> Array | None:
+    """The straight line to a goal, where it is free with padding: the shortest path there is."""
+    from armcell.planning.problem import edge_is_free
+
+    for goal in problem.goals:
+        if np.max(np.abs(goal - problem.start)) < 1e-9:
+            return np.vstack([problem.start])
+        if edge_is_free(problem.checker, problem.start, goal, 0.03):
+            edge = np.vstack([problem.start, goal])
+            if certify_path(problem.checker, edge).free:
+                return edge
+    return None

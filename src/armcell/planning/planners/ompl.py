@@ -1,0 +1,84 @@
+"""OMPL's planners on the exact checker."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import ompl.base as ob
+import ompl.geometric as og
+import ompl.util as ou
+
+from armcell.planning.problem import Answer, Problem, planners
+
+CHECK_STEP = 0.03
+"""[rad] between validity checks along an edge while searching; the result is certified afterwards."""
+
+NAMES = ("RRTConnect", "RRT", "RRTstar", "PRM", "BKPIECE1", "KPIECE1", "LBKPIECE1", "BFMT", "FMT", "BITstar")
+ASYMPTOTIC = {"RRTstar", "PRM", "BITstar"}  # they use all the time they get: give them little
+ASYMPTOTIC_TIME = 1.0  # [s]
+
+
+def _plan(name: str, problem: Problem) -> Answer:
+    n = len(problem.start)
+    ou.setLogLevel(ou.LOG_NONE)
+    # OMPL has one seed for the process. It is set for every request, so that the same request gives the
+    # same path; OMPL logs that it dislikes this, but all generators made after it follow the new seed.
+    ou.RNG.setSeed(problem.seed % (2**31 - 1) + 1)
+    space = ob.RealVectorStateSpace(n)
+    bounds = ob.RealVectorBounds(n)
+    for i in range(n):
+        bounds.setLow(i, float(problem.lower[i]))
+        bounds.setHigh(i, float(problem.upper[i]))
+    space.setBounds(bounds)
+    setup = og.SimpleSetup(space)
+    q = np.empty(n)
+
+    def valid(state: ob.State) -> bool:
+        for i in range(n):
+            q[i] = state[i]
+        return problem.checker.is_free(q)
+
+    setup.setStateValidityChecker(valid)
+    info = setup.getSpaceInformation()
+    info.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
+    setup.setStartState(_state(space, problem.start))
+    goals = ob.GoalStates(info)
+    for goal in problem.goals:
+        goals.addState(_state(space, goal))
+    setup.setGoal(goals)
+    setup.setPlanner(getattr(og, name)(info))
+    setup.setup()
+    left = problem.deadline - time.monotonic()
+    if name in ASYMPTOTIC:
+        left = min(left, ASYMPTOTIC_TIME)
+    stop = ob.PlannerTerminationCondition(lambda: problem.stopped)
+    timed = ob.timedPlannerTerminationCondition(max(left, 0.0))
+    setup.solve(ob.plannerOrTerminationCondition(stop, timed))
+    statistics = {"checks": float(problem.checker.checks)}
+    if not setup.haveExactSolutionPath():
+        reason = "cancelled" if problem.cancel.is_set() else f"no path found in {max(left, 0):.1f} s"
+        return Answer(None, f"{name}: {reason}", statistics)
+    path = setup.getSolutionPath()
+    waypoints = np.array([[state[i] for i in range(n)] for state in path.getStates()])
+    return Answer(waypoints, "", statistics)
+
+
+def _state(space: ob.RealVectorStateSpace, q: np.ndarray) -> ob.State:
+    state = space.allocState()
+    for i, value in enumerate(q):
+        state[i] = float(value)
+    return state
+
+
+def _planner(name: str) -> Callable[[Problem], Answer]:
+    def plan(problem: Problem) -> Answer:
+        return _plan(name, problem)
+
+    plan.__name__ = name
+    return plan
+
+
+for _name in NAMES:
+    planners.register(_name)(_planner(_name))

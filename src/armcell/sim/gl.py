@@ -1,0 +1,95 @@
+"""OpenGL without a display, if it works here. Knows MuJoCo models only.
+
+MuJoCo's own renderer fixes its backend when `mujoco` is first imported; here a context is made directly, so
+nothing has to be set before. Run as a script, this file tries one backend and says so by its exit status.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import subprocess
+import sys
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+_OFF = ("disable", "disabled", "off", "false", "0")
+_BACKENDS = ("egl", "osmesa")
+
+
+@lru_cache(maxsize=1)
+def gl_backend() -> str | None:
+    """The backend that draws here, or None. Environment variable MUJOCO_GL chooses one, or "off".
+
+    Tried in another process, because a broken driver may end the process that tries it.
+    """
+    chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if chosen in _OFF or not sys.platform.startswith("linux"):
+        return None
+    for backend in (chosen,) if chosen in _BACKENDS else _BACKENDS:
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            done = subprocess.run(
+                [sys.executable, __file__, backend],
+                env={k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"},
+                capture_output=True,
+                timeout=30,
+                check=False,
+            )
+            if done.returncode == 0:
+                return backend
+    return None
+
+
+class GLRenderer:
+    """Draws one model into pictures (height, width, 3) of one size. Shadows and reflections are off:
+    without a graphics card they cost ten times the rest.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, backend: str):
+        self.size = (width, height)
+        self._model = model
+        self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        self._gl.make_current()
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._scene = mujoco.MjvScene(model, 2000)
+        self._option = mujoco.MjvOption()
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._scene.flags[flag] = 0
+
+    def render(self, data: mujoco.MjData, camera: int) -> NDArray[np.uint8]:
+        """A picture by one of the model's cameras."""
+        self._gl.make_current()
+        view = mujoco.MjvCamera()
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
+        every = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self._model, data, self._option, None, view, every, self._scene)
+        width, height = self.size
+        area = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(area, self._scene, self._context)
+        picture = np.empty((height, width, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(picture, None, area, self._context)
+        return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
+
+    def close(self) -> None:
+        self._context.free()
+        self._gl.free()
+
+
+def _probe(backend: str) -> bool:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><light pos='0 0 3'/><camera pos='0 0 3'/><geom size='1'/></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return bool(GLRenderer(model, 16, 16, backend).render(data, 0).any())
+
+
+if __name__ == "__main__":
+    sys.exit(0 if _probe(sys.argv[1]) else 1)

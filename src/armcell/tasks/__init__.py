@@ -1,0 +1,25 @@
+"""In which order, and what if it fails? Stages, search, recipes."""
+
+from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.recipes import hold, move_to, pick, place
+from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.settings import Speed, TaskSettings
+from armcell.tasks.steps import Motion, perform_all
+
+__all__ = [
+    "Draft",
+    "Holding",
+    "Motion",
+    "Planning",
+    "Speed",
+    "Stage",
+    "StageReport",
+    "TaskContext",
+    "TaskSettings",
+    "hold",
+    "move_to",
+    "perform_all",
+    "pick",
+    "place",
+    "search",
+]

@@ -1,0 +1,103 @@
+"""Recipes: pick, place, move, hold. Each plans from the measured state, performs, and reports."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from armcell.collision import neighbours
+from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
+from armcell.model import Gripper
+from armcell.tasks.context import TaskContext
+from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.stages import ChooseGrasp, ChoosePlacement, Close, Connect, ExpectSupport, Open, Planned, Straight
+from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, perform_all
+
+
+def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
+    """Grasp an object and lift it; the next grasp is tried when one fails.
+
+    Returns:
+        SUCCESS, or the last failure with the reasons per candidate in the evidence ("rejections").
+    Raises:
+        InputError: no such object, not movable, or the gripper already holds something.
+    """
+    if ctx.holding:
+        raise InputError(f"the robot already holds {', '.join(ctx.holding)}", cure="place it first")
+    if not ctx.scene().object(item).movable:
+        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+    s, excluded, outcome = ctx.settings, (), DONE
+    for _ in range(s.attempts):
+        scene = ctx.scene()
+        supports = tuple(neighbours(scene, item))
+        stages: list[Stage] = [
+            ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded),
+            Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
+            Planned("approach", "after_approach"),
+            Close(item, gripper, supports, s.grasp_settle),
+            Straight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
+                     allow=((item, supports),)),
+        ]  # fmt: skip
+        height = float(scene.object(item).T_world_object.translation[2])
+        after = (CheckGrasp(item, gripper, height, s.lift_distance), Expect(item, supports, expected=False))
+        draft, outcome = _planned(ctx, stages, f"pick {item}")
+        if draft is None:
+            return outcome
+        outcome = perform_all(ctx, draft.steps + after)
+        if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
+            return outcome
+        excluded = (*excluded, draft.data["grasp"].name)
+        ctx.emit("note", f"pick {item}: {outcome.message}; trying the next grasp")
+        ctx.driver.command_gripper(gripper.name, gripper.max_width, gripper.max_force)
+        ctx.advance(s.release_settle + 0.5)
+    return outcome
+
+
+def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None) -> Outcome:
+    """Put a held object down on another object; the outcome's evidence has the target pose ("placement").
+
+    Raises:
+        InputError: the object is not held, or it does not fit on the support.
+    """
+    if item not in ctx.holding:
+        raise InputError(f"the robot does not hold {item!r}", cure="pick it first")
+    s, gripper = ctx.settings, ctx.holding[item].gripper
+    stages: list[Stage] = [
+        ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at),
+        Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
+        ExpectSupport(item, on),
+        Planned("lower", "after_lower"),
+        Open(item, on, gripper, s.release_margin, s.release_settle),
+        Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
+                 in_tip_frame=True, allow=((item, gripper.hand_links),)),
+    ]  # fmt: skip
+    draft, outcome = _planned(ctx, stages, f"place {item} on {on}")
+    if draft is None:
+        return outcome
+    outcome = perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
+    return replace(outcome, evidence={**outcome.evidence, "placement": draft.data["placement"]})
+
+
+def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> Outcome:
+    """Move a group to a goal, or to a named state given by its name."""
+    goal = NamedGoal(goal) if isinstance(goal, str) else goal
+    label = name or (f"move to {goal.name}" if isinstance(goal, NamedGoal) else "move")
+    speed = ctx.settings.carry if ctx.holding else ctx.settings.free
+    draft, outcome = _planned(ctx, [Connect(label, group, speed, goal=goal)], label)
+    return outcome if draft is None else perform_all(ctx, draft.steps)
+
+
+def hold(ctx: TaskContext, duration: float) -> Outcome:
+    """Stand still [s]; the stage table shows how far a held object slipped."""
+    return Dwell("hold", duration).perform(ctx)
+
+
+def _planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
+    planning = Planning(ctx.settings, ctx.seed, ctx.cancel)
+    draft = search(stages, Draft(ctx.scene()), planning)
+    if draft is not None:
+        return draft, DONE
+    if ctx.cancel.is_set():
+        return None, Outcome(ErrorCode.PREEMPTED, f"{what}: cancelled")
+    text = f"{what}: {planning.rejections.summary()}"
+    ctx.emit("error", text)
+    return None, Outcome(ErrorCode.PLANNING_FAILED, text, {"rejections": planning.rejections.details})

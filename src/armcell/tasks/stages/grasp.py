@@ -1,0 +1,130 @@
+"""Stages of picking: choose a grasp with its straight approach, close."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from armcell.collision import ExactChecker
+from armcell.core import JointState
+from armcell.grasping import Grasp, grasp_candidates
+from armcell.kinematics import NumericIK
+from armcell.model import Gripper
+from armcell.scene import PlanningScene
+from armcell.tasks.search import Draft, Planning
+from armcell.tasks.settings import Speed
+from armcell.tasks.stages.moves import shifted, straight
+from armcell.tasks.steps import Expect, Grip, Hold, Motion, Watch
+from armcell.timing import reversed_in_time
+
+SOLUTIONS_PER_POSE = 3  # arm configurations tried for one pose
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseGrasp:
+    """Grasp candidates whose approach is a free straight line. Planned backwards: from the grasp out."""
+
+    object: str
+    gripper: Gripper
+    speed: Speed
+    distance: float  # [m] of the approach
+    excluded: tuple[str, ...] = ()
+    name: str = "grasp"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        item = draft.scene.object(self.object)
+        grasps, rejected = grasp_candidates(item, self.gripper)
+        for rejection in rejected:
+            planning.reject(self.name, rejection.name, rejection.reason)
+        tried = [g for g in grasps if g.name not in self.excluded][: planning.settings.max_candidates]
+        for grasp in tried:
+            yield from self._approaches(draft, planning, grasp)
+
+    def _approaches(self, draft: Draft, planning: Planning, grasp: Grasp) -> Iterator[Draft]:
+        gripper = self.gripper
+        opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
+        scene = opened.with_allowed(self.object, gripper.hand_links)
+        T_world_tcp = scene.object(self.object).T_world_object @ grasp.T_object_tcp
+        found = False
+        for q, result in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
+            at_grasp = scene.with_state(JointState(q.joint_names, q.positions))
+            back = shifted(T_world_tcp, (0.0, 0.0, -self.distance), in_own_frame=True)
+            result = straight(at_grasp, gripper.arm_group, gripper.tcp_link, back, self.speed)
+            if not result.ok or result.trajectory is None:
+                planning.reject("approach", grasp.name, result.message)
+                continue
+            found = True
+            approach = reversed_in_time(result.trajectory)
+            yield draft.then(
+                Grip("open", gripper, grasp.opening, gripper.max_force),
+                Expect(self.object, gripper.finger_links),
+                scene=opened,
+                grasp=grasp,
+                candidate=grasp.name,
+                pre_grasp=approach.positions[0],
+                approach=Motion("approach", approach, "cartesian", result.planning_time, result.min_clearance),
+                after_approach=at_grasp,
+            )
+        if found:
+            planning.reject(self.name, grasp.name, "no complete plan with this grasp")
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """Append a motion that an earlier stage has planned (`data[motion]`), leading to `data[scene]`."""
+
+    motion: str
+    scene: str
+    name: str = "planned"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        yield draft.then(draft.data[self.motion], scene=draft.data[self.scene])
+
+
+@dataclass(frozen=True, eq=False)
+class Close:
+    """Close on the object; from here on it is attached, and may leave what it stands on."""
+
+    object: str
+    gripper: Gripper
+    supports: tuple[str, ...]
+    settle: float
+    name: str = "close"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        grasp: Grasp = draft.data["grasp"]
+        scene = draft.scene.with_state(finger_state(self.gripper, grasp.width))
+        scene = scene.with_attached(self.object, self.gripper.tcp_link, self.gripper.hand_links)
+        yield draft.then(
+            Grip("close", self.gripper, 0.0, grasp.force, self.settle),
+            Hold(self.object, self.gripper),
+            Watch(self.object, self.supports),
+            scene=scene,
+        )
+
+
+def finger_state(gripper: Gripper, width: float) -> JointState:
+    return JointState((gripper.joint_name,), np.array([gripper.joint_position(width)]))
+
+
+def reachable(scene: PlanningScene, gripper: Gripper, T_world_tcp, planning: Planning, stage: str, candidate: str):
+    """Arm states (JointState) with the tcp at a pose and nothing touching; the rest is rejected by reason."""
+    ik = NumericIK(scene.model, gripper.arm_group, gripper.tcp_link)
+    checker = ExactChecker(scene, ik.joint_names)
+    rng = np.random.default_rng(planning.seed)
+    best, good, seen = None, 0, 0
+    for q in ik.solutions(T_world_tcp, scene.positions, rng):
+        seen += 1
+        contacts = checker.contacts(q, padded=False)
+        if contacts:
+            best = best or contacts
+            continue
+        good += 1
+        yield JointState(ik.joint_names, q), None
+        if good >= SOLUTIONS_PER_POSE:
+            return
+    if good == 0:
+        reason = "in collision: " + "; ".join(c.describe() for c in best[:2]) if best else "out of reach"
+        planning.reject(stage, candidate, reason)

@@ -1,0 +1,92 @@
+"""Stages of placing: choose a placement with its straight way down, open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from armcell.core import JointState
+from armcell.grasping import RELEASE_GAP, Placement, place_candidates
+from armcell.model import Gripper
+from armcell.tasks.search import Draft, Planning
+from armcell.tasks.settings import Speed
+from armcell.tasks.stages.grasp import finger_state, reachable
+from armcell.tasks.stages.moves import straight
+from armcell.tasks.steps import Expect, Grip, Motion, Release, Watch
+from armcell.timing import reversed_in_time
+
+
+@dataclass(frozen=True, eq=False)
+class ChoosePlacement:
+    """Place candidates on a support that the arm reaches by a free straight line from above."""
+
+    object: str
+    support: str
+    gripper: Gripper
+    speed: Speed
+    distance: float  # [m] of the way down
+    at: tuple[float, float] | None = None
+    name: str = "placement"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        scene = draft.scene
+        candidates = place_candidates(scene.object(self.object), scene.object(self.support), self.at)
+        for placement in candidates[: planning.settings.max_candidates]:
+            yield from self._ways_down(draft, planning, placement)
+
+    def _ways_down(self, draft: Draft, planning: Planning, placement: Placement) -> Iterator[Draft]:
+        gripper = self.gripper
+        T_tcp_object = draft.scene.frame_pose(gripper.tcp_link).inv() @ draft.scene.frame_pose(self.object)
+        T_world_tcp = placement.T_world_object.shifted(z=RELEASE_GAP) @ T_tcp_object.inv()
+        scene = draft.scene.with_allowed(self.object, self.support)
+        for q, _ in reachable(scene, gripper, T_world_tcp, planning, self.name, placement.name):
+            at_place = scene.with_state(JointState(q.joint_names, q.positions))
+            up = T_world_tcp.shifted(z=self.distance)
+            result = straight(at_place, gripper.arm_group, gripper.tcp_link, up, self.speed)
+            if not result.ok or result.trajectory is None:
+                planning.reject("lower", placement.name, result.message)
+                continue
+            lower = reversed_in_time(result.trajectory)
+            after = draft.scene.with_state(JointState(q.joint_names, q.positions))
+            yield draft.then(
+                placement=placement,
+                candidate=placement.name,
+                pre_place=lower.positions[0],
+                lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance),
+                after_lower=after,
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Open:
+    """Open wide enough to leave; the object belongs to the world again."""
+
+    object: str
+    support: str
+    gripper: Gripper
+    margin: float  # [m] wider than now
+    settle: float
+    name: str = "open"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        joint = draft.scene.state[self.gripper.joint_name]
+        width = min(self.gripper.width(joint) + self.margin, self.gripper.max_width)
+        scene = draft.scene.with_detached(self.object).with_state(finger_state(self.gripper, width))
+        yield draft.then(
+            Grip("open", self.gripper, width, self.gripper.max_force, self.settle),
+            Release(self.object),
+            Watch(self.object, on=False),
+            scene=scene,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectSupport:
+    """From here on the held object may touch its support."""
+
+    object: str
+    support: str
+    name: str = "expect support"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        yield draft.then(Expect(self.object, (self.support,)))

@@ -1,0 +1,204 @@
+"""Steps of a planned task and how each is performed on the driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from armcell.control import execute
+from armcell.core import ErrorCode, JointTrajectory, Outcome
+from armcell.model import Gripper
+from armcell.tasks.context import Holding, StageReport, TaskContext
+
+DONE = Outcome(ErrorCode.SUCCESS)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A planned arm motion."""
+
+    name: str
+    trajectory: JointTrajectory
+    planner: str = ""
+    planning_time: float = 0.0
+    clearance: float | None = None
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        report = StageReport(self.name, self.planner, self.planning_time, clearance_m=self.clearance)
+        return _staged(ctx, report, lambda: self._move(ctx, report))
+
+    def _move(self, ctx: TaskContext, report: StageReport) -> Outcome:
+        before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
+        ctx.announce(self.trajectory)
+        result = execute(
+            ctx.driver, self.trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
+        )
+        for name, T_before in before.items():
+            held = ctx.holding[name]
+            report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """Drive a gripper to a width [m]; with `force` given and width 0, close until it holds."""
+
+    name: str
+    gripper: Gripper
+    width: float
+    force: float
+    settle: float = 0.0
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        return _staged(ctx, StageReport(self.name), lambda: self._drive(ctx))
+
+    def _drive(self, ctx: TaskContext) -> Outcome:
+        driver, name = ctx.driver, self.gripper.name
+        driver.command_gripper(name, self.width, self.force)
+        closing = self.width <= 0.0
+        end = driver.now + ctx.settings.gripper_timeout
+        while driver.now < end and not ctx.cancel.is_set():
+            ctx.advance(0.02)
+            reading = driver.gripper(name)
+            if closing and reading.held and reading.force_per_finger >= 0.8 * self.force:
+                break
+            if not closing and abs(reading.width - self.width) < 1e-3:
+                break
+        else:
+            reading = driver.gripper(name)
+            if ctx.cancel.is_set():
+                return Outcome(ErrorCode.PREEMPTED, "cancelled")
+            if not closing:
+                text = f"gripper stands at {reading.width * 1000:.1f} mm, {self.width * 1000:.1f} mm were asked for"
+                return Outcome(ErrorCode.CONTROL_FAILED, text)
+        ctx.advance(self.settle)
+        return DONE
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """The gripper has closed: is the object between the fingers? From here on it counts as held."""
+
+    object: str
+    gripper: Gripper
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        reading = ctx.driver.gripper(self.gripper.name)
+        if reading.held != self.object:
+            between = f"{reading.held} is" if reading.held else "nothing is"
+            text = f"grasp failed: {between} between the fingers ({reading.width * 1000:.1f} mm apart)"
+            ctx.emit("grasp", text)
+            return Outcome(ErrorCode.CONTROL_FAILED, text)
+        T = ctx.T_tcp_object(self.object, self.gripper)
+        ctx.holding[self.object] = Holding(self.object, self.gripper, T)
+        ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per finger")
+        return DONE
+
+
+@dataclass(frozen=True, eq=False)
+class Release:
+    """The gripper has opened: the object belongs to the world again."""
+
+    object: str
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        ctx.holding.pop(self.object, None)
+        ctx.emit("grasp", f"released {self.object}")
+        return DONE
+
+
+@dataclass(frozen=True, eq=False)
+class Expect:
+    """Contacts that belong to the task from here on (or no longer)."""
+
+    body: str
+    others: tuple[str, ...]
+    expected: bool = True
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        if self.others:
+            ctx.driver.expect_contact(self.body, self.others, self.expected)
+        return DONE
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """A held object may touch nothing but its supports (or is no longer watched)."""
+
+    object: str
+    supports: tuple[str, ...] = ()
+    on: bool = True
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        if self.on:
+            ctx.driver.watch_object(self.object, self.supports)
+        else:
+            ctx.driver.unwatch_object(self.object)
+        return DONE
+
+
+@dataclass(frozen=True, eq=False)
+class CheckGrasp:
+    """After the lift: the object came along, and is still between the fingers."""
+
+    object: str
+    gripper: Gripper
+    height_before: float  # [m] of the object's origin
+    rise: float  # [m] wanted
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        reading = ctx.driver.gripper(self.gripper.name)
+        height = float(ctx.driver.object_poses()[self.object].translation[2])
+        if reading.held == self.object and height - self.height_before >= 0.5 * self.rise:
+            return DONE
+        ctx.holding.pop(self.object, None)
+        text = f"lost {self.object}: it rose {(height - self.height_before) * 1000:.0f} of {self.rise * 1000:.0f} mm"
+        ctx.emit("grasp", text)
+        return Outcome(ErrorCode.CONTROL_FAILED, text)
+
+
+@dataclass(frozen=True, eq=False)
+class Dwell:
+    """Stand still [s]; reports how far a held object slips meanwhile."""
+
+    name: str
+    duration: float
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        report = StageReport(self.name)
+
+        def wait() -> Outcome:
+            before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
+            ctx.advance(self.duration)
+            for name, T_before in before.items():
+                held = ctx.holding[name]
+                report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
+            return Outcome(ErrorCode.PREEMPTED, "cancelled") if ctx.cancel.is_set() else DONE
+
+        return _staged(ctx, report, wait)
+
+
+Step = Motion | Grip | Hold | Release | Expect | Watch | CheckGrasp | Dwell
+
+
+def _staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
+    """Run a step that shows in the stage table."""
+    report.started_s = ctx.driver.now
+    ctx.emit("stage", report.name, state="begin")
+    outcome = act()
+    report.motion_time_s = ctx.driver.now - report.started_s
+    report.ok, report.error = outcome.ok, "" if outcome.ok else outcome.message
+    ctx.reports.append(report)
+    ctx.emit("stage", report.name, state="end", ok=report.ok, error=report.error)
+    return outcome
+
+
+def perform_all(ctx: TaskContext, steps: tuple[Step, ...]) -> Outcome:
+    """Perform steps until one fails."""
+    for step in steps:
+        if ctx.cancel.is_set():
+            return Outcome(ErrorCode.PREEMPTED, "cancelled")
+        outcome = step.perform(ctx)
+        if not outcome.ok:
+            return outcome
+    return DONE
