@@ -37,7 +37,11 @@ class Grasping:
     """A robot whose open fingers are around a cube on a table."""
 
     def __init__(
-        self, robot: str = "panda", mass: float = 0.1, friction: float = 0.8, settings: PhysicsSettings | None = None
+        self,
+        robot: str = "panda",
+        mass: float = 0.1,
+        friction: float = 0.8,
+        settings: PhysicsSettings | None = None,
     ):
         self.model = load_robot(robot)
         self.gripper = self.model.gripper()
@@ -47,7 +51,12 @@ class Grasping:
         material = Material(friction=friction)
         table = CollisionObject.single("table", Box(1.0, 1.0, 0.1), SE3.from_xyz(0.8, 0.0, -0.05))
         cube = CollisionObject.single(
-            "cube", Box(CUBE, CUBE, CUBE), SE3.from_xyz(x, y, CUBE / 2), movable=True, mass=mass, material=material
+            "cube",
+            Box(CUBE, CUBE, CUBE),
+            SE3.from_xyz(x, y, CUBE / 2),
+            movable=True,
+            mass=mass,
+            material=material,
         )
         scene = PlanningScene.of(self.model, objects=[table, cube])
         self.low = solve_ik(self.model, self.arm, tcp, down(x, y, CUBE / 2), scene.positions)

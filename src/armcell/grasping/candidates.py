@@ -66,8 +66,7 @@ def bounding_box_grasps(item: CollisionObject, gripper: Gripper) -> tuple[list[G
         for sign in (-1.0, 1.0):
             approach = np.zeros(3)
             approach[axis] = sign
-            for closing_axis, turn in _closings(item, axis):
-                closing = closing_axis
+            for closing, turn in _closings(item, axis):
                 width = float(size[int(np.argmax(np.abs(closing)))])
                 label = f"{_direction(approach, up)} {turn}"
                 opening = min(max(width * OPENING_FACTOR, width + OPENING_MARGIN), gripper.max_width)
@@ -80,7 +79,8 @@ def bounding_box_grasps(item: CollisionObject, gripper: Gripper) -> tuple[list[G
                     y = flip * closing
                     R = SO3(np.column_stack([np.cross(y, approach), y, approach]))
                     down = float(-approach @ up)  # 1: from above
-                    score = down - 2.0 * width / gripper.max_width * 0.1 - (0.01 if flip < 0 else 0.0)
+                    # From above first, then the narrower side, then the hand the usual way round.
+                    score = down - 0.2 * width / gripper.max_width - (0.01 if flip < 0 else 0.0)
                     found.append(
                         Grasp(
                             f"{label}{'' if flip > 0 else ' flipped'}", SE3(R, position), width, opening,

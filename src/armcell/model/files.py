@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,17 @@ from armcell.core import InputError
 MAX_TEXT_BYTES = 20_000_000
 MAX_YAML_BYTES = 2_000_000
 MAX_YAML_ALIASES = 50  # anchors are fine, a "billion laughs" document is not
+
+
+class _Loader(yaml.CSafeLoader):
+    """Only `true` and `false` are booleans, as in YAML 1.2: a key called `on` stays a key."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, regexp) for tag, regexp in rules if tag != "tag:yaml.org,2002:bool"]
+    for first, rules in yaml.CSafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
@@ -65,10 +77,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     text = read_text(path, MAX_YAML_BYTES)
     try:
-        aliases = sum(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.CSafeLoader))
+        aliases = sum(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader))
         if aliases > MAX_YAML_ALIASES:
             raise InputError(f"uses {aliases} YAML aliases, at most {MAX_YAML_ALIASES} are allowed", file=path)
-        data = yaml.load(text, yaml.CSafeLoader)
+        data = yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         raise InputError(f"is not valid YAML: {error.problem}", file=path, line=line) from None

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, InputError
+from armcell.core import InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.settings import PhysicsSettings
@@ -80,9 +80,7 @@ def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
     return {**scene.objects, **{name: scene.object(name) for name in scene.attached}}
 
 
-def build(
-    scene: PlanningScene, settings: PhysicsSettings | None = None, visuals: bool = False
-) -> BuiltModel:
+def build(scene: PlanningScene, settings: PhysicsSettings | None = None, visuals: bool = False) -> BuiltModel:
     """Compile a scene.
 
     Args:
@@ -268,9 +266,7 @@ def _add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
     """
     model = scene.model
     group_of = {name: i for i, group in enumerate(model.rigid_groups) for name in group}
-    joined = {
-        frozenset((group_of[j.parent], group_of[j.child])) for j in model.joints.values() if j.movable
-    }
+    joined = {frozenset((group_of[j.parent], group_of[j.child])) for j in model.joints.values() if j.movable}
     solid = [name for name, link in model.links.items() if link.collisions]
     for a, b in combinations(solid, 2):
         groups = frozenset((group_of[a], group_of[b]))
@@ -295,9 +291,7 @@ def _add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: Physics
             actuator.forcerange = [-joint.limits.effort, joint.limits.effort]
 
 
-def _add_gripper(
-    spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings
-) -> None:
+def _add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings) -> None:
     tendon = spec.add_tendon(name=_tendon_name(gripper.name))
     for joint, weight in _finger_weights(model, gripper.joint_name):
         tendon.wrap_joint(joint, weight)
@@ -398,7 +392,9 @@ def _index(
         dofs=_ints(joint_dof[n] for n in model.joint_names),
         pos_ctrl=_ints(first.get(n, -1) for n in model.joint_names),
         vel_ctrl=_ints(first[n] + 1 if n in first else -1 for n in model.joint_names),
-        grippers={g.name: _gripper_index(mj, model, g, settings, owner_index) for g in model.grippers.values()},
+        grippers={
+            g.name: _gripper_index(mj, model, g, settings, owner_index) for g in model.grippers.values()
+        },
         object_qpos={n: int(j.qposadr[0]) for n, j in free.items()},
         object_dof={n: int(j.dofadr[0]) for n, j in free.items()},
         objects=objects,

@@ -39,7 +39,9 @@ class Camera:
         if not (1 <= self.width <= 8192 and 1 <= self.height <= 8192):
             raise InputError(f"camera {self.name!r} has {self.width} x {self.height} pixels")
         if not 1.0 <= self.fovy_deg <= 170.0:
-            raise InputError(f"camera {self.name!r} has a field of view of {self.fovy_deg} deg", cure="use 1 to 170")
+            raise InputError(
+                f"camera {self.name!r} has a field of view of {self.fovy_deg} deg", cure="use 1 to 170"
+            )
 
     @staticmethod
     def looking_at(name: str, eye: ArrayLike, target: ArrayLike, **properties) -> Camera:

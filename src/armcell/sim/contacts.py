@@ -48,13 +48,19 @@ def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact
         x, y, z = contact.pos
         found.append(
             PhysicsContact(
-                built.owners[a], built.owners[b], (float(x), float(y), float(z)), -contact.dist, float(wrench[0])
+                built.owners[a],
+                built.owners[b],
+                (float(x), float(y), float(z)),
+                -contact.dist,
+                float(wrench[0]),
             )
         )
     return sorted(found, key=lambda c: -c.depth)
 
 
-def contact_forces_on(built: BuiltModel, data: mujoco.MjData, owners: Iterable[int]) -> dict[tuple[int, int], Array]:
+def contact_forces_on(
+    built: BuiltModel, data: mujoco.MjData, owners: Iterable[int]
+) -> dict[tuple[int, int], Array]:
     """Force (3,) [N, world frame] on each of `owners` by each body that touches it: (owner, other) -> force."""
     wanted = set(owners)
     forces: dict[tuple[int, int], Array] = {}

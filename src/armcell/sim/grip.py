@@ -118,7 +118,9 @@ def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -
 def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperState:
     index = built.grippers[name]
     forces = finger_forces(built, data, index)
-    held = [(min(row), owner) for owner, row in forces.items() if min(row) > 0.0 and owner >= built.link_count]
+    held = [
+        (min(row), owner) for owner, row in forces.items() if min(row) > 0.0 and owner >= built.link_count
+    ]
     total = np.sum(list(forces.values()), axis=0) if forces else np.zeros(1)
     position = float(data.qpos[built.joint_qpos[index.gripper.joint_name]])
     return GripperState(
@@ -207,7 +209,9 @@ class Welder:
         metres, radians = grip.T_tcp_item.distance_to(self._pose(data, self._built.grippers[name], grip))
         if metres <= self._settings.hybrid_slip and radians <= self._settings.hybrid_turn:
             return grip
-        return self._weld(data, name, grip, f"slipped {metres * 1000:.2f} mm and {np.rad2deg(radians):.2f} deg")
+        return self._weld(
+            data, name, grip, f"slipped {metres * 1000:.2f} mm and {np.rad2deg(radians):.2f} deg"
+        )
 
     def _pose(self, data: mujoco.MjData, index: GripperIndex, grip: _Grip) -> SE3:
         return relative_pose(data, index.tcp_body, self._built.body[grip.item or ""])

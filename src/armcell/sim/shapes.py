@@ -73,7 +73,9 @@ class GeomAdder:
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
     """A cone as a closed convex mesh, base corners on the circle."""
     angle = 2 * np.pi * np.arange(edges) / edges
-    base = np.stack([cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1)
+    base = np.stack(
+        [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1
+    )
     vertices = np.vstack([base, [0, 0, -cone.length / 2], [0, 0, cone.length / 2]])
     i, j = np.arange(edges), (np.arange(edges) + 1) % edges
     foot = np.stack([j, i, np.full(edges, edges)], 1)

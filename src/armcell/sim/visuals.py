@@ -48,7 +48,9 @@ def _color(part: trimesh.Trimesh) -> Color:
     """Its material's or its mean face colour."""
     material = getattr(part.visual, "material", None)
     try:
-        rgba = np.asarray(material.main_color if material is not None else part.visual.main_color, dtype=float)
+        rgba = np.asarray(
+            material.main_color if material is not None else part.visual.main_color, dtype=float
+        )
     except Exception:  # a visual without any colour
         return DEFAULT_COLOR
     if rgba.shape != (4,):

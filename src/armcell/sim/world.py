@@ -20,8 +20,8 @@ from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
 from armcell.sim.grip import (
     GripperDrive,
     GripperState,
-    WeldEvent,
     Welder,
+    WeldEvent,
     body_pose,
     gripper_state,
     relative_pose,
@@ -353,7 +353,9 @@ class SimWorld:
         self.mj_model.eq_solref[:] = snapshot.equality_solref
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
         mujoco.mj_forward(self.mj_model, self.mj_data)  # poses, contacts and forces, to be read
-        mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)  # forward spoils the warm start
+        mujoco.mj_setState(
+            self.mj_model, self.mj_data, snapshot.physics, _STATE
+        )  # forward spoils the warm start
         for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
             drive.set_state(state)
         self._welder.set_state(snapshot.welder)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armcell.collision import ExactChecker
-from armcell.core import JointState
+from armcell.core import SE3, JointState
 from armcell.grasping import Grasp, grasp_candidates
 from armcell.kinematics import NumericIK
 from armcell.model import Gripper
@@ -48,8 +48,8 @@ class ChooseGrasp:
         scene = opened.with_allowed(self.object, gripper.hand_links)
         T_world_tcp = scene.object(self.object).T_world_object @ grasp.T_object_tcp
         found = False
-        for q, result in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
-            at_grasp = scene.with_state(JointState(q.joint_names, q.positions))
+        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
+            at_grasp = scene.with_state(arm)
             back = shifted(T_world_tcp, (0.0, 0.0, -self.distance), in_own_frame=True)
             result = straight(at_grasp, gripper.arm_group, gripper.tcp_link, back, self.speed)
             if not result.ok or result.trajectory is None:
@@ -109,20 +109,21 @@ def finger_state(gripper: Gripper, width: float) -> JointState:
     return JointState((gripper.joint_name,), np.array([gripper.joint_position(width)]))
 
 
-def reachable(scene: PlanningScene, gripper: Gripper, T_world_tcp, planning: Planning, stage: str, candidate: str):
-    """Arm states (JointState) with the tcp at a pose and nothing touching; the rest is rejected by reason."""
+def reachable(
+    scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
+) -> Iterator[JointState]:
+    """Arm states with the tcp at a pose and nothing touching; the rest is rejected by reason."""
     ik = NumericIK(scene.model, gripper.arm_group, gripper.tcp_link)
     checker = ExactChecker(scene, ik.joint_names)
     rng = np.random.default_rng(planning.seed)
-    best, good, seen = None, 0, 0
+    best, good = None, 0
     for q in ik.solutions(T_world_tcp, scene.positions, rng):
-        seen += 1
         contacts = checker.contacts(q, padded=False)
         if contacts:
             best = best or contacts
             continue
         good += 1
-        yield JointState(ik.joint_names, q), None
+        yield JointState(ik.joint_names, q)
         if good >= SOLUTIONS_PER_POSE:
             return
     if good == 0:

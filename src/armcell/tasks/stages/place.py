@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from armcell.core import JointState
 from armcell.grasping import RELEASE_GAP, Placement, place_candidates
 from armcell.model import Gripper
 from armcell.tasks.search import Draft, Planning
@@ -39,21 +38,20 @@ class ChoosePlacement:
         T_tcp_object = draft.scene.frame_pose(gripper.tcp_link).inv() @ draft.scene.frame_pose(self.object)
         T_world_tcp = placement.T_world_object.shifted(z=RELEASE_GAP) @ T_tcp_object.inv()
         scene = draft.scene.with_allowed(self.object, self.support)
-        for q, _ in reachable(scene, gripper, T_world_tcp, planning, self.name, placement.name):
-            at_place = scene.with_state(JointState(q.joint_names, q.positions))
+        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, placement.name):
+            at_place = scene.with_state(arm)
             up = T_world_tcp.shifted(z=self.distance)
             result = straight(at_place, gripper.arm_group, gripper.tcp_link, up, self.speed)
             if not result.ok or result.trajectory is None:
                 planning.reject("lower", placement.name, result.message)
                 continue
             lower = reversed_in_time(result.trajectory)
-            after = draft.scene.with_state(JointState(q.joint_names, q.positions))
             yield draft.then(
                 placement=placement,
                 candidate=placement.name,
                 pre_place=lower.positions[0],
                 lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance),
-                after_lower=after,
+                after_lower=draft.scene.with_state(arm),
             )
 
 

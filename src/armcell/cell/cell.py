@@ -1,0 +1,248 @@
+"""A cell: robot, objects, task and settings, loaded from a file; connected, it becomes a `LiveCell`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armcell.cell.live import LiveCell
+from armcell.cell.schema import CellSpec, ObjectSpec, ShapeSpec, validated
+from armcell.control import DriverOptions, ExecutionSettings, drivers
+from armcell.core import (
+    SE3,
+    SO3,
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    InputError,
+    Observer,
+    Plane,
+    Shape,
+    Sphere,
+    UnknownNameError,
+)
+from armcell.model import Part, RobotModel, compose, load_robot
+from armcell.model.assets import load_mesh, resolve_uri
+from armcell.model.files import read_yaml
+from armcell.scene import CollisionObject, Material, PlanningScene
+from armcell.sim import Camera, PhysicsSettings
+from armcell.tasks import Speed, TaskSettings
+
+LIBRARY = Path(__file__).parent / "library"
+CELL_FILE = "cell.yaml"
+
+
+def cell_names() -> list[str]:
+    """Built-in cells."""
+    return sorted(p.parent.name for p in LIBRARY.glob(f"*/{CELL_FILE}"))
+
+
+def load(cell: str | Path) -> Cell:
+    """A cell by built-in name, folder with cell.yaml, or YAML file.
+
+    Raises:
+        InputError: with file, element, reason and cure.
+    """
+    if isinstance(cell, str) and cell in cell_names():
+        file = LIBRARY / cell / CELL_FILE
+    else:
+        path = Path(cell)
+        file = path / CELL_FILE if path.is_dir() else path
+        if not file.exists() and isinstance(cell, str) and "/" not in cell and "." not in cell:
+            raise UnknownNameError("cell", cell, cell_names())
+    name = file.parent.name if file.name == CELL_FILE else file.stem
+    return Cell(name, file, validated(read_yaml(file), file))
+
+
+class Cell:
+    """A loaded cell. Immutable; a seed chooses one draw of what it randomises."""
+
+    def __init__(self, name: str, file: Path, spec: CellSpec):
+        self.name, self.file, self.spec = name, file, spec
+        self.model: RobotModel = self._robot()
+        self.settings: TaskSettings = self._task_settings()
+        self.physics: PhysicsSettings = self._physics()
+        self.cameras = tuple(_camera(n, c) for n, c in spec.cameras.items())
+        self._check_names()
+        self.scene()  # whatever is wrong with the objects is said now
+
+    def _fail(self, element: str, reason: str, cure: str | None = None) -> InputError:
+        return InputError(reason, file=self.file, element=element, cure=cure)
+
+    def _robot(self) -> RobotModel:
+        spec = self.spec.robot
+        try:
+            model = load_robot(spec.model, self.file.parent)
+            if spec.pose is None:
+                return model
+            return compose(model.name, [Part(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))])
+        except InputError as error:
+            if error.file is not None:
+                raise
+            raise self._fail("robot", error.reason, error.cure) from None
+
+    def _task_settings(self) -> TaskSettings:
+        values = dict(self.spec.settings)
+        for key, value in values.items():
+            if key in ("free", "carry", "near"):
+                values[key] = Speed(**_known(value, Speed, self.file, f"settings/{key}"))
+            elif key == "execution":
+                values[key] = ExecutionSettings(**_known(value, ExecutionSettings, self.file, "settings/execution"))
+        return TaskSettings(**_known(values, TaskSettings, self.file, "settings"))
+
+    def _physics(self) -> PhysicsSettings:
+        try:
+            return PhysicsSettings(**_known(self.spec.physics, PhysicsSettings, self.file, "physics"))
+        except InputError as error:
+            if error.file is not None:
+                raise
+            raise self._fail("physics", error.reason, error.cure) from None
+
+    def _check_names(self) -> None:
+        """Names in randomize, start and task that do not exist."""
+        spec, where = self.spec, self.file
+        for name in spec.randomize:
+            if name not in spec.objects:
+                raise UnknownNameError("object", name, spec.objects, file=where, element="randomize")
+            if not spec.objects[name].movable:
+                raise self._fail(f"randomize/{name}", "the object is fixed", "give it 'movable: true'")
+        for group, state in spec.start.items():
+            try:
+                self.model.named_state(group, state)
+            except UnknownNameError as error:
+                raise UnknownNameError(error.kind, error.name, error.known, file=where, element="start") from None
+        for i, step in enumerate(spec.task):
+            names = [step.pick] if step.pick else [step.place.object, step.place.on] if step.place else []
+            for name in names:
+                if name not in spec.objects:
+                    raise UnknownNameError("object", name, spec.objects, file=where, element=f"task/{i}")
+
+    # --- the world ---
+    def draw(self, seed: int) -> dict[str, dict[str, float]]:
+        """The randomised values of a seed, by object: dx, dy [m], yaw_deg, mass [kg], friction."""
+        rng = np.random.default_rng(seed)
+        values: dict[str, dict[str, float]] = {}
+        for name, spec in self.spec.randomize.items():
+            ranges = {k: v for k, v in spec.model_dump().items() if v is not None}
+            values[name] = {k: round(float(rng.uniform(*v)), 6) for k, v in ranges.items()}
+        return values
+
+    def scene(self, seed: int | None = None) -> PlanningScene:
+        """The planning scene at the start; nominal without a seed."""
+        draw = self.draw(seed) if seed is not None else {}
+        scene = PlanningScene.of(self.model).with_padding(self.spec.padding)
+        for group, state in self.spec.start.items():
+            scene = scene.with_state(self.model.named_state(group, state))
+        for name, spec in self.spec.objects.items():
+            try:
+                item = _object(name, spec, self.file.parent)
+                scene = scene.with_object(_varied(item, draw.get(name, {})))
+            except InputError as error:
+                if error.file is not None:
+                    raise
+                raise self._fail(f"objects/{name}", error.reason, error.cure) from None
+        return scene
+
+    def connect(
+        self,
+        mode: str = "sim",
+        seed: int | None = None,
+        observers: Sequence[Observer] = (),
+        time_scale: float | None = None,
+        settings: TaskSettings | None = None,
+    ) -> LiveCell:
+        """A live cell, to be used in a `with` block.
+
+        Args:
+            mode: "sim" (physics) or "fake" (follows exactly, no physics).
+            seed: draw of the randomised values and seed of the planners; nominal cell and 0 when None.
+            time_scale: None runs as fast as it can; 1.0 in real time.
+        Raises:
+            UnknownNameError: no such mode.
+        """
+        factory = drivers[mode]
+        scene = self.scene(seed)
+        options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras)
+        return LiveCell(self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0)
+
+
+def _known(values: dict[str, Any], cls: type, file: Path, element: str) -> dict[str, Any]:
+    names = {f.name for f in fields(cls)}
+    if not isinstance(values, dict):
+        raise InputError("is not a mapping", file=file, element=element)
+    for key in values:
+        if key not in names:
+            raise UnknownNameError("setting", key, names, file=file, element=element)
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+
+
+def _object(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
+    color = tuple(spec.color) if len(spec.color) == 4 else (*spec.color, 1.0)
+    return CollisionObject(
+        name,
+        tuple((_shape(s, folder), SE3.from_mapping(s.pose, "pose")) for s in spec.shape_specs()),
+        SE3.from_mapping(spec.pose, "pose"),
+        color,  # type: ignore[arg-type]
+        spec.movable,
+        spec.mass,
+        Material() if spec.friction is None else Material(spec.friction),
+    )
+
+
+def _shape(spec: ShapeSpec, folder: Path) -> Shape:
+    if spec.box is not None:
+        return Box(*spec.box)
+    if spec.sphere is not None:
+        return Sphere(spec.sphere)
+    for key, cls in (("cylinder", Cylinder), ("capsule", Capsule), ("cone", Cone)):
+        if (value := getattr(spec, key)) is not None:
+            return cls(*value)
+    if spec.mesh is not None:
+        s = spec.mesh_scale
+        return load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
+    return Plane()
+
+
+def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
+    if not values:
+        return item
+    T = item.T_world_object
+    yaw = SO3.exp((0.0, 0.0, np.deg2rad(values.get("yaw_deg", 0.0))))
+    moved = T.translation + np.array([values.get("dx", 0.0), values.get("dy", 0.0), 0.0])
+    return replace(
+        item,
+        T_world_object=SE3(yaw @ T.rotation, moved),
+        mass=values.get("mass", item.mass),
+        material=replace(item.material, friction=values.get("friction", item.material.friction)),
+    )
+
+
+def _camera(name: str, spec: Any) -> Camera:
+    """Optical frame: z forward, x right, y down."""
+    eye, target = np.array(spec.eye), np.array(spec.target)
+    z = target - eye
+    if np.linalg.norm(z) < 1e-9:
+        raise InputError(f"camera {name!r} looks at its own position")
+    z = z / np.linalg.norm(z)
+    up = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    pose = SE3(SO3(np.column_stack([x, np.cross(z, x), z])), eye)
+    return Camera(name, pose, spec.width, spec.height, spec.fovy_deg)
+
+
+@dataclass(frozen=True)
+class CellSummary:
+    """For listings."""
+
+    name: str
+    description: str
+
+
+def built_in_cells() -> list[CellSummary]:
+    return [CellSummary(n, str(read_yaml(LIBRARY / n / CELL_FILE).get("description", ""))) for n in cell_names()]

@@ -1,0 +1,98 @@
+"""A connected cell: its arms by name, each with pick, place and moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from armcell.control import Driver
+from armcell.core import SE3, Goal, InputError, JointGoal, JointState, NamedGoal, Observer, Outcome, PoseGoal, UnknownNameError
+from armcell.scene import PlanningScene
+from armcell.tasks import TaskContext, TaskSettings, hold, move_to, pick, place
+
+
+class Arm:
+    """One arm of a live cell. Every method returns an `Outcome`, true when it succeeded."""
+
+    def __init__(self, ctx: TaskContext, group: str):
+        self._ctx, self.group = ctx, group
+
+    def pick(self, item: str) -> Outcome:
+        """Grasp an object and lift it."""
+        model = self._ctx.scene().model
+        return pick(self._ctx, item, model.gripper(arm_group=self.group))
+
+    def place(self, item: str, on: str, at: tuple[float, float] | None = None) -> Outcome:
+        """Put a held object on another one, `at` [m] from the middle of its surface."""
+        return place(self._ctx, item, on, at)
+
+    def move_to(self, goal: str | SE3 | JointState | Goal) -> Outcome:
+        """Move to a named state, a pose of the tip (world frame), joint positions, or any goal."""
+        if isinstance(goal, SE3):
+            goal = PoseGoal(goal)
+        elif isinstance(goal, JointState):
+            goal = JointGoal(goal)
+        elif isinstance(goal, str):
+            goal = NamedGoal(goal)
+        return move_to(self._ctx, self.group, goal)
+
+    def hold(self, duration: float) -> Outcome:
+        """Stand still [s]."""
+        return hold(self._ctx, duration)
+
+
+class LiveCell:
+    """A cell with its driver connected, inside a `with` block.
+
+    Attributes:
+        driver: the robot, simulated or real.
+        ctx: the running task: scene, reports, events.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        scene: PlanningScene,
+        driver: Driver,
+        settings: TaskSettings,
+        observers: Sequence[Observer],
+        seed: int,
+    ):
+        self.name, self.driver = name, driver
+        self.ctx = TaskContext(driver, scene, settings, observers, seed)
+        self.model = scene.model
+
+    def __enter__(self) -> LiveCell:
+        self.driver.__enter__()
+        self.ctx.observe()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.driver.__exit__(*exc)
+
+    @property
+    def arms(self) -> dict[str, Arm]:
+        """Arms by planning group: those that carry a gripper, else every chain."""
+        groups = [g.arm_group for g in self.model.grippers.values()]
+        groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
+        return {name: Arm(self.ctx, name) for name in groups}
+
+    @property
+    def arm(self) -> Arm:
+        """The only arm.
+
+        Raises:
+            InputError: the cell has none or several.
+        """
+        arms = self.arms
+        if len(arms) != 1:
+            raise InputError(f"cell {self.name!r} has {len(arms)} arms", cure=f"use cell.arms[...]: {sorted(arms)}")
+        return next(iter(arms.values()))
+
+    def __getitem__(self, group: str) -> Arm:
+        if group not in self.arms:
+            raise UnknownNameError("arm", group, self.arms)
+        return self.arms[group]
+
+    def scene(self) -> PlanningScene:
+        """The planning scene as measured now."""
+        return self.ctx.scene()

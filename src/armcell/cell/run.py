@@ -1,0 +1,118 @@
+"""Running a cell's task and telling how it went, as data."""
+
+from __future__ import annotations
+
+import platform
+import time
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from armcell.cell.cell import Cell
+from armcell.cell.live import LiveCell
+from armcell.cell.schema import StepSpec
+from armcell.core import ErrorCode, InputError, Outcome
+from armcell.grasping import Placement
+
+PLACEMENT_TOLERANCE = 0.005  # [m]
+REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
+
+
+def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]:
+    """Perform the cell's task on a live cell.
+
+    Returns:
+        The run as JSON-ready data; the same seed gives the same but for `*planning_time_s` and `wall_time_s`.
+    Raises:
+        InputError: the cell has no task.
+    """
+    if not cell.spec.task:
+        raise InputError("the cell has no task", file=cell.file, cure="add 'task: [...]' or use the Python API")
+    began = time.monotonic()
+    outcome, placements = Outcome(ErrorCode.SUCCESS), []
+    for step in cell.spec.task:
+        outcome = _perform(live, step)
+        if step.place and isinstance(target := outcome.evidence.get("placement"), Placement):
+            placements.append((step.place.object, target))
+        if not outcome.ok:
+            break
+    return _result(cell, live, seed, mode, outcome, placements, time.monotonic() - began)
+
+
+def _perform(live: LiveCell, step: StepSpec) -> Outcome:
+    if step.pick is not None:
+        return live.arm.pick(step.pick)
+    if step.place is not None:
+        return live.arm.place(step.place.object, on=step.place.on, at=step.place.at)
+    if step.hold is not None:
+        return live.arm.hold(step.hold)
+    return live.arm.move_to(step.move or "home")
+
+
+def _result(
+    cell: Cell, live: LiveCell, seed: int, mode: str, outcome: Outcome,
+    placements: list[tuple[str, Placement]], wall: float,
+) -> dict[str, Any]:  # fmt: skip
+    poses = live.driver.object_poses()
+    errors = [
+        float(np.linalg.norm(poses[name].translation - target.T_world_object.translation))
+        for name, target in placements
+    ]
+    unwanted = [
+        {"body_a": c.body_a, "body_b": c.body_b, "time_s": c.time, "depth_m": c.depth, "steps": c.count}
+        for c in live.driver.unwanted_contacts()
+    ]
+    outcome = _judged(outcome, errors, unwanted)
+    reports = [r.as_dict() for r in live.ctx.reports]
+    clearances = [r["clearance_m"] for r in reports if r["clearance_m"] is not None]
+    slips = [r["slip_m"] for r in reports if r["slip_m"] is not None]
+    held = [r["slip_m"] for r in reports if r["slip_m"] is not None and r["name"] == "hold"]
+    return {
+        "success": outcome.ok,
+        "error_code": int(outcome.code),
+        "error_name": outcome.code.name,
+        "message": outcome.message,
+        "cell": cell.name,
+        "mode": mode,
+        "seed": seed,
+        "randomized": cell.draw(seed),
+        "stages": reports,
+        "slip_m": max(held) if held else None,  # during the hold
+        "max_stage_slip_m": max(slips) if slips else None,
+        "placement_error_m": max(errors) if errors else None,
+        "unwanted_contacts": unwanted,
+        "min_clearance_m": min(clearances) if clearances else None,
+        "welds": [
+            {"object": w.object, "gripper": w.gripper, "time_s": w.time, "reason": w.reason, "released_s": w.released_at}
+            for w in live.driver.welds()
+        ],
+        "task_time_s": live.driver.now,  # the driver's clock
+        "total_planning_time_s": sum(r["planning_time_s"] for r in reports),
+        "wall_time_s": wall,
+        "versions": versions(),
+    }
+
+
+def _judged(outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]]) -> Outcome:
+    """A task that touched something it should not, or put the object elsewhere, did not succeed."""
+    if not outcome.ok:
+        return outcome
+    if unwanted:
+        first = unwanted[0]
+        text = f"{first['body_a']} touched {first['body_b']} at {first['time_s']:.2f} s"
+        return Outcome(ErrorCode.CONTROL_FAILED, text)
+    if errors and max(errors) > PLACEMENT_TOLERANCE:
+        return Outcome(ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should")
+    return outcome
+
+
+def versions() -> dict[str, str]:
+    """Versions of what decides a run."""
+    found = {"python": platform.python_version()}
+    for package in REPORTED_PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found

@@ -1,0 +1,173 @@
+"""Stepping, targets, records and time travel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.sim.helpers import Grasping, down, solve_ik
+
+from armcell.core import SE3, Box, InputError, UnknownNameError
+from armcell.model import load_robot
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.sim import SimWorld
+
+
+def _bytes(world: SimWorld) -> bytes:
+    data = world.mj_data
+    return data.qpos.tobytes() + data.qvel.tobytes() + data.ctrl.tobytes() + data.qacc_warmstart.tobytes()
+
+
+@pytest.mark.parametrize("robot", ("panda", "ur10_gripper"))
+def test_tracking_a_sinusoid(robot):
+    model = load_robot(robot)
+    world = SimWorld(PlanningScene.of(model))
+    arm = model.group("arm").joint_names
+    start = world.joint_state().reindexed(arm).positions
+    w = 2 * np.pi * 0.5
+    size = 0.45 * np.minimum(model.limits(arm, "velocity") / w, model.limits(arm, "acceleration") / w**2)
+    worst = 0.0
+    for i in range(1, 1001):
+        t = i * world.timestep
+        # 1 - cos starts at rest, so the target is one a real controller would send
+        world.set_arm_target(arm, start + size * (1 - np.cos(w * t)) / 2, size * w * np.sin(w * t) / 2)
+        world.step()
+        error = world.joint_state().reindexed(arm).positions - (start + size * (1 - np.cos(w * t)) / 2)
+        worst = max(worst, np.abs(error).max())
+    assert worst < 0.010
+
+
+def test_same_calls_same_bits():
+    def run() -> bytes:
+        grasp = Grasping()
+        grasp.close(seconds=0.5)
+        grasp.lift(seconds=0.3, settle=0.0)
+        return _bytes(grasp.world)
+
+    assert run() == run()
+
+
+def test_steps_at_once_or_one_by_one():
+    one, many = Grasping(), Grasping()
+    for world in (one.world, many.world):
+        world.set_gripper_target("hand", 0.0, 20.0)
+    one.world.step(300)
+    for _ in range(300):
+        many.world.step()
+    assert _bytes(one.world) == _bytes(many.world)
+
+
+def test_snapshot_and_restore():
+    grasp = Grasping()
+    world = grasp.world
+    grasp.close(seconds=0.45)  # in the middle of the force ramp
+    world.watch_slip("cube", "hand")
+    snapshot = world.snapshot()
+
+    def go_on() -> tuple:
+        grasp.lift(seconds=0.4, settle=0.1)
+        return _bytes(world), world.slip(), world.gripper_state("hand"), world.monitor.unwanted
+
+    first = go_on()
+    world.monitor.forbid("panda_leftfinger", "cube")
+    grasp.open(seconds=0.2)
+    world.restore(snapshot)
+    assert world.time == pytest.approx(0.45)
+    assert go_on() == first
+    with pytest.raises(InputError, match="another world"):
+        Grasping().world.restore(snapshot)
+
+
+def test_reset_reuses_or_rebuilds():
+    grasp = Grasping()
+    world, scene = grasp.world, grasp.world.scene()
+    fresh = _bytes(world)
+    model = world.mj_model
+    grasp.close(seconds=0.3)
+    world.reset(scene.with_object_pose("cube", SE3.from_xyz(0.55, 0.1, 0.025)))
+    assert world.mj_model is model and world.time == 0.0
+    assert world.object_pose("cube").translation == pytest.approx([0.55, 0.1, 0.025])
+    world.reset(scene)
+    assert _bytes(world) == fresh
+    world.reset(scene.with_object_pose("table", SE3.from_xyz(0.8, 0.0, -0.06)))
+    assert world.mj_model is not model
+
+
+def test_scene_round_trip_and_sample():
+    grasp = Grasping()
+    world = grasp.world
+    grasp.close()
+    grasp.lift(seconds=0.5)
+    scene = world.scene()
+    assert scene.positions == pytest.approx(world.joint_state().positions, abs=1e-4)
+    assert scene.objects["cube"].T_world_object.isclose(world.object_pose("cube"), 1e-12, 1e-7)
+    again = SimWorld(scene.with_attached("cube", "panda_hand_tcp", grasp.gripper.finger_links))
+    assert again.object_pose("cube").isclose(world.object_pose("cube"), 1e-9, 1e-6)  # free, where it was held
+    sample = world.sample()
+    assert sample.time == world.time and set(sample.object_poses) == {"cube"}
+    assert sample.gripper_force["hand"] == pytest.approx(32.0, rel=1e-3)
+    assert sample.gripper_width["hand"] == pytest.approx(0.05, abs=5e-4)
+    assert sample.joints.velocities is not None and sample.joints.efforts is not None
+
+
+def test_efforts_hold_the_arm_up():
+    world = SimWorld(PlanningScene.of(load_robot("ur10")))
+    world.step(10)
+    assert world.joint_state().efforts[1] == pytest.approx(-65.0, abs=25.0)  # the stretched forearm, wrists
+
+
+def test_twist_is_the_rate_of_the_pose():
+    item = CollisionObject.single("box", Box(0.1, 0.2, 0.3), SE3.from_xyz(1, 1, 5), movable=True, mass=1.0)
+    world = SimWorld(PlanningScene.of(load_robot("ur10"), objects=[item]))
+    start = world.built.object_dof["box"]
+    world.mj_data.qvel[start : start + 6] = [0.3, -0.2, 1.0, 1.0, 2.0, 0.5]
+    world.step(20)
+    before, twist = world.object_pose("box"), world.object_twist("box")
+    world.step()
+    after, h = world.object_pose("box"), world.timestep
+    assert (after.translation - before.translation) / h == pytest.approx(twist[:3], abs=0.03)
+    assert (after.rotation @ before.rotation.inv()).log() / h == pytest.approx(twist[3:], abs=0.03)
+
+
+def test_the_monitor_sees_the_arm_hit_the_table():
+    model = load_robot("panda")
+    table = CollisionObject.single("table", Box(1.0, 1.0, 0.1), SE3.from_xyz(0.8, 0.0, -0.05))
+    scene = PlanningScene.of(model, objects=[table])
+    arm = model.group("arm").joint_names
+    above = solve_ik(model, arm, "panda_hand_tcp", down(0.5, 0.0, 0.02), scene.positions)
+    below = solve_ik(model, arm, "panda_hand_tcp", down(0.5, 0.0, -0.02), above)
+    world = SimWorld(scene.with_positions(above))
+    world.step(50)
+    assert not world.monitor.unwanted
+    world.set_arm_target(arm, below[model.columns(arm)])
+    world.step(200)
+    pairs = {frozenset((c.body_a, c.body_b)) for c in world.monitor.unwanted}
+    assert pairs == {frozenset((f, "table")) for f in ("panda_leftfinger", "panda_rightfinger")}
+    first = world.monitor.unwanted[0]
+    assert 0.1 < first.time < 0.3 and first.depth > 1e-4 and first.count > 50
+    world.monitor.clear()
+    world.monitor.allow("table", ("panda_leftfinger", "panda_rightfinger"))
+    world.step(50)
+    assert not world.monitor.unwanted
+
+
+def test_wrong_names_and_values():
+    world = Grasping().world
+    for call in (
+        lambda: world.gripper_state("claw"),
+        lambda: world.object_pose("tube"),
+        lambda: world.set_object_pose("table", SE3.identity()),
+        lambda: world.set_arm_target(["elbow"], [0.0]),
+        lambda: world.monitor.allow("cube", "tube"),
+        lambda: world.link_pose("claw"),
+        lambda: world.slip(),
+    ):
+        with pytest.raises(UnknownNameError):
+            call()
+    for call in (
+        lambda: world.set_arm_target(["panda_joint1"], [np.nan]),
+        lambda: world.set_arm_target(["panda_joint1"], [0.0, 1.0]),
+        lambda: world.set_gripper_target("hand", 0.0, -1.0),
+        lambda: world.set_positions(np.full(8, 9.0)),
+    ):
+        with pytest.raises(InputError):
+            call()
