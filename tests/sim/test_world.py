@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from tests.sim.helpers import Grasping, down, solve_ik
 
-from armcell.core import SE3, Box, InputError, UnknownNameError
-from armcell.model import load_robot
+from armcell.core import SE3, ArmcellError, Box, InputError, UnknownNameError
+from armcell.kinematics import kinematic_tree
+from armcell.model import Part, compose, load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import SimWorld
 
@@ -110,9 +111,21 @@ def test_scene_round_trip_and_sample():
 
 
 def test_efforts_hold_the_arm_up():
-    world = SimWorld(PlanningScene.of(load_robot("ur10")))
+    model = load_robot("ur10")
+    world = SimWorld(PlanningScene.of(model))
     world.step(10)
-    assert world.joint_state().efforts[1] == pytest.approx(-65.0, abs=25.0)  # the stretched forearm, wrists
+
+    def energy(q) -> float:
+        tree = kinematic_tree(model)
+        inertials = {name: link.inertial for name, link in model.links.items() if link.inertial}
+        heights = {n: tree.link_pose(q, n).apply(i.T_link_com.translation)[2] for n, i in inertials.items()}
+        return sum(9.81 * inertials[name].mass * z for name, z in heights.items())
+
+    state = world.joint_state()
+    slope = [
+        (energy(state.positions + h) - energy(state.positions - h)) / 2e-5 for h in 1e-5 * np.eye(model.dof)
+    ]
+    assert state.efforts == pytest.approx(slope, abs=0.01)
 
 
 def test_twist_is_the_rate_of_the_pose():
@@ -148,6 +161,30 @@ def test_the_monitor_sees_the_arm_hit_the_table():
     world.monitor.allow("table", ("panda_leftfinger", "panda_rightfinger"))
     world.step(50)
     assert not world.monitor.unwanted
+
+
+def test_two_robots_in_one_world():
+    arm = load_robot("ur10_gripper")
+    sides = {"left_": 0.6, "right_": -0.6}
+    model = compose("dual", [Part(arm, side, "world", SE3.from_xyz(0, y, 0)) for side, y in sides.items()])
+    world = SimWorld(PlanningScene.of(model))
+    mass = sum(link.inertial.mass for link in arm.links.values() if link.inertial)
+    assert world.mj_model.body_mass.sum() == pytest.approx(2 * mass)
+    before = world.joint_state().positions
+    world.set_gripper_target("left_gripper", 0.02)
+    world.step(700)
+    change = dict(zip(model.joint_names, world.joint_state().positions - before, strict=True))
+    assert change.pop("left_gripper_left_finger_joint") == pytest.approx(-0.04, abs=1e-4)
+    assert max(map(abs, change.values())) < 1e-4
+
+
+def test_divergence_is_an_error_and_leaves_no_file(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    world = Grasping().world
+    world.mj_data.qvel[:3] = 1e12
+    with pytest.raises(ArmcellError, match="diverged"):
+        world.step(5)
+    assert not list(tmp_path.iterdir()) and capfd.readouterr().out == ""
 
 
 def test_wrong_names_and_values():

@@ -50,7 +50,13 @@ class Chromium:
     def __init__(self, binary: str, profile: Path, size: tuple[int, int], start_timeout: float = 60.0):
         self._profile = profile
         self._process = subprocess.Popen(
-            [binary, *FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}", "about:blank"],
+            [
+                binary,
+                *FLAGS,
+                f"--user-data-dir={profile}",
+                f"--window-size={size[0]},{size[1]}",
+                "about:blank",
+            ],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

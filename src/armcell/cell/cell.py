@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from armcell.cell.live import LiveCell
-from armcell.cell.schema import CellSpec, ObjectSpec, ShapeSpec, validated
+from armcell.cell.schema import CameraSpec, CellSpec, ObjectSpec, ShapeSpec, validated
 from armcell.control import DriverOptions, ExecutionSettings, drivers
 from armcell.core import (
     SE3,
@@ -92,7 +92,9 @@ class Cell:
             if key in ("free", "carry", "near"):
                 values[key] = Speed(**_known(value, Speed, self.file, f"settings/{key}"))
             elif key == "execution":
-                values[key] = ExecutionSettings(**_known(value, ExecutionSettings, self.file, "settings/execution"))
+                values[key] = ExecutionSettings(
+                    **_known(value, ExecutionSettings, self.file, "settings/execution")
+                )
         return TaskSettings(**_known(values, TaskSettings, self.file, "settings"))
 
     def _physics(self) -> PhysicsSettings:
@@ -115,7 +117,9 @@ class Cell:
             try:
                 self.model.named_state(group, state)
             except UnknownNameError as error:
-                raise UnknownNameError(error.kind, error.name, error.known, file=where, element="start") from None
+                raise UnknownNameError(
+                    error.kind, error.name, error.known, file=where, element="start"
+                ) from None
         for i, step in enumerate(spec.task):
             names = [step.pick] if step.pick else [step.place.object, step.place.on] if step.place else []
             for name in names:
@@ -168,7 +172,9 @@ class Cell:
         factory = drivers[mode]
         scene = self.scene(seed)
         options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras)
-        return LiveCell(self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0)
+        return LiveCell(
+            self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
+        )
 
 
 def _known(values: dict[str, Any], cls: type, file: Path, element: str) -> dict[str, Any]:
@@ -222,18 +228,10 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
     )
 
 
-def _camera(name: str, spec: Any) -> Camera:
-    """Optical frame: z forward, x right, y down."""
-    eye, target = np.array(spec.eye), np.array(spec.target)
-    z = target - eye
-    if np.linalg.norm(z) < 1e-9:
-        raise InputError(f"camera {name!r} looks at its own position")
-    z = z / np.linalg.norm(z)
-    up = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
-    x = np.cross(z, up)
-    x /= np.linalg.norm(x)
-    pose = SE3(SO3(np.column_stack([x, np.cross(z, x), z])), eye)
-    return Camera(name, pose, spec.width, spec.height, spec.fovy_deg)
+def _camera(name: str, spec: CameraSpec) -> Camera:
+    return Camera.looking_at(
+        name, spec.eye, spec.target, width=spec.width, height=spec.height, fovy_deg=spec.fovy_deg
+    )
 
 
 @dataclass(frozen=True)
@@ -245,4 +243,6 @@ class CellSummary:
 
 
 def built_in_cells() -> list[CellSummary]:
-    return [CellSummary(n, str(read_yaml(LIBRARY / n / CELL_FILE).get("description", ""))) for n in cell_names()]
+    return [
+        CellSummary(n, str(read_yaml(LIBRARY / n / CELL_FILE).get("description", ""))) for n in cell_names()
+    ]

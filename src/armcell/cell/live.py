@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from armcell.control import Driver
-from armcell.core import SE3, Goal, InputError, JointGoal, JointState, NamedGoal, Observer, Outcome, PoseGoal, UnknownNameError
+from armcell.core import (
+    SE3,
+    Goal,
+    InputError,
+    JointGoal,
+    JointState,
+    NamedGoal,
+    Observer,
+    Outcome,
+    PoseGoal,
+    UnknownNameError,
+)
 from armcell.scene import PlanningScene
 from armcell.tasks import TaskContext, TaskSettings, hold, move_to, pick, place
 
@@ -85,7 +96,9 @@ class LiveCell:
         """
         arms = self.arms
         if len(arms) != 1:
-            raise InputError(f"cell {self.name!r} has {len(arms)} arms", cure=f"use cell.arms[...]: {sorted(arms)}")
+            raise InputError(
+                f"cell {self.name!r} has {len(arms)} arms", cure=f"use cell.arms[...]: {sorted(arms)}"
+            )
         return next(iter(arms.values()))
 
     def __getitem__(self, group: str) -> Arm:

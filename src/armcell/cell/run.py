@@ -28,7 +28,9 @@ def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]
         InputError: the cell has no task.
     """
     if not cell.spec.task:
-        raise InputError("the cell has no task", file=cell.file, cure="add 'task: [...]' or use the Python API")
+        raise InputError(
+            "the cell has no task", file=cell.file, cure="add 'task: [...]' or use the Python API"
+        )
     began = time.monotonic()
     outcome, placements = Outcome(ErrorCode.SUCCESS), []
     for step in cell.spec.task:
@@ -84,7 +86,13 @@ def _result(
         "unwanted_contacts": unwanted,
         "min_clearance_m": min(clearances) if clearances else None,
         "welds": [
-            {"object": w.object, "gripper": w.gripper, "time_s": w.time, "reason": w.reason, "released_s": w.released_at}
+            {
+                "object": w.object,
+                "gripper": w.gripper,
+                "time_s": w.time,
+                "reason": w.reason,
+                "released_s": w.released_at,
+            }
             for w in live.driver.welds()
         ],
         "task_time_s": live.driver.now,  # the driver's clock
@@ -103,7 +111,9 @@ def _judged(outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]
         text = f"{first['body_a']} touched {first['body_b']} at {first['time_s']:.2f} s"
         return Outcome(ErrorCode.CONTROL_FAILED, text)
     if errors and max(errors) > PLACEMENT_TOLERANCE:
-        return Outcome(ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should")
+        return Outcome(
+            ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should"
+        )
     return outcome
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -33,7 +33,9 @@ class ShapeSpec(Strict):
     def _one(self):
         given = [k for k in SHAPE_KEYS if getattr(self, k) is not None]
         if len(given) != 1:
-            raise ValueError(f"needs exactly one of {', '.join(SHAPE_KEYS)}, has {', '.join(given) or 'none'}")
+            raise ValueError(
+                f"needs exactly one of {', '.join(SHAPE_KEYS)}, has {', '.join(given) or 'none'}"
+            )
         return self
 
 
@@ -105,6 +107,12 @@ class CameraSpec(Strict):
     height: int = Field(480, ge=16, le=4096)
     fovy_deg: float = Field(45.0, gt=1, lt=170)
 
+    @model_validator(mode="after")
+    def _looks_somewhere(self):
+        if self.eye == self.target:
+            raise ValueError("eye and target are the same point")
+        return self
+
 
 class PlaceSpec(Strict):
     object: str
@@ -141,7 +149,6 @@ class CellSpec(Strict):
     task: list[StepSpec] = []
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
-    viewer: Literal["viser"] = "viser"
 
     @field_validator("robot", mode="before")
     @classmethod

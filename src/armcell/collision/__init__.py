@@ -4,4 +4,11 @@ from armcell.collision.certify import Certificate, MotionBound, certify_path
 from armcell.collision.exact import ExactChecker, neighbours
 from armcell.collision.self_collision import disabled_collision_pairs
 
-__all__ = ["Certificate", "ExactChecker", "MotionBound", "certify_path", "disabled_collision_pairs", "neighbours"]
+__all__ = [
+    "Certificate",
+    "ExactChecker",
+    "MotionBound",
+    "certify_path",
+    "disabled_collision_pairs",
+    "neighbours",
+]

@@ -22,7 +22,9 @@ def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
             continue
         T = Ts[link[g]]
         for i in range(3):
-            out_centre[g, i] = T[i, 3] + T[i, 0] * centre[g, 0] + T[i, 1] * centre[g, 1] + T[i, 2] * centre[g, 2]
+            out_centre[g, i] = (
+                T[i, 3] + T[i, 0] * centre[g, 0] + T[i, 1] * centre[g, 1] + T[i, 2] * centre[g, 2]
+            )
             h = 0.0
             for k in range(3):
                 h += abs(T[i, 0] * R_half[g, 0, k] + T[i, 1] * R_half[g, 1, k] + T[i, 2] * R_half[g, 2, k])

@@ -90,7 +90,9 @@ def certify_path(checker: ExactChecker, waypoints: ArrayLike, slack: ArrayLike |
     return Certificate(True, 1.0, None, clearance)
 
 
-def _certify_edge(checker: ExactChecker, bound: MotionBound, q0: Array, q1: Array, slack: Array) -> Certificate:
+def _certify_edge(
+    checker: ExactChecker, bound: MotionBound, q0: Array, q1: Array, slack: Array
+) -> Certificate:
     dq = q1 - q0
     motion = bound.along(dq)
     length = float(np.max(np.abs(dq), initial=0.0))

@@ -55,7 +55,9 @@ class ExactChecker:
         self._link = np.array([g.link for g in self.geometries], dtype=np.int64)
         self._static = self._link < 0
         self._centre = np.array([g.T_link_solid.apply(g.solid.centre) for g in self.geometries]).reshape(n, 3)
-        self._R_half = np.array([g.T_link_solid.rotation.matrix * g.solid.half for g in self.geometries]).reshape(n, 3, 3)
+        self._R_half = np.array(
+            [g.T_link_solid.rotation.matrix * g.solid.half for g in self.geometries]
+        ).reshape(n, 3, 3)
         self._world_centre = self._centre.copy()
         self._world_half = np.abs(self._R_half).sum(axis=2)
         self._transforms = [coal.Transform3s() for _ in range(n)]
@@ -104,7 +106,9 @@ class ExactChecker:
             return frozenset()
         mine = set(self.columns.tolist())
         path = self.tree.path_to(self.tree.link_names[link])
-        return frozenset(int(self.tree.column[j]) for j in path if self.tree.kind[j] != 0 and self.tree.column[j] in mine)
+        return frozenset(
+            int(self.tree.column[j]) for j in path if self.tree.kind[j] != 0 and self.tree.column[j] in mine
+        )
 
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:
@@ -116,7 +120,13 @@ class ExactChecker:
         """Move everything to q; the distance methods below speak of this placement."""
         self.Ts = self.tree.link_transforms(self.full(q))
         world_boxes(
-            self.Ts, self._link, self._centre, self._R_half, self._static, self._world_centre, self._world_half
+            self.Ts,
+            self._link,
+            self._centre,
+            self._R_half,
+            self._static,
+            self._world_centre,
+            self._world_half,
         )
         self._query += 1
 
@@ -140,7 +150,11 @@ class ExactChecker:
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._request.security_margin = margin
         self._result.clear()
-        return bool(coal.collide(ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result))
+        return bool(
+            coal.collide(
+                ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result
+            )
+        )
 
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
         """Signed distance [m] of two geometries by index; `outer` measures the convex outer shapes."""
@@ -227,7 +241,11 @@ def _geometries(scene: PlanningScene) -> list[Geometry]:
         padding = scene.link_padding.get(link.name, scene.padding)
         scale = scene.link_scale.get(link.name, 1.0)
         for c in link.collisions:
-            found.append(Geometry(link.name, tree.link_index[link.name], solid(c.shape, scale), c.T_link_shape, padding))
+            found.append(
+                Geometry(
+                    link.name, tree.link_index[link.name], solid(c.shape, scale), c.T_link_shape, padding
+                )
+            )
     for body in scene.attached.values():
         padding = scene.link_padding.get(body.link, scene.padding)
         for shape, T_object_shape in body.object.shapes:
@@ -264,3 +282,10 @@ def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.Dista
                 ),
             )  # fmt: skip
     return float(best)
+
+
+def overlaps(scene: PlanningScene, name: str, tolerance: float = 5e-4) -> list[tuple[str, float]]:
+    """Objects that an object in the world is inside of, with the depth [m], deepest first."""
+    item, request = scene.object(name), coal.DistanceRequest()
+    depths = [(o.name, -_object_distance(item, o, request)) for o in scene.objects.values() if o.name != name]
+    return sorted([(n, d) for n, d in depths if d > tolerance], key=lambda nd: -nd[1])

@@ -33,7 +33,7 @@ def disabled_collision_pairs(
         solid_parent[joint.child] = parent
         if model.links[joint.child].collisions:
             adjacent.add(frozenset((parent, joint.child)))
-    bare = replace(model, disabled_collisions={pair: "Adjacent" for pair in adjacent})
+    bare = replace(model, disabled_collisions=dict.fromkeys(adjacent, "Adjacent"))
     checker = ExactChecker(PlanningScene.of(bare))
     bodies = [link.name for link in model.links.values() if link.collisions]
     default = {frozenset((c.body_a, c.body_b)) for c in checker.contacts(model.default_positions())}

@@ -74,7 +74,9 @@ class Driver(Protocol):
         """All actuated joints, in the model's order."""
         ...
 
-    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> JointState:
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
         """Set the joints' targets [rad, rad/s]; returns what was actually sent."""
         ...
 

@@ -59,7 +59,9 @@ def execute(
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:
         if code is not ErrorCode.SUCCESS:
             driver.stop()
-        error = float(np.max(np.abs(driver.joint_state().reindexed(names).positions - trajectory.positions[-1])))
+        error = float(
+            np.max(np.abs(driver.joint_state().reindexed(names).positions - trajectory.positions[-1]))
+        )
         return ExecutionResult(code, text, evidence, began, driver.now, tracking, error)
 
     duration = trajectory.duration
@@ -72,7 +74,9 @@ def execute(
         worst, joint = _largest(np.abs(driver.joint_state().reindexed(names).positions - q), names)
         tracking = max(tracking, worst)
         if worst > settings.path_tolerance:
-            text = f"{joint} left the path by {worst:.3f} at {t:.2f} s (tolerance {settings.path_tolerance:g})"
+            text = (
+                f"{joint} left the path by {worst:.3f} at {t:.2f} s (tolerance {settings.path_tolerance:g})"
+            )
             return ended(ErrorCode.CONTROL_FAILED, text, joint=joint, error=worst)
         if progress:
             progress(min((t + driver.period) / duration, 1.0))

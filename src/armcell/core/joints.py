@@ -84,7 +84,9 @@ class JointPath:
     def __post_init__(self) -> None:
         waypoints = np.array(self.waypoints, dtype=float)
         if waypoints.ndim != 2 or waypoints.shape[1] != len(self.joint_names) or len(waypoints) == 0:
-            raise InputError(f"waypoints have shape {waypoints.shape}, need (k, {len(self.joint_names)}), k >= 1")
+            raise InputError(
+                f"waypoints have shape {waypoints.shape}, need (k, {len(self.joint_names)}), k >= 1"
+            )
         if not np.all(np.isfinite(waypoints)):
             raise InputError("a waypoint has a value that is not finite")
         object.__setattr__(self, "waypoints", waypoints)
@@ -115,7 +117,9 @@ class JointTrajectory:
             raise InputError("trajectory times must be one list of finite numbers")
         if np.any(np.diff(times) <= 0):
             i = int(np.argmax(np.diff(times) <= 0))
-            raise InputError(f"trajectory time goes from {times[i]:g} s to {times[i + 1]:g} s: it must increase")
+            raise InputError(
+                f"trajectory time goes from {times[i]:g} s to {times[i + 1]:g} s: it must increase"
+            )
         object.__setattr__(self, "times", times)
         for label in ("positions", "velocities", "accelerations"):
             values = getattr(self, label)

@@ -124,17 +124,11 @@ class SO3:
         if k == 0:
             q = np.array([1 + four[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
         elif k == 1:
-            q = np.array(
-                [m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - four[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]
-            )
+            q = np.array([m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - four[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
         elif k == 2:
-            q = np.array(
-                [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - four[0], m[1, 2] + m[2, 1]]
-            )
+            q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - four[0], m[1, 2] + m[2, 1]])
         else:
-            q = np.array(
-                [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - four[0]]
-            )
+            q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - four[0]])
         q /= np.linalg.norm(q)
         return -q if q[0] < 0 else q
 
@@ -277,9 +271,7 @@ class SE3:
     def interpolate(self, other: SE3, fraction: float) -> SE3:
         """Straight line in position, constant angular velocity in orientation."""
         turn = SO3.exp(fraction * (self.rotation.inv() @ other.rotation).log())
-        return SE3(
-            self.rotation @ turn, (1 - fraction) * self.translation + fraction * other.translation
-        )
+        return SE3(self.rotation @ turn, (1 - fraction) * self.translation + fraction * other.translation)
 
     def __repr__(self) -> str:
         xyz = ", ".join(f"{v:.4f}" for v in self.translation)

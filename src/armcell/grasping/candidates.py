@@ -71,7 +71,9 @@ def bounding_box_grasps(item: CollisionObject, gripper: Gripper) -> tuple[list[G
                 label = f"{_direction(approach, up)} {turn}"
                 opening = min(max(width * OPENING_FACTOR, width + OPENING_MARGIN), gripper.max_width)
                 if width > gripper.max_width - OPENING_MARGIN / 2:
-                    reason = f"{width * 1000:.0f} mm wide, the gripper opens {gripper.max_width * 1000:.0f} mm"
+                    reason = (
+                        f"{width * 1000:.0f} mm wide, the gripper opens {gripper.max_width * 1000:.0f} mm"
+                    )
                     rejected.append(Rejection(label, reason))
                     continue
                 position = _tcp_position(centre, size, approach, axis, up, gripper)
@@ -112,7 +114,9 @@ def _direction(approach: Array, up: Array) -> str:
     return f"side {'-' if approach[axis] > 0 else '+'}{'xyz'[axis]}"
 
 
-def _tcp_position(centre: Array, size: Array, approach: Array, axis: int, up: Array, gripper: Gripper) -> Array:
+def _tcp_position(
+    centre: Array, size: Array, approach: Array, axis: int, up: Array, gripper: Gripper
+) -> Array:
     """The tcp at the object's centre, or as deep as the fingers allow, and high enough above the support."""
     position = centre.copy()
     half = size[axis] / 2
@@ -126,7 +130,9 @@ def _tcp_position(centre: Array, size: Array, approach: Array, axis: int, up: Ar
     return position
 
 
-def grasp_candidates(item: CollisionObject, gripper: Gripper, generator: str = "bounding_box") -> tuple[list[Grasp], list[Rejection]]:
+def grasp_candidates(
+    item: CollisionObject, gripper: Gripper, generator: str = "bounding_box"
+) -> tuple[list[Grasp], list[Rejection]]:
     """Candidates, best first, and the rejected ones with their reasons.
 
     Raises:

@@ -87,11 +87,20 @@ def place_candidates(
         for dx in (0.0, -step, step):
             for dy in (0.0, -step, step):
                 x, y = cx + dx, cy + dy
-                if abs(x) + foot[0] > size_x / 2 - STABILITY_MARGIN or abs(y) + foot[1] > size_y / 2 - STABILITY_MARGIN:
+                if (
+                    abs(x) + foot[0] > size_x / 2 - STABILITY_MARGIN
+                    or abs(y) + foot[1] > size_y / 2 - STABILITY_MARGIN
+                ):
                     continue
                 point = frame.apply((x, y, height))
                 score = -float(np.hypot(dx, dy)) * 10 - 0.1 * i
-                found.append(Placement(f"({x * 1000:+.0f}, {y * 1000:+.0f}) mm, {np.rad2deg(yaw):.0f} deg", SE3(R, point), score))
+                found.append(
+                    Placement(
+                        f"({x * 1000:+.0f}, {y * 1000:+.0f}) mm, {np.rad2deg(yaw):.0f} deg",
+                        SE3(R, point),
+                        score,
+                    )
+                )
     if not found:
         raise InputError(
             f"object {item.name!r} does not fit on {support.name!r} ({size_x * 1000:.0f} x {size_y * 1000:.0f} mm)"

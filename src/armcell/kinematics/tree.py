@@ -123,7 +123,15 @@ class KinematicTree:
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(q, dtype=float)
         forward(
-            self.parent, self.T_parent_joint, self.kind, self.axis, self.column, self.multiplier, self.offset, q, out
+            self.parent,
+            self.T_parent_joint,
+            self.kind,
+            self.axis,
+            self.column,
+            self.multiplier,
+            self.offset,
+            q,
+            out,
         )
         return out
 

@@ -63,7 +63,9 @@ def resolve_uri(uri: str, base: Path) -> Path:
 
 def _checked(path: Path) -> Path:
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise InputError(f"mesh format {path.suffix!r} is not read", file=path, cure="use STL, OBJ, DAE, PLY or GLB")
+        raise InputError(
+            f"mesh format {path.suffix!r} is not read", file=path, cure="use STL, OBJ, DAE, PLY or GLB"
+        )
     if path.stat().st_size > MAX_MESH_BYTES:
         raise InputError(f"mesh is larger than {MAX_MESH_BYTES} bytes", file=path)
     return path

@@ -24,7 +24,9 @@ _Loader.yaml_implicit_resolvers = {
     first: [(tag, regexp) for tag, regexp in rules if tag != "tag:yaml.org,2002:bool"]
     for first, rules in yaml.CSafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
@@ -79,7 +81,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         aliases = sum(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader))
         if aliases > MAX_YAML_ALIASES:
-            raise InputError(f"uses {aliases} YAML aliases, at most {MAX_YAML_ALIASES} are allowed", file=path)
+            raise InputError(
+                f"uses {aliases} YAML aliases, at most {MAX_YAML_ALIASES} are allowed", file=path
+            )
         data = yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None

@@ -68,9 +68,13 @@ def _tightened(limits: Any, name: str, entry: Any, path: Path):
         old = getattr(limits, attribute)
         if attribute not in ("lower", "upper") and value <= 0:
             raise InputError(f"{key} is {value:g}, it must be positive", **where)
-        if (attribute == "lower" and value < old) or (attribute != "lower" and value > old * (1 + 1e-6) + 1e-9):
+        if (attribute == "lower" and value < old) or (
+            attribute != "lower" and value > old * (1 + 1e-6) + 1e-9
+        ):
             raise InputError(
-                f"{key} {value:g} is wider than the robot's own {old:g}", **where, cure="limits may only be tightened"
+                f"{key} {value:g} is wider than the robot's own {old:g}",
+                **where,
+                cure="limits may only be tightened",
             )
         limits = replace(limits, **{attribute: float(value)})
     return limits

@@ -48,7 +48,9 @@ def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
         return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
     if isinstance(robot, str) and "/" not in robot and "." not in robot:
         raise UnknownNameError("robot", robot, robot_names())
-    raise InputError("no such robot file or folder", file=path, cure=f"library robots: {', '.join(robot_names())}")
+    raise InputError(
+        "no such robot file or folder", file=path, cure=f"library robots: {', '.join(robot_names())}"
+    )
 
 
 def load_folder(folder: Path) -> RobotModel:
@@ -67,7 +69,9 @@ def load_folder(folder: Path) -> RobotModel:
         model = with_adjacent_disabled(model)
     else:
         model = compose(str(data.get("name", folder.name)), [_part(p, folder, file) for p in data["parts"]])
-    model = replace(model, name=str(data.get("name", folder.name)), source=str(data.get("source", model.source)))
+    model = replace(
+        model, name=str(data.get("name", folder.name)), source=str(data.get("source", model.source))
+    )
     if "srdf" in data:
         grippers = model.grippers
         model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
@@ -108,7 +112,9 @@ def _part(entry: Any, folder: Path, file: Path) -> Part:
         raise InputError("each of 'parts' needs a 'robot'", file=file, element="parts")
     for key in entry:
         if key not in ("robot", "prefix", "parent_link", "pose"):
-            raise UnknownNameError("key", key, ["robot", "prefix", "parent_link", "pose"], file=file, element="parts")
+            raise UnknownNameError(
+                "key", key, ["robot", "prefix", "parent_link", "pose"], file=file, element="parts"
+            )
     return Part(
         load_robot(entry["robot"], folder),
         str(entry.get("prefix", "")),

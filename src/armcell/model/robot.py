@@ -204,7 +204,8 @@ class RobotModel:
         if len(fitting) != 1:
             of = f" of group {arm_group!r}" if arm_group else ""
             raise InputError(
-                f"robot {self.name!r} has {len(fitting)} grippers{of}", cure=f"name one of {sorted(self.grippers)}"
+                f"robot {self.name!r} has {len(fitting)} grippers{of}",
+                cure=f"name one of {sorted(self.grippers)}",
             )
         return fitting[0]
 
@@ -261,7 +262,9 @@ class RobotModel:
                     break
         return q
 
-    def check_positions(self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9) -> Array:
+    def check_positions(
+        self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9
+    ) -> Array:
         """The positions as an array, within limits.
 
         Raises:

@@ -100,11 +100,15 @@ def _end_effectors(root: etree._Element, path: Path) -> dict[str, EndEffector]:
     found = {}
     for e in root.findall("end_effector"):
         name = _get(e, "name", path)
-        found[name] = EndEffector(name, _get(e, "group", path), _get(e, "parent_link", path), e.get("parent_group"))
+        found[name] = EndEffector(
+            name, _get(e, "group", path), _get(e, "parent_link", path), e.get("parent_group")
+        )
     return found
 
 
-def _named_states(model: RobotModel, root: etree._Element, path: Path) -> dict[str, dict[str, dict[str, float]]]:
+def _named_states(
+    model: RobotModel, root: etree._Element, path: Path
+) -> dict[str, dict[str, dict[str, float]]]:
     states: dict[str, dict[str, dict[str, float]]] = {}
     for element in root.findall("group_state"):
         name, group = _get(element, "name", path), _get(element, "group", path)
@@ -130,7 +134,12 @@ def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[froze
         for link in (link1, link2):
             if link not in model.links:
                 raise UnknownNameError(
-                    "link", link, model.links, file=path, line=element.sourceline, element="<disable_collisions>"
+                    "link",
+                    link,
+                    model.links,
+                    file=path,
+                    line=element.sourceline,
+                    element="<disable_collisions>",
                 )
         pairs[frozenset((link1, link2))] = element.get("reason", "")
     return pairs

@@ -64,14 +64,18 @@ class _Reader:
             raise self.fail(element, f"attribute {name!r} is missing")
         return value
 
-    def numbers(self, element: etree._Element, name: str, count: int, default: str | None = None) -> list[float]:
+    def numbers(
+        self, element: etree._Element, name: str, count: int, default: str | None = None
+    ) -> list[float]:
         text = element.get(name, default)
         try:
             values = [float(v) for v in (text or "").split()]
         except ValueError:
             raise self.fail(element, f"{name}={text!r} is not a list of numbers") from None
         if len(values) != count or not np.all(np.isfinite(values)):
-            raise self.fail(element, f"{name}={text!r} must be {count} finite number{'s' if count > 1 else ''}")
+            raise self.fail(
+                element, f"{name}={text!r} must be {count} finite number{'s' if count > 1 else ''}"
+            )
         return values
 
     def number(self, element: etree._Element, name: str, default: float | None = None) -> float:
@@ -106,7 +110,9 @@ class _Reader:
         for joint in joints.values():
             if joint.mimic and joint.mimic.joint not in joints:
                 raise InputError(
-                    f"mimics unknown joint {joint.mimic.joint!r}", file=self.file, element=f"joint {joint.name!r}"
+                    f"mimics unknown joint {joint.mimic.joint!r}",
+                    file=self.file,
+                    element=f"joint {joint.name!r}",
                 )
         root_link, ordered = self.tree(links, joints)
         name = root.get("name") or self.file.stem
@@ -127,7 +133,11 @@ class _Reader:
             children[joint.parent].append(joint)
         roots = [name for name in links if name not in parent]
         if len(roots) != 1:
-            what = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "a loop of joints and no root link"
+            what = (
+                f"{len(roots)} root links ({', '.join(roots[:5])})"
+                if roots
+                else "a loop of joints and no root link"
+            )
             raise InputError(f"has {what}, exactly one is needed", file=self.file)
         ordered: dict[str, Joint] = {}
         stack = list(reversed(children[roots[0]]))
@@ -153,9 +163,7 @@ class _Reader:
         return Link(
             name=name,
             inertial=None if inertial is None else self.inertial(inertial),
-            collisions=tuple(
-                Collision(self.shape(c), self.origin(c)) for c in element.findall("collision")
-            ),
+            collisions=tuple(Collision(self.shape(c), self.origin(c)) for c in element.findall("collision")),
             visuals=tuple(self.visual(v, materials) for v in element.findall("visual")),
         )
 
@@ -166,9 +174,16 @@ class _Reader:
         mass = self.number(mass_element, "value")
         if mass < 0:
             raise self.fail(mass_element, f"mass {mass:g} kg is negative")
-        I = np.zeros((3, 3))  # noqa: E741
+        I = np.zeros((3, 3))
         if inertia is not None:
-            for (i, j), key in {(0, 0): "ixx", (0, 1): "ixy", (0, 2): "ixz", (1, 1): "iyy", (1, 2): "iyz", (2, 2): "izz"}.items():
+            for (i, j), key in {
+                (0, 0): "ixx",
+                (0, 1): "ixy",
+                (0, 2): "ixz",
+                (1, 1): "iyy",
+                (1, 2): "iyz",
+                (2, 2): "izz",
+            }.items():
                 I[i, j] = I[j, i] = self.number(inertia, key, 0.0)
         return Inertial(mass, self.origin(element), I)
 
@@ -222,7 +237,9 @@ class _Reader:
         """One joint; a planar or floating joint becomes a chain of single ones with massless links."""
         name, type_ = self.attribute(element, "name"), self.attribute(element, "type")
         if type_ not in JOINT_TYPES:
-            raise self.fail(element, f"unknown joint type {type_!r}", cure=f"known: {', '.join(sorted(JOINT_TYPES))}")
+            raise self.fail(
+                element, f"unknown joint type {type_!r}", cure=f"known: {', '.join(sorted(JOINT_TYPES))}"
+            )
         ends = {}
         for end in ("parent", "child"):
             found = element.find(end)
@@ -271,7 +288,11 @@ class _Reader:
         limit = element.find("limit")
         if limit is None:
             if type_ in ("revolute", "prismatic"):
-                raise self.fail(element, f"a {type_} joint needs <limit>", cure="add <limit lower= upper= effort= velocity=>")
+                raise self.fail(
+                    element,
+                    f"a {type_} joint needs <limit>",
+                    cure="add <limit lower= upper= effort= velocity=>",
+                )
             return JointLimits()
         bounded = type_ in ("revolute", "prismatic")
         lower = self.number(limit, "lower", 0.0) if bounded else -np.inf

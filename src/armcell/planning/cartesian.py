@@ -58,7 +58,11 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
                 path = path[: keep + 1]
         trajectory = _timed(checker, request, path) if len(path) > 1 else None
     if trajectory is None and stop is None and wanted and len(path) > 1:
-        code, message, fraction = ErrorCode.INVALID_MOTION_PLAN, "the timed motion could not be proven free", 0.0
+        code, message, fraction = (
+            ErrorCode.INVALID_MOTION_PLAN,
+            "the timed motion could not be proven free",
+            0.0,
+        )
     return PlanResult(
         code,
         message,

@@ -63,7 +63,9 @@ def finish(
     return Finished(certificate, trajectory, path)
 
 
-def _timed(checker: ExactChecker, path: BlendedPath, v: float, a: float, timing: TimingSettings) -> JointTrajectory:
+def _timed(
+    checker: ExactChecker, path: BlendedPath, v: float, a: float, timing: TimingSettings
+) -> JointTrajectory:
     names = checker.joint_names
     velocity = checker.model.limits(names, "velocity") * v
     acceleration = checker.model.limits(names, "acceleration") * a

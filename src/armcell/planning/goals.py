@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision import ExactChecker
-from armcell.core import SE3, Contact, ErrorCode, InputError, JointGoal, NamedGoal, Outcome, PlanRequest, PoseGoal
+from armcell.core import (
+    SE3,
+    Contact,
+    ErrorCode,
+    InputError,
+    JointGoal,
+    NamedGoal,
+    Outcome,
+    PlanRequest,
+    PoseGoal,
+)
 from armcell.kinematics import NumericIK
 from armcell.scene import PlanningScene
 

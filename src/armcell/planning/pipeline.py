@@ -47,7 +47,9 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
 
     def failed(outcome: Outcome) -> PlanResult:
         spent = time.monotonic() - began
-        return PlanResult(outcome.code, outcome.message, outcome.evidence, planner_id=planner_id, planning_time=spent)
+        return PlanResult(
+            outcome.code, outcome.message, outcome.evidence, planner_id=planner_id, planning_time=spent
+        )
 
     scene, problem_with_start = _started(scene, request)
     if problem_with_start:
@@ -68,7 +70,14 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     for round_ in range(MAX_ROUNDS):
         seed = request.seed + 7919 * round_
         problem = Problem(
-            checker, start, goals, lower, upper, seed, began + request.planning_time, cancel or threading.Event()
+            checker,
+            start,
+            goals,
+            lower,
+            upper,
+            seed,
+            began + request.planning_time,
+            cancel or threading.Event(),
         )
         waypoints = _direct(problem) if round_ == 0 else None
         used = "straight line" if waypoints is not None else planner_id
@@ -90,8 +99,12 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             )
     cancelled = cancel is not None and cancel.is_set()
     timed_out = time.monotonic() - began >= request.planning_time
-    code = ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
-    message = (answer.message if answer else "") or "found paths, but none could be proven free between its samples"
+    code = (
+        ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
+    )
+    message = (
+        answer.message if answer else ""
+    ) or "found paths, but none could be proven free between its samples"
     return failed(Outcome(code, message, {"goals": len(goals), "checks": checker.checks}))
 
 
@@ -106,7 +119,9 @@ def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene,
     return scene, None
 
 
-def _bounds(scene: PlanningScene, names: tuple[str, ...], start: Array, goals: tuple[Array, ...]) -> tuple[Array, Array]:
+def _bounds(
+    scene: PlanningScene, names: tuple[str, ...], start: Array, goals: tuple[Array, ...]
+) -> tuple[Array, Array]:
     """Sampling bounds: the limits, narrowed to one turn around start and goals where they span more."""
     columns = scene.model.columns(names)
     low, high = scene.model.lower[columns], scene.model.upper[columns]

@@ -45,7 +45,9 @@ class PlanningScene:
     link_scale: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
-    def of(model: RobotModel, positions: ArrayLike | None = None, objects: Iterable[CollisionObject] = ()) -> PlanningScene:
+    def of(
+        model: RobotModel, positions: ArrayLike | None = None, objects: Iterable[CollisionObject] = ()
+    ) -> PlanningScene:
         q = model.default_positions() if positions is None else model.check_positions(positions)
         scene = PlanningScene(model, np.array(q, dtype=float))
         for item in objects:
@@ -59,7 +61,9 @@ class PlanningScene:
 
     def with_positions(self, positions: ArrayLike) -> PlanningScene:
         """Another robot state (dof,), within limits."""
-        return replace(self, positions=np.array(self.model.check_positions(positions, margin=1e-3), dtype=float))
+        return replace(
+            self, positions=np.array(self.model.check_positions(positions, margin=1e-3), dtype=float)
+        )
 
     def with_state(self, state: JointState) -> PlanningScene:
         """Some or all joints moved; the others stay."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
-from armcell.scene import CollisionObject, PlanningScene
+from armcell.scene import WORLD, CollisionObject, PlanningScene
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import GeomAdder, solid_inertia
 from armcell.sim.visuals import DEFAULT_COLOR, visual_parts
@@ -163,7 +163,9 @@ def _add_look(spec: mujoco.MjSpec) -> None:
 def _add_robot(
     spec: mujoco.MjSpec, adder: GeomAdder, model: RobotModel, settings: PhysicsSettings, visuals: bool
 ) -> dict[str, Any]:
-    bodies = {model.root_link: spec.worldbody.add_body(name=model.root_link)}
+    # several robots composed have a root of their own, which is MuJoCo's: the world
+    root = spec.worldbody if model.root_link == WORLD else spec.worldbody.add_body(name=model.root_link)
+    bodies = {model.root_link: root}
     for joint in model.joints.values():
         T = joint.T_parent_joint
         body = bodies[joint.parent].add_body(name=joint.child, pos=T.translation, quat=T.quat_wxyz)
@@ -173,8 +175,9 @@ def _add_robot(
     massless = _massless_carriers(model)
     for name, body in bodies.items():
         link = model.links[name]
-        body.gravcomp = 1.0  # real arms compensate their own weight
-        _set_inertia(body, link, name in massless)
+        if name != WORLD:
+            body.gravcomp = 1.0  # real arms compensate their own weight
+            _set_inertia(body, link, name in massless)
         _add_link_geoms(adder, body, link, visuals)
     for joint in model.joints.values():
         if joint.mimic is not None:

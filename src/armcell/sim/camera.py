@@ -45,7 +45,7 @@ class Camera:
 
     @staticmethod
     def looking_at(name: str, eye: ArrayLike, target: ArrayLike, **properties) -> Camera:
-        """A camera at `eye` (3,) that looks at `target` (3,) [m, world frame], with world z up in the picture."""
+        """A camera at `eye` (3,) that looks at `target` (3,) [m, world frame], world z up in the picture."""
         eye, target = np.asarray(eye, float), np.asarray(target, float)
         z = (target - eye) / np.linalg.norm(target - eye)
         up = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.999 else np.array([1.0, 0.0, 0.0])

@@ -14,6 +14,9 @@ from armcell.sim.build import BuiltModel
 
 Array = NDArray[np.float64]
 
+_FEW = 30
+"""Contacts up to which a plain loop is quicker than NumPy; this runs at every physics step."""
+
 
 @dataclass(frozen=True)
 class PhysicsContact:
@@ -61,7 +64,7 @@ def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact
 def contact_forces_on(
     built: BuiltModel, data: mujoco.MjData, owners: Iterable[int]
 ) -> dict[tuple[int, int], Array]:
-    """Force (3,) [N, world frame] on each of `owners` by each body that touches it: (owner, other) -> force."""
+    """Force (3,) [N, world frame] on each of `owners` by what touches it: (owner, other) -> force."""
     wanted = set(owners)
     forces: dict[tuple[int, int], Array] = {}
     if data.ncon == 0:
@@ -140,9 +143,17 @@ class ContactMonitor:
 
     def update(self, data: mujoco.MjData) -> None:
         """Look at the contacts of the step just taken."""
-        if data.ncon == 0:
+        count = data.ncon
+        if count == 0:
             return
         geoms = data.contact.geom
+        if count <= _FEW:
+            table = self._unwanted_rows
+            for a, b in geoms.tolist():
+                if table[a][b]:
+                    break
+            else:
+                return
         hits = self._unwanted[geoms[:, 0], geoms[:, 1]]
         if hits.any():
             self._record(data, geoms[hits], data.contact.dist[hits])
@@ -176,6 +187,7 @@ class ContactMonitor:
                 bad[a, b] = bad[b, a] = False
         owner = built.geom_owner
         self._unwanted = bad[owner[:, None], owner[None, :]] & (owner[:, None] >= 0) & (owner[None, :] >= 0)
+        self._unwanted_rows = self._unwanted.tolist()
 
     def _record(self, data: mujoco.MjData, geoms: NDArray[np.int32], distances: Array) -> None:
         deepest: dict[frozenset[str], tuple[str, str, float]] = {}

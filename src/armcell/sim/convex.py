@@ -30,7 +30,7 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     triangles = mesh.vertices[mesh.faces]
     total = _hull_volume(triangles)
     if total == 0.0:
-        raise InputError("mesh is flat: it has no volume", **({"file": mesh.file} if mesh.file else {}))
+        raise InputError("mesh is flat: it has no volume", file=mesh.file)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if solid.is_watertight and total - abs(solid.volume) < MIN_SAVING * total:
         return (_hull(triangles),)  # no cut can save more than the excess there is

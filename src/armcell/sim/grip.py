@@ -65,13 +65,14 @@ class GripperDrive:
     def _force_lead(self, force: float) -> float:
         return min(force, self.index.max_force) * self._ratio / self._kp
 
-    def hold(self, joint_position: float) -> None:
+    def hold(self, data: mujoco.MjData, joint_position: float) -> None:
         """Stay at a joint position, at full force."""
         self._set_point = self._target = joint_position
+        data.ctrl[self.index.ctrl] = joint_position
         self._lead = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
-        """Drive to a width [m]. A width at the closed end means: press with that force [N] on what is between."""
+        """Drive to a width [m]. The closed end means: press with that force [N] on what is between."""
         gripper = self.index.gripper
         self._lead = self._force_lead(force_per_finger)
         ends = self.index.lower, self.index.upper
@@ -87,14 +88,23 @@ class GripperDrive:
 
     def update(self, data: mujoco.MjData) -> None:
         """Set the servo's input for the next step."""
-        length = self.index.length(data.qpos)
+        qpos, length = data.qpos, 0.0
+        for (
+            i,
+            weight,
+        ) in self.index.joints:  # as GripperIndex.length; inlined, this runs at every physics step
+            length += weight * qpos.item(i)
         set_point, gap = self._set_point, self._target - self._set_point
         if gap:
             step = self._push_step if abs(set_point - length) > self._blocked_lead else self._step
             set_point += max(-step, min(step, gap))
-        set_point = max(length - self._lead, min(length + self._lead, set_point))
-        self._set_point = set_point
-        data.ctrl[self.index.ctrl] = set_point
+        if set_point > length + self._lead:
+            set_point = length + self._lead
+        elif set_point < length - self._lead:
+            set_point = length - self._lead
+        if set_point != self._set_point:
+            self._set_point = set_point
+            data.ctrl[self.index.ctrl] = set_point
 
     def get_state(self) -> tuple[float, float, float]:
         return self._set_point, self._target, self._lead
@@ -104,7 +114,7 @@ class GripperDrive:
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Force [N] along the closing axis (the tcp's y) on each finger, by the owner index of what it touches."""
+    """Force [N] along the closing axis (the tcp's y) on each finger, by the owner index that it touches."""
     forces: dict[int, list[float]] = {}
     y_axis = data.xmat[index.tcp_body].reshape(3, 3)[:, 1]
     for (finger, other), force in contact_forces_on(built, data, index.finger_owners).items():

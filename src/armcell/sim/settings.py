@@ -1,7 +1,7 @@
 """`PhysicsSettings`: every number of the physics in one place.
 
-The defaults are a recipe measured on MuJoCo 4.0 (2 ms, discrete, elliptic cones, impratio 10, stiff contacts of the
-grasped object): the engine's own defaults let a 0.1 kg cube slide 4.4 mm out of a Panda's hand in 5 s.
+The defaults are a recipe measured on MuJoCo 4.0 (2 ms, discrete, elliptic cones, impratio 10, stiff contacts
+of the grasped object): the engine's own defaults let a 0.1 kg cube slide 4.4 mm out of a Panda's hand in 5 s.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PhysicsSettings:
     noslip_iterations: int = 0  # 2 lowers the creep of a held object six times, at 2/3 of the speed
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # [m/s^2]
 
-    # Arm joints: native pid actuators, force = kp (u_pos - q) + kv (u_vel - qd), bounded by JointLimits.effort.
+    # Arm joints: native pid actuators, force = kp (u_pos - q) + kv (u_vel - qd), within JointLimits.effort.
     arm_kp: float = 5000.0  # [Nm/rad]
     arm_kv: float = 500.0  # [Nm s/rad]
     slide_kp: float = 50000.0  # [N/m], of sliding joints that are no fingers

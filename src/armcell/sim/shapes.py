@@ -80,7 +80,7 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
     i, j = np.arange(edges), (np.arange(edges) + 1) % edges
     foot = np.stack([j, i, np.full(edges, edges)], 1)
     side = np.stack([i, j, np.full(edges, edges + 1)], 1)
-    return Mesh(vertices, np.vstack([foot, side]))
+    return Mesh(vertices, np.vstack([foot, side]).astype(np.int32))
 
 
 def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
@@ -127,7 +127,7 @@ def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Arr
         parts.append((T.apply(centre), R @ inertia @ R.T))
         volumes.append(shape_volume(shape))
     masses = mass * np.array(volumes) / sum(volumes)
-    centre = sum(m * c for m, (c, _) in zip(masses, parts, strict=True)) / mass
+    centre = masses @ np.array([c for c, _ in parts]) / mass
     total = np.zeros((3, 3))
     for m, (c, inertia) in zip(masses, parts, strict=True):
         d = c - centre

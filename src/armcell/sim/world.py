@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,6 +28,8 @@ from armcell.sim.grip import (
     relative_pose,
 )
 from armcell.sim.settings import PhysicsSettings
+
+log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -57,7 +60,7 @@ class SimWorld:
 
     Attributes:
         robot: the scene's `RobotModel`.
-        monitor: unwanted contacts, looked for at every physics step.
+        monitor: unwanted contacts, looked for at every physics step. A reset makes a new one.
         cameras: by name.
         rng: for whatever wants seeded noise on this world's sensors; physics itself has none.
         mj_model, mj_data: MuJoCo's own, for viewers; do not step them.
@@ -77,6 +80,7 @@ class SimWorld:
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
+        mujoco.set_mju_user_warning(_log_warning)  # else MuJoCo prints, and writes a file where it stands
         self.built = build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
@@ -186,7 +190,7 @@ class SimWorld:
         return arm, pos, vel, [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
-        """Drive a gripper to a width [m] with at most a force per finger [N] (the gripper's largest by default).
+        """Drive a gripper to a width [m] with at most a force per finger [N], by default its largest.
 
         Width 0 grasps: the fingers close until blocked and then press with that force. A width above the
         present one opens, which releases a weld.
@@ -216,7 +220,7 @@ class SimWorld:
         return body_pose(self.mj_data, self.built.body[link])
 
     def set_positions(self, q: ArrayLike) -> None:
-        """Put the robot at positions (dof,), at rest, with its targets there. For set-up: nothing is simulated."""
+        """Put the robot at positions (dof,), at rest, with its targets there. For set-up, not simulated."""
         q = self.robot.check_positions(q, margin=1e-3)
         data, built = self.mj_data, self.built
         for name, value in self._tree.full_positions(q).items():
@@ -228,7 +232,7 @@ class SimWorld:
         for name, drive in self._drives.items():
             self._welder.release(data, name)
             joint = drive.index.gripper.joint_name
-            drive.hold(float(data.qpos[built.joint_qpos[joint]]))
+            drive.hold(data, float(data.qpos[built.joint_qpos[joint]]))
         data.qacc_warmstart[:] = 0.0
         mujoco.mj_forward(self.mj_model, data)
 
@@ -361,6 +365,10 @@ class SimWorld:
         self._welder.set_state(snapshot.welder)
         self.monitor._set_state(snapshot.monitor)
         self._watches = dict(snapshot.watches)
+
+
+def _log_warning(message: str) -> None:
+    log.warning("MuJoCo: %s", message)
 
 
 def _same_build(a: PlanningScene, b: PlanningScene) -> bool:

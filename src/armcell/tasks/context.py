@@ -142,5 +142,7 @@ class Rejections:
         if not self.details:
             return "no candidates"
         stage, candidate, reason = self.details[0]
-        counted = ", ".join(f"{n} x {s}: {r}" for (s, r), n in sorted(self.counts.items(), key=lambda kv: -kv[1])[:4])
+        counted = ", ".join(
+            f"{n} x {s}: {r}" for (s, r), n in sorted(self.counts.items(), key=lambda kv: -kv[1])[:4]
+        )
         return f"{len(self.details)} candidates rejected ({counted}); the best one, {candidate!r}: {reason}"

@@ -9,7 +9,16 @@ from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
 from armcell.tasks.search import Draft, Planning, Stage, search
-from armcell.tasks.stages import ChooseGrasp, ChoosePlacement, Close, Connect, ExpectSupport, Open, Planned, Straight
+from armcell.tasks.stages import (
+    ChooseGrasp,
+    ChoosePlacement,
+    Close,
+    Connect,
+    ExpectSupport,
+    Open,
+    Planned,
+    Straight,
+)
 from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, perform_all
 
 

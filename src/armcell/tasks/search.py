@@ -22,9 +22,7 @@ class Draft:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def then(self, *steps: Step, scene: PlanningScene | None = None, **data: Any) -> Draft:
-        return replace(
-            self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data}
-        )
+        return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
 
 @dataclass

@@ -184,12 +184,12 @@ Step = Motion | Grip | Hold | Release | Expect | Watch | CheckGrasp | Dwell
 def _staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
     """Run a step that shows in the stage table."""
     report.started_s = ctx.driver.now
-    ctx.emit("stage", report.name, state="begin")
+    ctx.emit("stage", report.name, phase="begin")
     outcome = act()
     report.motion_time_s = ctx.driver.now - report.started_s
     report.ok, report.error = outcome.ok, "" if outcome.ok else outcome.message
     ctx.reports.append(report)
-    ctx.emit("stage", report.name, state="end", ok=report.ok, error=report.error)
+    ctx.emit("stage", report.name, phase="end", ok=report.ok, error=report.error)
     return outcome
 
 

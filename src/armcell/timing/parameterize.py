@@ -97,7 +97,9 @@ def _grid(path: BlendedPath, settings: TimingSettings):
     return s, tangent, right, left, stop
 
 
-def _sampled(path: BlendedPath, names: tuple[str, ...], s: Array, x: Array, settings: TimingSettings) -> JointTrajectory:
+def _sampled(
+    path: BlendedPath, names: tuple[str, ...], s: Array, x: Array, settings: TimingSettings
+) -> JointTrajectory:
     """The motion averaged over a short window and sampled.
 
     The fastest motion switches its acceleration at once. A moving average over `smoothing` seconds keeps
@@ -117,7 +119,9 @@ def _sampled(path: BlendedPath, names: tuple[str, ...], s: Array, x: Array, sett
     inside = np.clip(fine, 0.0, t[-1])
     interval = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(dt) - 1)
     tau = inside - t[interval]
-    P, D, _ = path.at(np.minimum(s[interval] + v[interval] * tau + 0.5 * u[interval] * tau**2, s[interval + 1]))
+    P, D, _ = path.at(
+        np.minimum(s[interval] + v[interval] * tau + 0.5 * u[interval] * tau**2, s[interval + 1])
+    )
     V = D * (v[interval] + u[interval] * tau)[:, None]
     V[(fine <= 0.0) | (fine >= t[-1])] = 0.0
     window = 2 * half * FINE_TIME

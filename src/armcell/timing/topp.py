@@ -87,7 +87,17 @@ def speeds(s, tangent, curvature_right, curvature_left, stop, velocity, accelera
     reach[g - 1] = 0.0
     for i in range(g - 2, -1, -1):
         ds = s[i + 1] - s[i]
-        m = _rows(tangent[i], curvature_right[i], tangent[i + 1], curvature_left[i + 1], ds, acceleration, alpha, beta, gamma)
+        m = _rows(
+            tangent[i],
+            curvature_right[i],
+            tangent[i + 1],
+            curvature_left[i + 1],
+            ds,
+            acceleration,
+            alpha,
+            beta,
+            gamma,
+        )
         alpha[m], beta[m], gamma[m] = 2.0 * ds, 1.0, reach[i + 1]  # x + 2 ds u <= reach
         m += 1
         alpha[m], beta[m], gamma[m] = -2.0 * ds, -1.0, 0.0  # x + 2 ds u >= 0
@@ -97,7 +107,17 @@ def speeds(s, tangent, curvature_right, curvature_left, stop, velocity, accelera
     x[0] = 0.0
     for i in range(g - 1):
         ds = s[i + 1] - s[i]
-        m = _rows(tangent[i], curvature_right[i], tangent[i + 1], curvature_left[i + 1], ds, acceleration, alpha, beta, gamma)
+        m = _rows(
+            tangent[i],
+            curvature_right[i],
+            tangent[i + 1],
+            curvature_left[i + 1],
+            ds,
+            acceleration,
+            alpha,
+            beta,
+            gamma,
+        )
         low, high = _u_range(alpha, beta, gamma, m, x[i])
         u = max(low, min(high, (reach[i + 1] - x[i]) / (2.0 * ds)))
         x[i + 1] = min(max(x[i] + 2.0 * ds * u, 0.0), reach[i + 1])

@@ -27,6 +27,7 @@ Color = tuple[float, float, float, float]
 
 DEFAULT_COLOR: Color = (0.78, 0.80, 0.82, 1.0)
 COLLISION_COLOR: Color = (0.90, 0.45, 0.0, 0.45)
+COLLISION_SWELL_M = 0.0015
 MAX_FACES = 10_000
 """Per coloured part of a mesh file: beyond this it is decimated, or a software-rendered browser crawls."""
 SMOOTH_ANGLE = np.deg2rad(35.0)
@@ -75,6 +76,13 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 def shape_part(shape: Shape, color: Color) -> Part:
     """A shape as triangles in its own frame; a plane becomes a thin slab below z = 0."""
     return _shaded(_TESSELLATE[type(shape)](shape), color)
+
+
+def collision_part(shape: Shape) -> Part:
+    """A collision shape to lay over a visual: see-through, and swollen a little or the two would flicker."""
+    part = shape_part(shape, COLLISION_COLOR)
+    normals = trimesh.Trimesh(part.vertices, part.faces, process=False).vertex_normals
+    return Part(part.vertices + COLLISION_SWELL_M * normals, part.faces, part.color)
 
 
 # --- mesh files ---
@@ -182,9 +190,7 @@ def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]
         drawn = [(shape_part(c.shape, DEFAULT_COLOR), c.T_link_shape) for c in link.collisions]
     visuals = [add_part(api, f"{name}/visual/{i}", part, T) for i, (part, T) in enumerate(drawn)]
     collisions = [
-        add_part(
-            api, f"{name}/collision/{i}", shape_part(c.shape, COLLISION_COLOR), c.T_link_shape, visible=False
-        )
+        add_part(api, f"{name}/collision/{i}", collision_part(c.shape), c.T_link_shape, visible=False)
         for i, c in enumerate(link.collisions)
     ]
     return visuals, collisions

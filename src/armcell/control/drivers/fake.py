@@ -48,7 +48,9 @@ class FakeDriver:
     def joint_state(self) -> JointState:
         return JointState(self._model.joint_names, self._q, self._v, time=self._now)
 
-    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> JointState:
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
         columns = self._model.columns(joint_names)
         self._q[columns] = np.asarray(positions, dtype=float)
         self._v[columns] = np.asarray(velocities, dtype=float)

@@ -41,7 +41,9 @@ class SimDriver:
     def joint_state(self) -> JointState:
         return self.world.joint_state()
 
-    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> JointState:
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
         self.world.set_arm_target(joint_names, positions, velocities)
         return JointState(joint_names, positions, velocities, time=self.now)  # type: ignore[arg-type]
 
@@ -75,7 +77,9 @@ class SimDriver:
         self.world.monitor.unwatch(name)
 
     def unwanted_contacts(self) -> list[ContactRecord]:
-        return [ContactRecord(c.body_a, c.body_b, c.time, c.depth, c.count) for c in self.world.monitor.unwanted]
+        return [
+            ContactRecord(c.body_a, c.body_b, c.time, c.depth, c.count) for c in self.world.monitor.unwanted
+        ]
 
     def welds(self) -> list[WeldRecord]:
         return [WeldRecord(w.object, w.gripper, w.time, w.reason, w.released_at) for w in self.world.welds]

@@ -103,12 +103,16 @@ def descend(parent, T_parent_joint, kind, axis, column, multiplier, offset, join
 class NumericIK:
     """Solver for one group and tip link of a model."""
 
-    def __init__(self, model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()):
+    def __init__(
+        self, model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
+    ):
         self.model, self.settings = model, settings
         self.group = model.group(group)
         tip = tip_link or self.group.tip_link
         if tip is None:
-            raise InputError(f"group {group!r} is not a chain, so it has no tip", cure="name the link to place")
+            raise InputError(
+                f"group {group!r} is not a chain, so it has no tip", cure="name the link to place"
+            )
         model.link(tip)
         self.tip_link = tip
         self.tree: KinematicTree = kinematic_tree(model)

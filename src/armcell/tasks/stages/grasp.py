@@ -64,7 +64,9 @@ class ChooseGrasp:
                 grasp=grasp,
                 candidate=grasp.name,
                 pre_grasp=approach.positions[0],
-                approach=Motion("approach", approach, "cartesian", result.planning_time, result.min_clearance),
+                approach=Motion(
+                    "approach", approach, "cartesian", result.planning_time, result.min_clearance
+                ),
                 after_approach=at_grasp,
             )
         if found:

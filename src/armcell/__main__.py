@@ -1,0 +1,5 @@
+"""`python -m armcell`."""
+
+from armcell.cli.main import main
+
+main()

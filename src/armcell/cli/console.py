@@ -1,0 +1,75 @@
+"""What the commands print with."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from armcell.core import InputError
+
+console = Console(highlight=False)
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def err(text: str) -> None:
+    """One line on standard error."""
+    errors.print(f"armcell: {text}", markup=False)
+
+
+def check_writable(path: Path) -> None:
+    """Say now, not after a long run, that a file cannot be written.
+
+    Raises:
+        InputError: the folder is missing or not writable, or the path is a folder.
+    """
+    folder = path.resolve().parent
+    if path.is_dir():
+        raise InputError("is a folder, a file name is needed", file=path)
+    if not folder.is_dir():
+        raise InputError("folder does not exist", file=folder, cure=f"mkdir -p {folder}")
+    if not os.access(folder, os.W_OK):
+        raise InputError("folder is not writable", file=folder)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON whole or not at all (a temporary file, then a rename)."""
+    text = json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n"
+    handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def millimetres(value: float | None, digits: int = 1) -> str:
+    return "" if value is None else f"{value * 1000:.{digits}f} mm"
+
+
+def stage_table(result: dict[str, Any]) -> Table:
+    """The stages of a run."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title, justify in (("stage", "left"), ("planned by", "left"), ("planning", "right"), ("motion", "right"),
+                           ("clearance", "right"), ("slip", "right"), ("error", "left")):  # fmt: skip
+        table.add_column(title, justify=justify, overflow="fold")
+    for stage in result["stages"]:
+        table.add_row(
+            stage["name"],
+            stage["planner"],
+            f"{stage['planning_time_s'] * 1000:.0f} ms" if stage["planner"] else "",
+            f"{stage['motion_time_s']:.2f} s",
+            millimetres(stage["clearance_m"]),
+            millimetres(stage["slip_m"], 2),
+            stage["error"],
+            style=None if stage["ok"] else "red",
+        )
+    return table

@@ -1,0 +1,84 @@
+"""`armcell`: the command line's entry. Every error is one line; a traceback only with ARMCELL_DEBUG=1."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+import typer
+
+from armcell import __version__
+from armcell.cli import check, explain, run
+from armcell.cli.console import err
+from armcell.core import ArmcellError
+
+EXAMPLES = """
+Examples:
+
+  armcell run panda_pick                      run a built-in cell and write a report
+
+  armcell run panda_pick --view               watch it in the browser
+
+  armcell run my_cell/ --seed 7 --json out.json
+
+  armcell check my_cell/                      what is wrong with a cell, and the cure
+
+  armcell explain panda_pick --pose 0.5 0 0.3 can the arm get there, and if not, why
+"""
+
+app = typer.Typer(
+    name="armcell",
+    help="A robot work cell: plans that are proven not to touch, grasps that hold by physics.",
+    epilog=EXAMPLES,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.command("run")(run.run)
+app.command("check")(check.check)
+app.command("explain")(explain.explain)
+app.command("cells")(check.cells)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
+    if version:
+        typer.echo(f"armcell {__version__}")
+        raise typer.Exit()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns (and exits with) 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C."""
+    code = _run(arguments)
+    if arguments is None:
+        sys.stdout.flush()
+        sys.exit(code)
+    return code
+
+
+def _run(arguments: list[str] | None) -> int:
+    try:
+        result = app(args=arguments, standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.exceptions.Exit as exit_:
+        return exit_.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return 2
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        err("interrupted")
+        return 130
+    except ArmcellError as error:
+        err(str(error))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        if os.environ.get("ARMCELL_DEBUG"):
+            raise
+        err(f"internal error: {type(error).__name__}: {error} (set ARMCELL_DEBUG=1 for the traceback)")
+    return 1

@@ -1,0 +1,175 @@
+"""`armcell run`: perform a cell's task."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
+from armcell.core import Event, JointTrajectory, Observer, StateSample
+
+
+def run(
+    cell: str = typer.Argument(
+        ..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file."
+    ),
+    seed: int = typer.Option(0, min=0, help="Draw of the randomised values, and seed of the planners."),
+    mode: str = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics."),
+    view: bool = typer.Option(False, "--view", help="Show the cell live in the browser, in real time."),
+    json_file: Path | None = typer.Option(
+        None, "--json", metavar="FILE", help="Write the run's numbers as JSON."
+    ),
+    headless: bool = typer.Option(
+        False,
+        "--headless",
+        help="For scripts: no run folder, no pictures, no progress bar; as fast as it can.",
+    ),
+    runs: Path = typer.Option(
+        Path("runs"), metavar="FOLDER", help="Where run folders with report and record go."
+    ),
+    time_scale: float | None = typer.Option(
+        None,
+        min=0.001,
+        help="1: real time, 0.2: slow motion. Default: 1 with --view, else as fast as it can.",
+    ),
+    port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
+) -> int:
+    """Run a cell's task: plan, move, grasp and place, in physics.
+
+    Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
+    a record that Foxglove opens (run.mcap). Exit status 0 if the task succeeded, 1 if not.
+    """
+    if json_file is not None:
+        check_writable(json_file)
+    if headless and view:
+        raise typer.BadParameter("--headless and --view exclude each other")
+    progress = None
+    if not headless:
+        progress = Progress(
+            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(),
+            console=errors, transient=True,
+        )  # fmt: skip
+    with ExitStack() as stack:
+        if progress is not None:
+            stack.enter_context(progress)
+            loading = progress.add_task(
+                "loading (the first run on a machine compiles for some seconds)", total=None
+            )
+        from armcell.cell import load, run_task  # here: physics and planners load slowly
+
+        loaded = load(cell)
+        scene = loaded.scene(seed)
+        observers: list[Observer] = []
+        viewer = recorder = None
+        if view:
+            from armcell.viewer import CellViewer
+
+            viewer = stack.enter_context(CellViewer(scene, port=port, title=loaded.name))
+            observers.append(viewer)
+            console.print(f"view: {viewer.url}")
+            time_scale = time_scale or 1.0
+        if not headless:
+            from armcell.records import RunRecorder, new_run_folder
+
+            recorder = stack.enter_context(RunRecorder(new_run_folder(runs, loaded.name), scene))
+            observers.append(recorder)
+        if progress is not None:
+            progress.remove_task(loading)
+            observers.append(_Bar(progress))
+        live = loaded.connect(mode, seed, observers, time_scale)
+        if recorder is not None and mode == "sim" and loaded.cameras:
+            observers.append(_Pictures(live.driver, recorder))
+            live.ctx.observers.append(observers[-1])
+        with live:
+            result = run_task(loaded, live, seed, mode)
+        result["command"] = shlex.join(["armcell", *sys.argv[1:]]) if sys.argv[1:] else f"armcell run {cell}"
+        if progress is not None:
+            progress.stop()
+        report = _written(recorder, result, json_file)
+        _print(result, report)
+        if viewer is not None and sys.stdin.isatty():
+            console.print(f"the view stays at {viewer.url}; press Enter to end")
+            sys.stdin.readline()
+    return 0 if result["success"] else 1
+
+
+def _written(recorder: Any, result: dict[str, Any], json_file: Path | None) -> Path | None:
+    if json_file is not None:
+        write_json(json_file, result)
+    if recorder is None:
+        return None
+    from armcell.records import write_report
+
+    recorder.close()
+    write_json(recorder.folder / "result.json", result)
+    return write_report(recorder.folder, result, recorder)
+
+
+def _print(result: dict[str, Any], report: Path | None) -> None:
+    console.print(stage_table(result))
+    numbers = [
+        f"slip in hold {millimetres(result['slip_m'], 3)}" if result["slip_m"] is not None else "",
+        f"placed {millimetres(result['placement_error_m'], 2)} off"
+        if result["placement_error_m"] is not None
+        else "",
+        f"clearance {millimetres(result['min_clearance_m'])}"
+        if result["min_clearance_m"] is not None
+        else "",
+        f"unwanted contacts {len(result['unwanted_contacts'])}",
+        f"welds {len(result['welds'])}",
+        f"task {result['task_time_s']:.1f} s",
+        f"planning {result['total_planning_time_s']:.2f} s",
+    ]
+    console.print(", ".join(n for n in numbers if n))
+    if result["success"]:
+        console.print(f"[green]success[/green] (seed {result['seed']})")
+    else:
+        console.print(f"[red]failed[/red]: {result['error_name']}: ", end="")
+        console.print(result["message"], markup=False)
+    if report is not None:
+        console.print(f"report: {report}", soft_wrap=True)
+
+
+class _Bar:
+    """Shows the running stage; how many there will be is not known, so the bar pulses."""
+
+    def __init__(self, progress: Progress):
+        self._progress = progress
+        self._task = progress.add_task("planning", total=None)
+        self._stage = "planning"
+
+    def on_state(self, sample: StateSample) -> None:
+        self._progress.update(self._task, description=f"{self._stage}  (t = {sample.time:.1f} s)")
+
+    def on_event(self, event: Event) -> None:
+        if event.kind == "stage":
+            self._stage = event.text if event.data.get("phase") == "begin" else "planning"
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass
+
+
+class _Pictures:
+    """Takes a picture with the cell's first camera at the end of each stage."""
+
+    def __init__(self, driver: Any, recorder: Any):
+        self._driver, self._recorder = driver, recorder
+
+    def on_state(self, sample: StateSample) -> None:
+        pass
+
+    def on_event(self, event: Event) -> None:
+        if event.kind == "stage" and event.data.get("phase") == "end":
+            from armcell.sim.camera import render_rgb
+
+            camera = next(iter(self._driver.world.cameras.values()))
+            self._recorder.add_picture(event.time, event.text, render_rgb(self._driver.world, camera))
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass

@@ -1,0 +1,131 @@
+"""The viewer in a real browser: a screenshot shows the arm at its pose, and follows when it moves.
+
+The floor is green and the Panda is not: a pixel without colour is the arm's, a green one is not.
+"""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armcell.core import SE3, Box, StateSample
+from armcell.kinematics import kinematic_tree
+from armcell.model import load_robot
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.viewer import CellViewer
+from tests.viewer.chromium import Chromium, find_chromium
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        find_chromium() is None,
+        reason="no chromium or chrome in PATH to show the viewer in (Debian: apt install chromium)",
+    ),
+]
+
+SIZE = (900, 640)  # [px] kept small: without a GPU a frame takes seconds
+FIRST_FRAME_S, NEXT_FRAME_S = 240.0, 120.0
+HOME = [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.785, 0.0]  # fingers closed: the tcp is inside them
+TURNED = [1.2, -0.1, 0.0, -2.4, 0.0, 2.3, 0.785, 0.0]
+EYE, TARGET = (1.5, -0.6, 2.0), (0.25, 0.5, 0.2)
+POINTS = {"panda_hand_tcp": (0, 0, 0), "panda_hand": (0, 0, 0.03), "panda_link4": (0, 0, 0)}  # [m] in links
+
+
+def places(scene, camera, q):
+    """Where each of `POINTS` is in the picture (column, row) [px] with the arm at q (dof,)."""
+    tree = kinematic_tree(scene.model)
+    T_world_camera = SE3.from_quat_wxyz(camera.position, camera.wxyz)  # x right, y down, z forward
+    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
+    found = {}
+    for link, point in POINTS.items():
+        x, y, z = T_world_camera.inv().apply(tree.link_pose(q, link).apply(point))
+        found[link] = (
+            round(camera.image_width / 2 + focal * x / z),
+            round(camera.image_height / 2 + focal * y / z),
+        )
+    return found
+
+
+def around(picture, place, reach=2):
+    """The median colour of the pixels around a place, (3,)."""
+    u, v = place
+    assert 10 < u < SIZE[0] - 340 and 10 < v < SIZE[1] - 10, f"{place} is outside or under the panel"
+    return np.median(picture[v - reach : v + reach + 1, u - reach : u + reach + 1].reshape(-1, 3), axis=0)
+
+
+def is_floor(color):
+    red, green, blue = color
+    return green > red + 30 and green > blue + 30
+
+
+def is_robot(color):
+    return np.ptp(color) < 30
+
+
+def picture_when(browser, condition, timeout):
+    """Screenshots until one meets the condition; the last one if none does."""
+    end = time.monotonic() + timeout
+    while True:
+        picture = browser.screenshot()
+        if condition(picture) or time.monotonic() > end:
+            return picture
+        time.sleep(0.5)
+
+
+def keep(picture, name):
+    """For a look with one's own eyes: ARMCELL_TEST_PICTURES=folder."""
+    if "ARMCELL_TEST_PICTURES" in os.environ:
+        from PIL import Image
+
+        folder = Path(os.environ["ARMCELL_TEST_PICTURES"])
+        folder.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(picture).save(folder / f"{name}.png")
+
+
+def test_the_picture_shows_the_arm_at_its_pose_and_follows_it(tmp_path):
+    floor = CollisionObject.single(
+        "floor", Box(6, 6, 0.02), SE3.from_xyz(0, 0, -0.02), color=(0.05, 0.55, 0.2, 1.0)
+    )
+    scene = PlanningScene.of(load_robot("panda"), HOME, [floor])
+    with CellViewer(scene, port=0) as viewer:
+        viewer.server.scene.configure_default_lights(cast_shadow=False)  # the dearest part of a frame
+        with Chromium(find_chromium(), tmp_path / "profile", SIZE) as browser:
+            browser.open(viewer.url)
+            end = time.monotonic() + 60
+            while not viewer.server.get_clients():
+                assert time.monotonic() < end, "the browser did not connect to the viewer"
+                time.sleep(0.1)
+            (client,) = viewer.server.get_clients().values()
+            with client.atomic():
+                client.camera.position, client.camera.look_at = EYE, TARGET
+                client.camera.up_direction = (0.0, 0.0, 1.0)
+            assert (client.camera.image_width, client.camera.image_height) == SIZE
+
+            home, turned = (places(scene, client.camera, np.array(q)) for q in (HOME, TURNED))
+
+            def arm_at(where):
+                return lambda picture: all(is_robot(around(picture, place)) for place in where.values())
+
+            def arm_only_at(where, elsewhere):
+                def check(picture):
+                    left = all(is_floor(around(picture, place)) for place in elsewhere.values())
+                    return left and arm_at(where)(picture)
+
+                return check
+
+            first = picture_when(browser, arm_only_at(home, turned), FIRST_FRAME_S)
+            keep(first, "home")
+            assert len(np.unique(first.reshape(-1, 3), axis=0)) > 500, "the page is blank"
+            colors = {link: around(first, place).tolist() for link, place in home.items()}
+            assert arm_at(home)(first), f"the arm is not where it should be: {home} {colors}"
+            assert arm_only_at(home, turned)(first), "something else than the floor is where the arm will go"
+
+            joints = scene.with_positions(TURNED).state
+            viewer.on_state(StateSample(1.0, joints))
+            second = picture_when(browser, arm_only_at(turned, home), NEXT_FRAME_S)
+            keep(second, "turned")
+            colors = {link: around(second, place).tolist() for link, place in turned.items()}
+            assert arm_at(turned)(second), f"the arm is not where it was moved to: {turned} {colors}"
+            assert arm_only_at(turned, home)(second), "the arm is still where it was"
