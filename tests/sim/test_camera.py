@@ -44,7 +44,7 @@ def test_depth_of_a_slanted_plane_and_of_nothing():
 
 
 def test_left_is_left_and_up_is_up():
-    """The red box is right of and below the camera's axis, and so in the picture, whichever way it is drawn."""
+    """The red box is right of and below the camera's axis, and so it is in either kind of picture."""
     camera = Camera.looking_at(
         "front", [-0.8, 1.0, 0.3], [-0.8, 3.0, 0.3], width=160, height=120, fovy_deg=60
     )
@@ -78,7 +78,8 @@ def test_without_gl_nothing_is_printed():
         "from armcell.model import load_robot\nfrom armcell.scene import PlanningScene\n"
         "assert not has_gl()\n"
         "w = SimWorld(PlanningScene.of(load_robot('parallel_gripper')))\n"
-        "assert render_rgb(w, Camera.looking_at('c', [0.3, 0.3, 0.2], [0, 0, 0], width=32, height=24)).std() > 1\n"
+        "c = Camera.looking_at('c', [0.3, 0.3, 0.2], [0, 0, 0], width=32, height=24)\n"
+        "assert render_rgb(w, c).std() > 1\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, "MUJOCO_GL": "off"}, capture_output=True, text=True

@@ -179,8 +179,12 @@ def validated(data: dict[str, Any], file: Path) -> CellSpec:
 def _known_keys(location: tuple) -> list[str]:
     """Keys that may stand where an unknown one does."""
     tables = {
-        "objects": ObjectSpec, "randomize": RandomSpec, "cameras": CameraSpec, "robot": RobotSpec, "task": StepSpec,
-    }  # fmt: skip
+        "objects": ObjectSpec,
+        "randomize": RandomSpec,
+        "cameras": CameraSpec,
+        "robot": RobotSpec,
+        "task": StepSpec,
+    }
     if len(location) == 1:
         return list(CellSpec.model_fields)
     if "shapes" in location:

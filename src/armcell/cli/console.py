@@ -58,9 +58,9 @@ def millimetres(value: float | None, digits: int = 1) -> str:
 def stage_table(result: dict[str, Any]) -> Table:
     """The stages of a run."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for title, justify in (("stage", "left"), ("planned by", "left"), ("planning", "right"), ("motion", "right"),
-                           ("clearance", "right"), ("slip", "right"), ("error", "left")):  # fmt: skip
-        table.add_column(title, justify=justify, overflow="fold")
+    for title in ("stage", "planned by", "planning", "motion", "clearance", "slip", "error"):
+        number = title in ("planning", "motion", "clearance", "slip")
+        table.add_column(title, justify="right" if number else "left", overflow="fold")
     for stage in result["stages"]:
         table.add_row(
             stage["name"],

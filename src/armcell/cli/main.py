@@ -50,7 +50,7 @@ def _root(version: bool = typer.Option(False, "--version", help="Print the versi
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns (and exits with) 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C."""
+    """Run the command line: status 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C."""
     code = _run(arguments)
     if arguments is None:
         sys.stdout.flush()

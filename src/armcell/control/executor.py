@@ -50,7 +50,7 @@ def execute(
     worst, joint = _largest(np.abs(measured.positions - trajectory.positions[0]), names)
     if worst > settings.start_tolerance:
         text = (
-            f"{joint} is {worst:.3f} from where the trajectory starts (tolerance {settings.start_tolerance:g}): "
+            f"{joint} is {worst:.3f} from the trajectory's start (tolerance {settings.start_tolerance:g}): "
             "the robot moved since it was planned; plan again from the current state"
         )
         return ExecutionResult(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": worst}, began, began)

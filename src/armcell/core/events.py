@@ -24,8 +24,8 @@ class StateSample:
 class Event:
     """Something that happened: a stage began or ended, a weld was made, a contact was unwanted.
 
-    `kind` is one of "stage", "grasp", "weld", "contact", "stop", "error", "note". A stage's event has its name
-    as text and `data["phase"]` "begin" or "end".
+    `kind` is one of "stage", "grasp", "weld", "contact", "stop", "error", "note". A stage's event has its
+    name as text and `data["phase"]` "begin" or "end".
     """
 
     time: float

@@ -116,13 +116,12 @@ class Mesh:
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=float)
         faces = np.ascontiguousarray(self.faces, dtype=np.int32)
-        where = {"file": self.file} if self.file else {}
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise InputError("a mesh needs vertices (v, 3) and faces (f, 3)", **where)
+            raise InputError("a mesh needs vertices (v, 3) and faces (f, 3)", file=self.file)
         if len(faces) == 0 or not np.all(np.isfinite(vertices)):
-            raise InputError("mesh is empty or has a vertex that is not finite", **where)
+            raise InputError("mesh is empty or has a vertex that is not finite", file=self.file)
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise InputError("mesh has a face that points at a vertex it does not have", **where)
+            raise InputError("mesh has a face that points at a vertex it does not have", file=self.file)
         vertices.setflags(write=False)
         faces.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)

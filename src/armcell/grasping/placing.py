@@ -103,7 +103,8 @@ def place_candidates(
                 )
     if not found:
         raise InputError(
-            f"object {item.name!r} does not fit on {support.name!r} ({size_x * 1000:.0f} x {size_y * 1000:.0f} mm)"
+            f"object {item.name!r} does not fit on {support.name!r}: "
+            f"its surface is {size_x * 1000:.0f} x {size_y * 1000:.0f} mm"
         )
     found.sort(key=lambda p: -p.score)
     return found

@@ -150,7 +150,7 @@ class KinematicTree:
             raise UnknownNameError("link", link, self.link_index)
         return SE3.from_matrix(self.link_transforms(q)[self.link_index[link]])
 
-    def path_to(self, link: str) -> Array:
+    def path_to(self, link: str) -> NDArray[np.int64]:
         """Indices of the joints between the root and a link, root first."""
         if link not in self.link_index:
             raise UnknownNameError("link", link, self.link_index)

@@ -104,12 +104,15 @@ def load_visual(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0))
         scene = trimesh.load(_checked(path), process=False)
         parts = scene.dump() if isinstance(scene, trimesh.Scene) else [scene]
         for part in parts:
-            if isinstance(part, trimesh.Trimesh) and hasattr(part.visual, "to_color"):
-                part.visual = part.visual.to_color()
+            visual = getattr(part, "visual", None)
+            if visual is not None and hasattr(visual, "to_color"):
+                part.visual = visual.to_color()
         mesh = trimesh.util.concatenate([part for part in parts if isinstance(part, trimesh.Trimesh)])
     except InputError:
         raise
     except Exception as error:
         raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError("mesh has no triangles", file=path)
     mesh.apply_scale(np.asarray(scale))
     return mesh

@@ -31,13 +31,18 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
         links={prefix + n: replace(link, name=prefix + n) for n, link in model.links.items()},
         joints={
             prefix + n: replace(
-                j, name=prefix + n, parent=prefix + j.parent, child=prefix + j.child,
+                j,
+                name=prefix + n,
+                parent=prefix + j.parent,
+                child=prefix + j.child,
                 mimic=j.mimic and Mimic(prefix + j.mimic.joint, j.mimic.multiplier, j.mimic.offset),
             )
             for n, j in model.joints.items()
         },
         groups={
-            prefix + n: Group(prefix + n, tuple_p(g.joint_names), tuple_p(g.link_names), p(g.base_link), p(g.tip_link))
+            prefix + n: Group(
+                prefix + n, tuple_p(g.joint_names), tuple_p(g.link_names), p(g.base_link), p(g.tip_link)
+            )
             for n, g in model.groups.items()
         },
         end_effectors={
@@ -46,9 +51,14 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
         },
         grippers={
             prefix + n: replace(
-                g, name=prefix + n, arm_group=prefix + g.arm_group, group=prefix + g.group,
-                joint_name=prefix + g.joint_name, tcp_link=prefix + g.tcp_link,
-                finger_links=tuple_p(g.finger_links), hand_links=tuple_p(g.hand_links),
+                g,
+                name=prefix + n,
+                arm_group=prefix + g.arm_group,
+                group=prefix + g.group,
+                joint_name=prefix + g.joint_name,
+                tcp_link=prefix + g.tcp_link,
+                finger_links=tuple_p(g.finger_links),
+                hand_links=tuple_p(g.hand_links),
             )
             for n, g in model.grippers.items()
         },
@@ -59,7 +69,7 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
         disabled_collisions={
             frozenset(prefix + n for n in pair): reason for pair, reason in model.disabled_collisions.items()
         },
-    )  # fmt: skip
+    )
 
 
 def compose(name: str, parts: Sequence[Part]) -> RobotModel:
@@ -108,6 +118,11 @@ def compose(name: str, parts: Sequence[Part]) -> RobotModel:
                 into[item] = value
         disabled.update(model.disabled_collisions)
     return RobotModel(
-        name=name, root_link=root, links=links, joints=joints, disabled_collisions=disabled,
-        source=", ".join(p.model.source for p in parts), **merged,
-    )  # fmt: skip
+        name=name,
+        root_link=root,
+        links=links,
+        joints=joints,
+        disabled_collisions=disabled,
+        source=", ".join(p.model.source for p in parts),
+        **merged,
+    )

@@ -131,7 +131,7 @@ def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
     for key in entry:
         if key not in known:
             raise UnknownNameError("key", key, known, **where)
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
     try:
         gripper = Gripper(name=name, **values)
     except TypeError as error:

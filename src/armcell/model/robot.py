@@ -280,7 +280,8 @@ class RobotModel:
                 raise InputError(f"position of joint {name!r} is not finite")
             if not limits.lower - margin <= value <= limits.upper + margin:
                 raise InputError(
-                    f"joint {name!r} at {value:.4g} is outside its limits [{limits.lower:.4g}, {limits.upper:.4g}]"
+                    f"joint {name!r} at {value:.4g} is outside its limits "
+                    f"[{limits.lower:.4g}, {limits.upper:.4g}]"
                 )
         return values
 

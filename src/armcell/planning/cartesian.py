@@ -120,7 +120,9 @@ def _follow(scene: PlanningScene, request: CartesianRequest, ik: NumericIK, chec
         step = np.abs(q[ik.columns] - path[-1])
         if step.max() > request.jump_threshold:
             joint = ik.joint_names[int(np.argmax(step))]
-            text = f"stops {at}: {joint} would jump by {step.max():.2f} rad (threshold {request.jump_threshold:g})"
+            text = (
+                f"stops {at}: {joint} would jump {step.max():.2f} rad (threshold {request.jump_threshold:g})"
+            )
             return np.array(path), total, (ErrorCode.PLANNING_FAILED, text, {"joint": joint})
         if request.avoid_collisions and not checker.is_free(q[ik.columns]):
             contacts = checker.contacts(q[ik.columns])

@@ -83,7 +83,7 @@ def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, lis
     if contacts:
         shallowest = min(contacts, key=lambda c: -min(x.distance for x in c))
         outcome = _in_collision(shallowest)
-        text = f"each of {len(contacts)} joint solutions of the goal pose is in collision; the best: {outcome.message}"
+        text = f"each of {len(contacts)} joint solutions is in collision; the best: {outcome.message}"
         return Outcome(ErrorCode.GOAL_IN_COLLISION, text, outcome.evidence), []
     result = ik.solve(goal.T_world_link, scene.positions, rng=rng)
     evidence = {**result.evidence, "target": goal.T_world_link, **_reach(scene, ik, goal.T_world_link)}

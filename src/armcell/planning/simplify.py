@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +42,7 @@ def _drop_vertices(problem: Problem, path: list[Array]) -> list[Array]:
 
 
 def _random_shortcut(problem: Problem, path: list[Array], rng: np.random.Generator) -> bool:
-    lengths = np.array([np.linalg.norm(b - a) for a, b in zip(path, path[1:], strict=False)])
+    lengths = np.array([np.linalg.norm(b - a) for a, b in itertools.pairwise(path)])
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     s, t = np.sort(rng.uniform(0.0, ends[-1], 2))
     i, j = (int(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(lengths) - 1)) for x in (s, t))

@@ -143,7 +143,7 @@ class _DrawnScene:
         light = _AMBIENT + _HEAD * np.abs(facing) + _SUNLIGHT * np.maximum(sun, 0.0)
         for plane in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
             rows = np.flatnonzero(geom == plane)
-            light[rows] *= self._checker(camera, distance[rows], seen[rows], plane)
+            light[rows] *= self._checker(camera, distance[rows], seen[rows], int(plane))
         palette = np.vstack([model.geom_rgba[:, :3], [0.0, 0.0, 0.0]]).astype(np.float32)
         color = palette[geom] * light[:, None]  # geom -1, nothing hit, takes the last row
         sky = np.flatnonzero(geom < 0)

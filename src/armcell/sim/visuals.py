@@ -11,6 +11,7 @@ import trimesh
 
 from armcell.core import Mesh
 from armcell.model import Visual
+from armcell.model.assets import MAX_MESH_BYTES, MESH_SUFFIXES
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +32,9 @@ def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
 
 @lru_cache(maxsize=256)
 def _file_parts(file: Path, scale: tuple[float, float, float]) -> tuple[tuple[Mesh, Color], ...]:
+    if file.suffix.lower() not in MESH_SUFFIXES or file.stat().st_size > MAX_MESH_BYTES:
+        log.warning("visual mesh %s is not drawn: its format is not read, or it is too large", file)
+        return ()
     try:
         loaded = trimesh.load(file, process=False)
         parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
@@ -46,13 +50,8 @@ def _file_parts(file: Path, scale: tuple[float, float, float]) -> tuple[tuple[Me
 
 def _color(part: trimesh.Trimesh) -> Color:
     """Its material's or its mean face colour."""
-    material = getattr(part.visual, "material", None)
-    try:
-        rgba = np.asarray(
-            material.main_color if material is not None else part.visual.main_color, dtype=float
-        )
-    except Exception:  # a visual without any colour
-        return DEFAULT_COLOR
+    source = getattr(part.visual, "material", None) or part.visual
+    rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
     if rgba.shape != (4,):
         return DEFAULT_COLOR
     r, g, b, a = (round(float(v) / 255, 3) for v in rgba)

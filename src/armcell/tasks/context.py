@@ -141,7 +141,7 @@ class Rejections:
     def summary(self) -> str:
         if not self.details:
             return "no candidates"
-        stage, candidate, reason = self.details[0]
+        _, candidate, reason = self.details[0]
         counted = ", ".join(
             f"{n} x {s}: {r}" for (s, r), n in sorted(self.counts.items(), key=lambda kv: -kv[1])[:4]
         )

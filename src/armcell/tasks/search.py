@@ -41,7 +41,8 @@ class Planning:
 class Stage(Protocol):
     """Extends a draft in one or more ways, best first. What it cannot use it rejects with a reason."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]: ...
 

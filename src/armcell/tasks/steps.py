@@ -69,7 +69,7 @@ class Grip:
             if ctx.cancel.is_set():
                 return Outcome(ErrorCode.PREEMPTED, "cancelled")
             if not closing:
-                text = f"gripper stands at {reading.width * 1000:.1f} mm, {self.width * 1000:.1f} mm were asked for"
+                text = f"gripper stands at {reading.width * 1000:.1f} mm, wanted {self.width * 1000:.1f} mm"
                 return Outcome(ErrorCode.CONTROL_FAILED, text)
         ctx.advance(self.settle)
         return DONE
@@ -152,7 +152,8 @@ class CheckGrasp:
         if reading.held == self.object and height - self.height_before >= 0.5 * self.rise:
             return DONE
         ctx.holding.pop(self.object, None)
-        text = f"lost {self.object}: it rose {(height - self.height_before) * 1000:.0f} of {self.rise * 1000:.0f} mm"
+        rose = height - self.height_before
+        text = f"lost {self.object}: it rose {rose * 1000:.0f} of {self.rise * 1000:.0f} mm"
         ctx.emit("grasp", text)
         return Outcome(ErrorCode.CONTROL_FAILED, text)
 

@@ -111,9 +111,9 @@ def _sampled(
     dt = 2 * ds / np.maximum(v[:-1] + v[1:], 1e-9)
     u = (x[1:] - x[:-1]) / (2 * ds)
     t = np.concatenate([[0.0], np.cumsum(dt)])
-    half = max(int(round(settings.smoothing / FINE_TIME / 2)), 1)
+    half = max(round(settings.smoothing / FINE_TIME / 2), 1)
     steps = int(np.ceil(t[-1] / FINE_TIME)) + 4 * half
-    stride = max(int(round(settings.sample_time / FINE_TIME)), 1)
+    stride = max(round(settings.sample_time / FINE_TIME), 1)
     steps += -steps % stride
     fine = (np.arange(steps + 1) - 2 * half) * FINE_TIME + (t[-1] - (steps - 4 * half) * FINE_TIME) / 2
     inside = np.clip(fine, 0.0, t[-1])

@@ -67,8 +67,26 @@ def pose_error(T, target, out):
 
 
 @njit(cache=True)
-def descend(parent, T_parent_joint, kind, axis, column, multiplier, offset, joints, tip, columns, group_column,
-            lower, upper, target, q, iterations, position_tolerance, rotation_tolerance):  # fmt: skip
+def descend(
+    parent,
+    T_parent_joint,
+    kind,
+    axis,
+    column,
+    multiplier,
+    offset,
+    joints,
+    tip,
+    columns,
+    group_column,
+    lower,
+    upper,
+    target,
+    q,
+    iterations,
+    position_tolerance,
+    rotation_tolerance,
+):
     """Improve q (dof,) in place; returns position error, rotation error and whether it converged."""
     n = len(columns)
     Ts = np.empty((len(parent) + 1, 4, 4))
@@ -130,10 +148,25 @@ class NumericIK:
         """One descent from q (dof,), changed in place: errors [m], [rad], and whether it converged."""
         t, s = self.tree, self.settings
         return descend(
-            t.parent, t.T_parent_joint, t.kind, t.axis, t.column, t.multiplier, t.offset, self.joints, self.tip,
-            self.columns, self.group_column, self.lower, self.upper, T_world_tip.matrix, q,
-            s.max_iterations if iterations is None else iterations, s.position_tolerance, s.rotation_tolerance,
-        )  # fmt: skip
+            t.parent,
+            t.T_parent_joint,
+            t.kind,
+            t.axis,
+            t.column,
+            t.multiplier,
+            t.offset,
+            self.joints,
+            self.tip,
+            self.columns,
+            self.group_column,
+            self.lower,
+            self.upper,
+            T_world_tip.matrix,
+            q,
+            s.max_iterations if iterations is None else iterations,
+            s.position_tolerance,
+            s.rotation_tolerance,
+        )
 
     def solutions(self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator) -> Iterator[Array]:
         """Distinct solutions (n,) within limits, from the reference (dof,) first and then random seeds."""
@@ -150,8 +183,13 @@ class NumericIK:
                 found.append(solution)
                 yield solution
 
-    def solve(self, T_world_tip: SE3, reference: ArrayLike, is_valid: Validity | None = None,
-              rng: np.random.Generator | None = None) -> IKResult:  # fmt: skip
+    def solve(
+        self,
+        T_world_tip: SE3,
+        reference: ArrayLike,
+        is_valid: Validity | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> IKResult:
         """The valid solution nearest to the reference.
 
         Args:
@@ -176,9 +214,13 @@ class NumericIK:
             best = min(rejected, key=lambda q: float(np.linalg.norm(q - reference[self.columns])))
             message = f"{len(rejected)} solution(s) reach the pose, each of them in collision"
             return IKResult(
-                ErrorCode.NO_IK_SOLUTION, message, {"invalid_solutions": len(rejected), "invalid": rejected},
-                positions=best, position_error=0.0, rotation_error=0.0,
-            )  # fmt: skip
+                ErrorCode.NO_IK_SOLUTION,
+                message,
+                {"invalid_solutions": len(rejected), "invalid": rejected},
+                positions=best,
+                position_error=0.0,
+                rotation_error=0.0,
+            )
         return self._closest(T_world_tip, reference, rng)
 
     def _closest(self, T_world_tip: SE3, reference: Array, rng: np.random.Generator) -> IKResult:
@@ -202,9 +244,13 @@ class NumericIK:
         )
         evidence = {"closest_pose": reached, "joints_at_limit": limits}
         return IKResult(
-            ErrorCode.NO_IK_SOLUTION, message, evidence,
-            positions=at, position_error=best[0], rotation_error=best[1],
-        )  # fmt: skip
+            ErrorCode.NO_IK_SOLUTION,
+            message,
+            evidence,
+            positions=at,
+            position_error=best[0],
+            rotation_error=best[1],
+        )
 
 
 def nearest_equivalent(q: Array, reference: Array, ik: NumericIK) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import ompl.base as ob
@@ -35,7 +36,7 @@ def _plan(name: str, problem: Problem) -> Answer:
     setup = og.SimpleSetup(space)
     q = np.empty(n)
 
-    def valid(state: ob.State) -> bool:
+    def valid(state: Any) -> bool:
         for i in range(n):
             q[i] = state[i]
         return problem.checker.is_free(q)
@@ -60,13 +61,13 @@ def _plan(name: str, problem: Problem) -> Answer:
     if not setup.haveExactSolutionPath():
         reason = "cancelled" if problem.cancel.is_set() else f"no path found in {max(left, 0):.1f} s"
         return Answer(None, f"{name}: {reason}", statistics)
-    path = setup.getSolutionPath()
-    waypoints = np.array([[state[i] for i in range(n)] for state in path.getStates()])
+    states: Any = setup.getSolutionPath().getStates()
+    waypoints = np.array([[state[i] for i in range(n)] for state in states])
     return Answer(waypoints, "", statistics)
 
 
-def _state(space: ob.RealVectorStateSpace, q: np.ndarray) -> ob.State:
-    state = space.allocState()
+def _state(space: ob.RealVectorStateSpace, q: np.ndarray) -> Any:
+    state: Any = space.allocState()
     for i, value in enumerate(q):
         state[i] = float(value)
     return state
