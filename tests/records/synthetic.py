@@ -44,9 +44,7 @@ def play(scene: PlanningScene, observer, rate: float = 500.0) -> float:
     T_cube = scene.object("cube").T_world_object
     rng = np.random.default_rng(3)
     for name, planner, seconds, goal, width in STAGES:
-        observer.on_event(
-            Event(time, "stage", f"{name} begins", {"name": name, "phase": "begin", "planner": planner})
-        )
+        observer.on_event(Event(time, "stage", name, {"phase": "begin", "planner": planner}))
         start, end = q.copy(), q.copy()
         end[at], end[finger] = goal, width
         if np.ptp(end[at] - start[at]) > 0:
@@ -77,7 +75,7 @@ def play(scene: PlanningScene, observer, rate: float = 500.0) -> float:
             observer.on_event(
                 Event(time, "grasp", "cube held by friction, 32.0 N per finger", {"object": "cube"})
             )
-        observer.on_event(Event(time, "stage", f"{name} done", {"name": name, "phase": "end"}))
+        observer.on_event(Event(time, "stage", name, {"phase": "end", "ok": True, "error": ""}))
     return time
 
 

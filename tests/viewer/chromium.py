@@ -101,8 +101,16 @@ class Chromium:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 return answer["result"]
 
-    def open(self, url: str) -> None:
+    def open(self, url: str, timeout: float = 60.0) -> None:
+        """Go to a page and wait until it is loaded; a screenshot during the change would be refused."""
         self.call("Page.navigate", url=url)
+        asked = {"expression": "location.href + ' ' + document.readyState", "returnByValue": True}
+        end, state = time.monotonic() + timeout, ""
+        while not (state.startswith(url) and state.endswith(" complete")):
+            if time.monotonic() > end:
+                raise TimeoutError(f"{url} did not load within {timeout:g} s, it is at: {state}")
+            time.sleep(0.1)
+            state = self.call("Runtime.evaluate", **asked)["result"].get("value", "")
 
     def screenshot(self) -> np.ndarray:
         """The page as (h, w, 3) uint8."""

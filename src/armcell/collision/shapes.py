@@ -48,7 +48,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             exact = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         case Mesh():
             outer = _hull(shape.vertices * scale)
-            exact = outer if is_convex(shape) else _triangles(shape.vertices * scale, shape.faces)
+            exact = outer if is_convex(shape) else triangle_model(shape.vertices * scale, shape.faces)
             return Solid(exact, outer, centre * scale, half * scale)
     return Solid(exact, exact, centre * scale, half * scale)
 
@@ -78,7 +78,8 @@ def _hull(vertices: Array) -> coal.CollisionGeometry:
         return coal.ConvexBase.convexHull(_points(low + corners * extents), True, "Qt")
 
 
-def _triangles(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
+def triangle_model(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
+    """A triangle mesh for coal; only its surface counts."""
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(faces), len(vertices))
     triangles = coal.StdVec_Triangle()

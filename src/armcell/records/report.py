@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from armcell.core import ErrorCode
+from armcell.core import ErrorCode, Event
 from armcell.records import html
 from armcell.records.html import millimetres, number, seconds, text
 from armcell.records.recorder import RunRecorder
@@ -203,9 +203,7 @@ def _events(recorder: RunRecorder) -> str:
         [
             number(e.time, "s", digits=3),
             text(e.kind),
-            text(
-                f"{stage_name(e)}: {e.text}" if e.kind == "stage" and stage_name(e) not in e.text else e.text
-            ),
+            text(_event_words(e)),
         ]
         for e in events[:MAX_EVENTS]
     ]
@@ -215,6 +213,17 @@ def _events(recorder: RunRecorder) -> str:
     return (
         f'<div class="log">{html.table(["Time", "Kind", "What"], rows, numeric=(0,), bad=marked)}</div>{note}'
     )
+
+
+def _event_words(event: Event) -> str:
+    """An event's text; a stage's with its name, phase and error, as far as the text does not say them."""
+    if event.kind != "stage":
+        return event.text
+    words = event.text if stage_name(event) in event.text else f"{stage_name(event)}: {event.text}"
+    phase, error = str(event.data.get("phase") or ""), event.data.get("error")
+    if phase and phase not in words:
+        words += f" {phase}s" if phase in ("begin", "end") else f" {phase}"
+    return f"{words}: {error}" if error else words
 
 
 def _command(result: Mapping[str, Any]) -> str:

@@ -119,7 +119,7 @@ def _own_color(mesh: trimesh.Trimesh) -> Color:
     return red, green, blue, alpha if alpha > 0 else 1.0  # some exporters write alpha 0 for opaque
 
 
-def _shaded(mesh: trimesh.Trimesh, color: Color) -> Part:
+def _shaded(mesh: Any, color: Color) -> Part:
     """Merged, decimated, and split at sharp edges: a browser shades smoothly over shared vertices."""
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     vertices, faces = decimated(np.asarray(mesh.vertices), np.asarray(mesh.faces), MAX_FACES)

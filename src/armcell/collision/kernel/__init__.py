@@ -1,0 +1,1 @@
+"""The SIMD kernel: sphere covers, blocks of 16 configurations, certified motions, in Numba."""

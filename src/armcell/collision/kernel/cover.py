@@ -1,0 +1,143 @@
+"""Sphere covers: few spheres that hold every point of a solid and reach little beyond it.
+
+A sphere around a point inside at depth d with radius d + e reaches at most e beyond the solid, because the
+ball of radius d lies within it. Among such spheres a greedy choice covers all surface points; the spacing
+of the points is taken off the radii, so what lies between them is held too. Where the cover is free of
+contact the solid is; where the inner ball (depth d) is hit the solid certainly is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.surface import depths, interior_points, outer_skin, triangulated
+from armcell.core import Shape
+
+Array = NDArray[np.float64]
+
+GROUP = 8  # spheres that share a bounding sphere
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Spheres in the solid's frame: `centres` (k, 3), `outer` radii (k,) and `inner` radii (k,) [m].
+
+    Sorted so that every `GROUP` in a row are neighbours.
+    """
+
+    centres: Array
+    outer: Array
+    inner: Array
+
+
+@njit(cache=True)
+def _holds(e, p, x, y, z, reach2):
+    """Whether a ball holds all three corners of element p; `e` is (9, n): x, y, z of each corner."""
+    for i in range(0, 9, 3):
+        dx, dy, dz = e[i, p] - x, e[i + 1, p] - y, e[i + 2, p] - z
+        if dx * dx + dy * dy + dz * dz > reach2:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _greedy(e, centres, reach2):
+    """Balls (squared radii `reach2`) that together hold all elements (9, n), largest gain first."""
+    n, m = e.shape[1], len(centres)
+    gain = np.zeros(m, dtype=np.int64)
+    for c in range(m):
+        x, y, z, r = centres[c, 0], centres[c, 1], centres[c, 2], reach2[c]
+        for p in range(n):
+            if _holds(e, p, x, y, z, r):
+                gain[c] += 1
+    held = np.zeros(n, dtype=np.bool_)
+    chosen = []
+    while True:
+        best = np.argmax(gain)
+        if gain[best] == 0:
+            break
+        chosen.append(best)
+        for p in range(n):
+            if held[p] or not _holds(e, p, centres[best, 0], centres[best, 1], centres[best, 2], reach2[best]):
+                continue
+            held[p] = True
+            for c in range(m):
+                if _holds(e, p, centres[c, 0], centres[c, 1], centres[c, 2], reach2[c]):
+                    gain[c] -= 1
+    return np.array(chosen, dtype=np.int64), held
+
+
+@lru_cache(maxsize=4096)
+def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
+    """The cover of one shape; `overshoot` [m] is how far it may reach beyond the shape."""
+    vertices, faces, round_gap = triangulated(shape)
+    elements = outer_skin(vertices, faces, 0.7 * overshoot)
+    size = float((vertices.max(0) - vertices.min(0)).max())
+    inside = interior_points(vertices, faces, max(0.8 * overshoot, size / 35))
+    depth = depths(inside, elements) if len(inside) else np.zeros(0)
+    # The solid's middle is to be held as well, not only its skin: each grid point is a small element.
+    elements = np.concatenate([elements, np.repeat(inside[:, None, :], 3, axis=1)])
+    # Surface points as centres (depth 0) reach corners that no interior ball does; a few are enough.
+    skin = elements[: len(elements) - len(inside)].mean(axis=1)
+    _, thin = np.unique(np.round(skin / (2 * overshoot)).astype(np.int64), axis=0, return_index=True)
+    centres = np.vstack([inside, skin[np.sort(thin)]])
+    inner = np.concatenate([depth, np.zeros(len(thin))])
+    outer = inner + overshoot
+    reach2 = (outer - round_gap) ** 2
+    chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centres, reach2)
+    missing = elements[~held]  # the repair pass: what no candidate holds gets a ball of its own
+    while len(missing):
+        centre = missing[0].mean(axis=0)
+        centres, inner, outer = np.vstack([centres, centre]), np.append(inner, 0.0), np.append(outer, overshoot)
+        chosen = np.append(chosen, len(centres) - 1)
+        missing = missing[((missing - centre) ** 2).sum(axis=2).max(axis=1) > (overshoot - round_gap) ** 2]
+    order = _neighbours_together(centres[chosen])
+    chosen = chosen[order]
+    return Cover(centres[chosen], outer[chosen], inner[chosen])
+
+
+def _neighbours_together(centres: Array) -> NDArray[np.int64]:
+    """An order in which runs of `GROUP` are close together: halves along the longest axis."""
+
+    def split(index: NDArray[np.int64]) -> list[int]:
+        if len(index) <= GROUP:
+            return index.tolist()
+        points = centres[index]
+        axis = int(np.argmax(np.ptp(points, axis=0)))
+        index = index[np.argsort(points[:, axis], kind="stable")]
+        half = GROUP * max(round(len(index) / 2 / GROUP), 1)
+        return split(index[:half]) + split(index[half:])
+
+    return np.array(split(np.arange(len(centres))), dtype=np.int64)
+
+
+def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
+    """A small sphere around spheres: Ritter's start, then a few steps towards the farthest one."""
+    centre = (np.min(centres - radii[:, None], axis=0) + np.max(centres + radii[:, None], axis=0)) / 2
+    step = 0.5
+    for _ in range(60):
+        reach = np.linalg.norm(centres - centre, axis=1) + radii
+        far = int(np.argmax(reach))
+        direction = centres[far] - centre
+        centre = centre + step * direction * 0.1
+        step *= 0.93
+    reach = np.linalg.norm(centres - centre, axis=1) + radii
+    return centre, float(reach.max())
+
+
+def shape_key(shape: Shape, overshoot: float) -> str:
+    """A name for the cover of a shape, the same in every process."""
+    digest = hashlib.sha256(f"{overshoot:.6f}".encode())
+    vertices = getattr(shape, "vertices", None)
+    if vertices is not None:
+        digest.update(vertices.tobytes())
+        digest.update(shape.faces.tobytes())  # type: ignore[union-attr]
+    else:
+        digest.update(repr(shape).encode())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,151 @@
+"""Points on and in solids: what a sphere cover has to hold, with a known bound on the gaps."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import trimesh
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from armcell.collision.shapes import triangle_model
+from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+
+Array = NDArray[np.float64]
+
+SECTIONS = 48  # of round shapes
+
+
+def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
+    """Vertices (v, 3), faces (f, 3) and how far the true surface is outside the triangles [m]."""
+    match shape:
+        case Mesh():
+            return np.asarray(shape.vertices, float), shape.faces.astype(np.int64), 0.0
+        case Box():
+            mesh, gap = trimesh.creation.box((shape.x, shape.y, shape.z)), 0.0
+        case Cylinder():
+            mesh = trimesh.creation.cylinder(shape.radius, shape.length, sections=SECTIONS)
+            gap = shape.radius * (1 - np.cos(np.pi / SECTIONS))
+        case Cone():
+            mesh = trimesh.creation.cone(shape.radius, shape.length, sections=SECTIONS)
+            mesh.apply_translation((0, 0, -shape.length / 2))
+            gap = shape.radius * (1 - np.cos(np.pi / SECTIONS))
+        case Capsule():
+            mesh = trimesh.creation.capsule(shape.length, shape.radius, count=(24, 24))
+            mesh.apply_translation(-mesh.bounds.mean(axis=0))
+            gap = shape.radius * (1 - np.cos(np.pi / 24)) * 2
+        case Sphere():
+            mesh = trimesh.creation.icosphere(3, shape.radius)
+            gap = shape.radius * 0.01
+        case Plane():
+            raise ValueError("a plane has no cover: it is not a part of robots or moving objects")
+    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64), float(gap)
+
+
+def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
+    """The surface cut into triangles (m, 3, 3) with no edge longer than `edge` [m], by halving longest edges.
+
+    A ball is convex, so it holds a triangle if it holds its corners: covers need no margin for what lies
+    between sample points.
+    """
+    left, done = vertices[faces], []
+    while len(left):
+        sides = np.stack([left[:, (k + 1) % 3] - left[:, k] for k in range(3)], axis=1)
+        lengths = (sides**2).sum(axis=2)
+        big = lengths.max(axis=1) > edge * edge
+        done.append(left[~big])
+        left, k = left[big], lengths[big].argmax(axis=1)
+        rows = np.arange(len(left))
+        a, b, c = left[rows, k], left[rows, (k + 1) % 3], left[rows, (k + 2) % 3]
+        middle = (a + b) / 2
+        left = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)
+
+
+def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
+    """The surface in small triangles (m, 3, 3), without what lies inside another part of the same mesh.
+
+    Robot meshes are often several closed solids pushed into each other; the skin inside needs no cover.
+    """
+    _, parts = connected_components(
+        coo_matrix((np.ones(3 * len(faces)), (faces.ravel(), np.roll(faces, 1, axis=1).ravel())), (len(vertices),) * 2)
+    )
+    part_of_face = parts[faces[:, 0]]
+    names = np.unique(part_of_face)
+    if len(names) == 1:
+        return small_triangles(vertices, faces, edge)
+    kept = []
+    for part in names:
+        elements = small_triangles(vertices, faces[part_of_face == part], edge)
+        buried = np.zeros(len(elements), dtype=bool)
+        # A little outside the face: where two parts abut, the face between them is inside the other one.
+        normal = np.cross(elements[:, 1] - elements[:, 0], elements[:, 2] - elements[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-18)
+        points = elements.mean(axis=1) + 2e-4 * normal
+        for other in names:
+            if other == part:
+                continue
+            solid = faces[part_of_face == other]
+            low, high = vertices[solid].min(axis=(0, 1)), vertices[solid].max(axis=(0, 1))
+            near = np.flatnonzero(~buried & np.all((points > low) & (points < high), axis=1))
+            buried[near] = winding_numbers(points[near], vertices, solid) > 0.5
+        kept.append(elements[~buried])
+    return np.concatenate(kept)
+
+
+def depths(points: Array, skin: Array) -> Array:
+    """Distance (m,) of points inside to the skin's triangles (k, 3, 3) [m]."""
+    corners, index = np.unique(np.round(skin.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    model = triangle_model(corners, index.reshape(-1, 3).astype(np.int32))
+    point, radius = coal.Sphere(1e-6), 1e-6
+    here, there = coal.Transform3s(), coal.Transform3s()
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    out, R = np.empty(len(points)), np.eye(3)
+    for i, p in enumerate(points):
+        there.setTransform(R, p)
+        result.clear()
+        out[i] = coal.distance(model, here, point, there, request, result) + radius
+    return np.maximum(out, 0.0)
+
+
+@njit(cache=True)
+def winding_numbers(points, vertices, faces):
+    """Generalised winding number of each point (m,): 1 inside a closed mesh, 0 outside; robust to holes.
+
+    Van Oosterom and Strackee's solid angle (1983), summed over the triangles (Jacobson et al. 2013).
+    """
+    out = np.empty(len(points))
+    for p in range(len(points)):
+        total = 0.0
+        for f in range(len(faces)):
+            ax = vertices[faces[f, 0], 0] - points[p, 0]
+            ay = vertices[faces[f, 0], 1] - points[p, 1]
+            az = vertices[faces[f, 0], 2] - points[p, 2]
+            bx = vertices[faces[f, 1], 0] - points[p, 0]
+            by = vertices[faces[f, 1], 1] - points[p, 1]
+            bz = vertices[faces[f, 1], 2] - points[p, 2]
+            cx = vertices[faces[f, 2], 0] - points[p, 0]
+            cy = vertices[faces[f, 2], 1] - points[p, 1]
+            cz = vertices[faces[f, 2], 2] - points[p, 2]
+            la = np.sqrt(ax * ax + ay * ay + az * az)
+            lb = np.sqrt(bx * bx + by * by + bz * bz)
+            lc = np.sqrt(cx * cx + cy * cy + cz * cz)
+            det = ax * (by * cz - bz * cy) - ay * (bx * cz - bz * cx) + az * (bx * cy - by * cx)
+            dot_ab = ax * bx + ay * by + az * bz
+            dot_bc = bx * cx + by * cy + bz * cz
+            dot_ca = cx * ax + cy * ay + cz * az
+            total += np.arctan2(det, la * lb * lc + dot_ab * lc + dot_bc * la + dot_ca * lb)
+        out[p] = total / (2.0 * np.pi)
+    return out
+
+
+def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
+    """Points (m, 3) of a grid that are inside the solid."""
+    low, high = vertices.min(0), vertices.max(0)
+    axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    if len(grid) == 0:
+        return grid
+    return grid[winding_numbers(grid, vertices, faces) > 0.5]

@@ -1,0 +1,33 @@
+"""What every room's tests share: a fixed Hypothesis profile and a guard against hanging."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+import pytest
+from hypothesis import settings
+
+settings.register_profile("armcell", derandomize=True, deadline=None, max_examples=80, database=None)
+settings.load_profile("armcell")
+
+
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    def stop(*_):
+        raise AssertionError(f"took longer than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def within() -> Callable[[float], AbstractContextManager[None]]:
+    """`with within(seconds):` fails a block that takes longer, even one that would never end."""
+    return _within

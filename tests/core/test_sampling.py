@@ -1,0 +1,89 @@
+"""JointTrajectory.sample: continuity, derivatives and ends, against SciPy's piecewise polynomials."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly, CubicHermiteSpline
+
+from armcell.core import InputError, JointTrajectory
+
+NAMES = ("a", "b", "c")
+KINDS = ("linear", "cubic", "quintic")
+
+
+def trajectory(kind: str, points: int = 8, seed: int = 0) -> JointTrajectory:
+    rng = np.random.default_rng(seed)
+    p, v, a = rng.uniform(-2, 2, (3, points, len(NAMES)))
+    times = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 0.9, points - 1))])
+    return JointTrajectory(NAMES, times, p, None if kind == "linear" else v, a if kind == "quintic" else None)
+
+
+def reference(t: JointTrajectory, order: int):
+    """The same curve from SciPy, as a function of time."""
+    if t.velocities is None:
+        rows = t.positions[:, None, :]
+    elif t.accelerations is None:
+        return CubicHermiteSpline(t.times, t.positions, t.velocities).derivative(order)
+    else:
+        rows = np.stack([t.positions, t.velocities, t.accelerations], axis=1)
+    curve = BPoly.from_derivatives(t.times, list(rows))
+    return curve.derivative(order) if order else curve
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_agrees_with_scipy(kind, seed):
+    t = trajectory(kind, seed=seed)
+    at = np.random.default_rng(seed).uniform(0.0, t.duration, 200)
+    samples = [t.sample(s) for s in at]
+    for order in range(2 if kind == "linear" else 3):
+        mine = np.array([s[order] for s in samples])
+        np.testing.assert_allclose(mine, reference(t, order)(at), atol=1e-8)
+    if kind == "linear":
+        assert all(not s[2].any() for s in samples)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_passes_through_its_points_without_steps(kind):
+    t = trajectory(kind)
+    given = [x for x in (t.positions, t.velocities, t.accelerations) if x is not None]
+    for i, time in enumerate(t.times[1:-1], start=1):
+        before, after = t.sample(time - 1e-9), t.sample(time + 1e-9)
+        for order, values in enumerate(given):
+            np.testing.assert_allclose(before[order], values[i], atol=1e-5)
+            np.testing.assert_allclose(after[order], values[i], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_velocity_and_acceleration_are_the_derivatives(kind):
+    t, h = trajectory(kind), 1e-6
+    for time in np.random.default_rng(1).uniform(t.times[0], t.times[-1], 50):
+        if np.min(np.abs(t.times - time)) < 2 * h:
+            continue
+        before, at, after = t.sample(time - h), t.sample(time), t.sample(time + h)
+        np.testing.assert_allclose((after[0] - before[0]) / (2 * h), at[1], atol=1e-5)
+        np.testing.assert_allclose((after[1] - before[1]) / (2 * h), at[2], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_ends_are_held_at_rest(kind):
+    t = trajectory(kind)
+    for time, at in ((-5.0, 0), (0.0, 0), (t.duration, -1), (t.duration + 5.0, -1)):
+        p, v, a = t.sample(time)
+        np.testing.assert_array_equal(p, t.positions[at])
+        assert not v.any() and not a.any()
+        p[:] = 99.0  # the caller owns what it got
+        np.testing.assert_array_equal(t.sample(time)[0], t.positions[at])
+
+
+def test_one_point_is_a_trajectory():
+    t = JointTrajectory(NAMES, [0.0], [[1.0, 2.0, 3.0]])
+    assert t.duration == 0.0
+    np.testing.assert_array_equal(t.sample(0.5)[0], [1.0, 2.0, 3.0])
+
+
+@pytest.mark.xfail(reason="bug: IndexError", raises=IndexError)
+def test_a_trajectory_without_points_is_refused():
+    with pytest.raises(InputError):
+        JointTrajectory(NAMES, [], np.zeros((0, 3))).sample(0.0)

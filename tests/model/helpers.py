@@ -1,0 +1,168 @@
+"""Robots for the tests of the lower rooms: small URDF texts, files on this machine, pinocchio's view of them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from armcell.core import SE3
+from armcell.model import Part, RobotModel, compose, load_robot, load_urdf, parse_urdf, robot_names
+from armcell.model.assets import installed_share, resolve_uri
+from armcell.model.loader import LIBRARY
+
+MBM = Path("/work/shared/data/mbm/robots")
+EXAMPLES = next((s / "example-robot-data" / "robots" for s in installed_share()), Path("/nowhere"))
+LIMIT = '<limit lower="-1" upper="1" velocity="2" effort="3"/>'
+
+
+def link(name: str, inside: str = "") -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def collision(geometry: str) -> str:
+    return f"<collision><geometry>{geometry}</geometry></collision>"
+
+
+def joint(
+    name: str,
+    parent: str,
+    child: str,
+    type: str = "revolute",
+    inside: str = '<axis xyz="0 0 1"/>',
+    limit: str = LIMIT,
+) -> str:
+    return (
+        f'<joint name="{name}" type="{type}"><parent link="{parent}"/><child link="{child}"/>'
+        f"{inside}{limit if type in ('revolute', 'prismatic') else ''}</joint>"
+    )
+
+
+def robot(*elements: str) -> str:
+    """URDF text, one element a line (so that line n+1 is the n-th element's)."""
+    return "\n".join(['<robot name="r">', *elements, "</robot>"])
+
+
+def model_of(*elements: str, file: Path = Path("/tmp/r.urdf")) -> RobotModel:
+    return parse_urdf(robot(*elements), file)
+
+
+def chain_of(*joints: str) -> RobotModel:
+    """A chain of links l0, l1, ... joined by "type axis" joints j1, j2, ... each 0.3 m apart."""
+    parts = [link("l0")]
+    for i, words in enumerate(joints, start=1):
+        type_, axis = words.split(" ", 1)
+        parts.append(link(f"l{i}"))
+        inside = f'<origin xyz="0.3 0 0" rpy="0.1 0.2 0.3"/><axis xyz="{axis}"/>'
+        parts.append(joint(f"j{i}", f"l{i - 1}", f"l{i}", type_, inside))
+    return model_of(*parts)
+
+
+def dual() -> RobotModel:
+    """Two ur10_gripper side by side, 1.5 m apart."""
+    arm = load_robot("ur10_gripper")
+    return compose(
+        "dual", [Part(arm, "left_"), Part(arm, "right_", "world", SE3.from_xyz_rpy((0, -1.5, 0), (0, 0, 0)))]
+    )
+
+
+def random_positions(model: RobotModel, rng: np.random.Generator) -> np.ndarray:
+    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
+    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    return rng.uniform(low, high)
+
+
+def mbm_file(name: str) -> Path:
+    return MBM / name / f"{name}.urdf"
+
+
+@lru_cache
+def mbm_robot(name: str) -> RobotModel:
+    """A robot of MotionBenchMaker without its visuals, whose meshes are not there."""
+    from lxml import etree
+
+    root = etree.parse(str(mbm_file(name))).getroot()
+    for visual in root.iter("visual"):
+        visual.getparent().remove(visual)
+    return parse_urdf(etree.tostring(root).decode(), mbm_file(name))
+
+
+def pin_library(name: str) -> pin.Model:
+    """A library robot as pinocchio reads it: its URDF, or its parts put together."""
+    data = yaml.safe_load((LIBRARY / name / "robot.yaml").read_text())
+    if "urdf" in data:
+        return pin.buildModelFromUrdf(str(resolve_uri(data["urdf"], LIBRARY / name)))
+    whole, *others = data["parts"]
+    model = pin_library(whole["robot"])
+    for part in others:
+        frame = model.getFrameId(part["parent_link"], pin.FrameType.BODY)
+        model = pin.appendModel(model, pin_library(part["robot"]), frame, pin.SE3.Identity())
+    return model
+
+
+class PinRobot:
+    """Pinocchio's kinematics asked in our terms. Its joints know no mimic: they get our full positions."""
+
+    def __init__(self, pin_model: pin.Model, model: RobotModel):
+        self.pin, self.model, self.data = pin_model, model, pin_model.createData()
+
+    def configuration(self, full_positions: dict[str, float]) -> np.ndarray:
+        q = pin.neutral(self.pin)
+        for name, value in full_positions.items():
+            i = self.pin.getJointId(name)
+            at = self.pin.idx_qs[i]
+            q[at : at + self.pin.nqs[i]] = (
+                value if self.pin.nqs[i] == 1 else (np.cos(value), np.sin(value))
+            )  # a continuous joint is a point on the circle
+        return q
+
+    def place(self, full_positions: dict[str, float]) -> None:
+        pin.computeJointJacobians(self.pin, self.data, self.configuration(full_positions))
+        pin.updateFramePlacements(self.pin, self.data)
+
+    def pose(self, link: str) -> np.ndarray:
+        """T_root_link (4, 4); our root may be below pinocchio's universe."""
+        return (self.frame(self.model.root_link).inverse() * self.frame(link)).homogeneous
+
+    def frame(self, link: str) -> pin.SE3:
+        return self.data.oMf[self.pin.getFrameId(link, pin.FrameType.BODY)]
+
+    def jacobian(self, link: str) -> np.ndarray:
+        """(6, actuated joints) in our root frame, mimic joints added to those they follow."""
+        J = pin.getFrameJacobian(
+            self.pin,
+            self.data,
+            self.pin.getFrameId(link, pin.FrameType.BODY),
+            pin.ReferenceFrame.LOCAL_WORLD_ALIGNED,
+        )
+        R = self.frame(self.model.root_link).rotation.T
+        out = np.zeros((6, self.model.dof))
+        for joint in self.model.joints.values():
+            if not joint.movable:
+                continue
+            factor, source = 1.0, joint
+            while source.mimic is not None:
+                factor, source = factor * source.mimic.multiplier, self.model.joints[source.mimic.joint]
+            column = J[:, self.pin.idx_vs[self.pin.getJointId(joint.name)]]
+            out[:, self.model.joint_names.index(source.name)] += factor * np.r_[R @ column[:3], R @ column[3:]]
+        return out
+
+
+def references() -> dict[str, tuple]:
+    """Name -> function that gives (our model, pinocchio's): the library, MotionBenchMaker, other makes."""
+    found = {name: lambda n=name: (load_robot(n), pin_library(n)) for name in robot_names()}
+    for name in ("panda", "ur5", "baxter"):
+        if mbm_file(name).exists():
+            found[f"mbm_{name}"] = lambda n=name: (mbm_robot(n), pin.buildModelFromUrdf(str(mbm_file(n))))
+    for path in ("kinova_description/robots/kinova.urdf", "baxter_description/urdf/baxter.urdf",
+                 "tiago_description/robots/tiago_dual.urdf"):  # fmt: skip
+        file = EXAMPLES / path
+        if file.exists():
+            found[file.stem] = lambda f=file: (load_urdf(f), pin.buildModelFromUrdf(str(f)))
+    return found
+
+
+REFERENCES = references()

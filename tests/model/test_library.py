@@ -1,0 +1,83 @@
+"""What every robot of the library must be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armcell.model import load_robot, robot_names
+
+
+@pytest.fixture(scope="module", params=robot_names())
+def model(request):
+    return load_robot(request.param)
+
+
+def test_the_library_has_the_promised_robots():
+    assert {"panda", "ur10", "ur10_gripper"} <= set(robot_names())
+
+
+def test_limits_are_complete(model):
+    """What planning and timing need: finite, positive, in order."""
+    assert np.all(model.lower < model.upper) and np.all(np.isfinite([model.lower, model.upper]))
+    for kind in ("velocity", "acceleration"):
+        values = model.limits(model.joint_names, kind)
+        assert np.all(np.isfinite(values)) and np.all(values > 0), kind
+
+
+def test_groups_name_what_exists(model):
+    assert model.groups
+    for group in model.groups.values():
+        assert group.joint_names and set(group.joint_names) <= set(model.joint_names)
+        assert set(group.link_names) <= set(model.links)
+        if group.tip_link:
+            chain = model.chain(group.base_link, group.tip_link)
+            assert [j.name for j in chain if j.actuated] == list(group.joint_names)
+
+
+def test_named_states_are_of_their_group_and_within_limits(model):
+    for group, states in model.named_states.items():
+        for name in states:
+            state = model.named_state(group, name)
+            assert set(state.joint_names) <= set(model.group(group).joint_names)
+            model.check_positions(state.positions, state.joint_names)
+    model.check_positions(model.default_positions())
+
+
+def test_disabled_pairs_are_links_with_a_reason(model):
+    for pair, reason in model.disabled_collisions.items():
+        assert pair <= set(model.links) and len(pair) == 2
+        assert reason in ("Adjacent", "Never", "Default", "Always")
+
+
+def test_grippers_open_and_close(model):
+    for gripper in model.grippers.values():
+        limits = model.joint(gripper.joint_name).limits
+        assert gripper.width(gripper.joint_position(0.03)) == pytest.approx(0.03)
+        assert 0.0 < gripper.width(limits.upper) <= gripper.max_width + 1e-9
+        assert gripper.width(limits.lower) >= -1e-9
+        assert len(gripper.finger_links) == 2 and set(gripper.finger_links) <= set(gripper.hand_links)
+        for finger in gripper.finger_links:
+            assert gripper.tcp_link in model.links and finger in model.subtree(model.root_link)
+
+
+def test_inertias_are_those_of_real_bodies(model):
+    for link in model.links.values():
+        if link.inertial is None or link.inertial.mass == 0:
+            continue
+        moments = np.linalg.eigvalsh(link.inertial.inertia)
+        assert np.all(moments > 0), link.name
+        assert moments[2] <= moments[0] + moments[1] + 1e-9, f"{link.name}: triangle inequality"
+
+
+def test_positions_are_checked_by_name(model):
+    from armcell.core import InputError
+
+    q = model.default_positions()
+    with pytest.raises(InputError, match="is not finite"):
+        model.check_positions(np.full(model.dof, np.nan))
+    with pytest.raises(InputError, match="positions given for"):
+        model.check_positions(q[:-1])
+    q[0] = model.upper[0] + 0.1
+    with pytest.raises(InputError, match=f"joint '{model.joint_names[0]}' at .* is outside its limits"):
+        model.check_positions(q)
