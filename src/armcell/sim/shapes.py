@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.scene import shape_volume
-from armcell.sim.convex import convex_pieces
+from armcell.collision.convex import convex_pieces
 
 Array = NDArray[np.float64]
 GEOM = mujoco.mjtGeom

@@ -2,7 +2,7 @@
 
 LLVM's auto-vectoriser makes 3-6 times slower code of loops over lanes, and drops reductions altogether;
 here `a * b + c` on `Vec` values is exactly one vector instruction each (two or four on narrower machines).
-Inside `@njit` code: `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`, `vsqrt`, `fma`,
+Inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`, `vsqrt`, `fma`,
 `vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`.
 """
 
@@ -39,32 +39,88 @@ class _VecModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, _VEC)
 
 
-def _pointer(context, builder, array_type, array, index):
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _VEC.as_pointer())
+class PointerType(types.Type):
+    """Numba's type of a bare pointer to numbers.
+
+    Numba counts the references of arrays, with atomic instructions, wherever a function is given one; in the
+    kernel that cost more than the arithmetic. A pointer has `p[i]`, no length, no owner: whoever makes it by
+    `pointer(array)` keeps the array.
+    """
+
+    def __init__(self, dtype: types.Type) -> None:
+        self.dtype = dtype
+        super().__init__(name=f"Pointer({dtype})")
+
+
+@register_model(PointerType)
+class _PointerModel(models.PrimitiveModel):
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, dmm.lookup(fe_type.dtype).get_data_type().as_pointer())
 
 
 @intrinsic
-def load(typingctx, array, index):
-    """`L` floats of a float32 array (n,) from `index` on."""
+def pointer(typingctx, array):
+    """A bare pointer to a contiguous array's numbers."""
 
     def codegen(context, builder, signature, args):
-        value = builder.load(_pointer(context, builder, signature.args[0], args[0], args[1]))
+        return context.make_array(signature.args[0])(context, builder, args[0]).data
+
+    return PointerType(array.dtype)(array), codegen
+
+
+@intrinsic
+def _get(typingctx, at, index):
+    def codegen(context, builder, signature, args):
+        return builder.load(builder.gep(args[0], [args[1]]))
+
+    return at.dtype(at, types.intp), codegen
+
+
+@intrinsic
+def _set(typingctx, at, index, value):
+    def codegen(context, builder, signature, args):
+        builder.store(args[2], builder.gep(args[0], [args[1]]))
+        return context.get_dummy_value()
+
+    return types.void(at, types.intp, at.dtype), codegen
+
+
+@overload(operator.getitem)
+def _getitem(at, index):
+    if isinstance(at, PointerType):
+        return lambda at, index: _get(at, index)
+    return None
+
+
+@overload(operator.setitem)
+def _setitem(at, index, value):
+    if isinstance(at, PointerType):
+        return lambda at, index, value: _set(at, index, value)
+    return None
+
+
+@intrinsic
+def load(typingctx, at, index):
+    """`L` floats from a float32 pointer, `index` on."""
+
+    def codegen(context, builder, signature, args):
+        value = builder.load(builder.bitcast(builder.gep(args[0], [args[1]]), _VEC.as_pointer()))
         value.align = 4
         return value
 
-    return vec(array, types.intp), codegen
+    return vec(at, types.intp), codegen
 
 
 @intrinsic
-def store(typingctx, array, index, value):
-    """Write a vector to a float32 array (n,) at `index`."""
+def store(typingctx, at, index, value):
+    """Write a vector to a float32 pointer at `index`."""
 
     def codegen(context, builder, signature, args):
-        builder.store(args[2], _pointer(context, builder, signature.args[0], args[0], args[1]), align=4)
+        target = builder.bitcast(builder.gep(args[0], [args[1]]), _VEC.as_pointer())
+        builder.store(args[2], target, align=4)
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, vec), codegen
+    return types.void(at, types.intp, vec), codegen
 
 
 @intrinsic
@@ -95,7 +151,7 @@ _add, _sub, _mul, _div = (_binary(name) for name in ("fadd", "fsub", "fmul", "fd
 
 
 def _overload(function, implementation):
-    @overload(function, inline="always")
+    @overload(function)
     def generic(a, b):
         if isinstance(a, VecType) and isinstance(b, VecType):
             return lambda a, b: implementation(a, b)
@@ -106,7 +162,7 @@ for _function, _implementation in ((operator.add, _add), (operator.sub, _sub), (
     _overload(_function, _implementation)
 
 
-@overload(operator.neg, inline="always")
+@overload(operator.neg)
 def _negate(a):
     if isinstance(a, VecType):
         return lambda a: splat(0.0) - a

@@ -1,0 +1,232 @@
+"""Exact distance of convex solids (GJK), float64 and scalar: the second tier of the kernel.
+
+Solids are a type with numbers: 0 points (hull of vertices), 1 sphere, 2 box, 3 capsule, 4 cylinder, 5 cone,
+6 half space. The algorithm is Gilbert, Johnson and Keerthi's with Ericson's closest points of simplices
+("Real-Time Collision Detection", 5.1 and 9.5); checked against coal in the tests.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+POINTS, SPHERE, BOX, CAPSULE, CYLINDER, CONE, HALFSPACE = range(7)
+MAX_ITERATIONS = 64
+SCRATCH = 64  # float64 numbers that `distance` needs
+
+
+@njit(cache=True)
+def support(D, kind, size, first, count, dx, dy, dz, s, out):
+    """Farthest point of a solid, in its own frame, along (dx, dy, dz); into s[out : out + 3].
+
+    `size` is where its three numbers are in D, `first` where its points are.
+    """
+    a, b = D[size], D[size + 1]
+    if kind == POINTS:
+        best, value = first, -1e300
+        for i in range(first, first + 3 * count, 3):
+            d = D[i] * dx + D[i + 1] * dy + D[i + 2] * dz
+            if d > value:
+                best, value = i, d
+        s[out], s[out + 1], s[out + 2] = D[best], D[best + 1], D[best + 2]
+    elif kind == BOX:
+        c = D[size + 2]
+        s[out] = a if dx >= 0 else -a
+        s[out + 1] = b if dy >= 0 else -b
+        s[out + 2] = c if dz >= 0 else -c
+    elif kind == SPHERE or kind == CAPSULE:
+        n = a / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300)
+        s[out], s[out + 1], s[out + 2] = n * dx, n * dy, n * dz
+        if kind == CAPSULE:
+            s[out + 2] += b if dz >= 0 else -b
+    else:
+        n = np.sqrt(dx * dx + dy * dy)
+        if kind == CONE and n * a < 2 * b * dz:  # the apex beats the base's rim
+            s[out], s[out + 1], s[out + 2] = 0.0, 0.0, b
+            return
+        s[out], s[out + 1] = (a * dx / n, a * dy / n) if n > 1e-12 else (a, 0.0)
+        s[out + 2] = b if kind == CYLINDER and dz >= 0 else -b
+
+
+@njit(cache=True)
+def _minkowski(D, T, ka, sa, fa, na, kb, sb, fb, nb, dx, dy, dz, s, at):
+    """Support of A minus B along d in B's frame, where s[T : T + 12] maps A's frame to B's; into s[at:]."""
+    ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
+    ay = s[T + 1] * dx + s[T + 5] * dy + s[T + 9] * dz
+    az = s[T + 2] * dx + s[T + 6] * dy + s[T + 10] * dz
+    support(D, ka, sa, fa, na, ax, ay, az, s, 48)
+    x, y, z = s[48], s[49], s[50]
+    support(D, kb, sb, fb, nb, -dx, -dy, -dz, s, 51)
+    s[at] = s[T] * x + s[T + 1] * y + s[T + 2] * z + s[T + 3] - s[51]
+    s[at + 1] = s[T + 4] * x + s[T + 5] * y + s[T + 6] * z + s[T + 7] - s[52]
+    s[at + 2] = s[T + 8] * x + s[T + 9] * y + s[T + 10] * z + s[T + 11] - s[53]
+
+
+@njit(cache=True)
+def _copy(s, src, dst):
+    s[dst], s[dst + 1], s[dst + 2] = s[src], s[src + 1], s[src + 2]
+
+
+@njit(cache=True)
+def _segment(s, v):
+    """Closest point to the origin on the segment s[0:3], s[3:6], into s[v:]; returns the simplex size left."""
+    bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
+    t = -(s[0] * bx + s[1] * by + s[2] * bz)
+    n = bx * bx + by * by + bz * bz
+    if t <= 0.0 or n <= 0.0:
+        s[v], s[v + 1], s[v + 2] = s[0], s[1], s[2]
+        return 1
+    if t >= n:
+        _copy(s, 3, 0)
+        s[v], s[v + 1], s[v + 2] = s[0], s[1], s[2]
+        return 1
+    t /= n
+    s[v], s[v + 1], s[v + 2] = s[0] + t * bx, s[1] + t * by, s[2] + t * bz
+    return 2
+
+
+@njit(cache=True)
+def _triangle(s, o, v):
+    """As `_segment`, for three points from s[o] on."""
+    ax, ay, az = s[o], s[o + 1], s[o + 2]
+    bx, by, bz = s[o + 3], s[o + 4], s[o + 5]
+    cx, cy, cz = s[o + 6], s[o + 7], s[o + 8]
+    abx, aby, abz = bx - ax, by - ay, bz - az
+    acx, acy, acz = cx - ax, cy - ay, cz - az
+    d1 = -(abx * ax + aby * ay + abz * az)
+    d2 = -(acx * ax + acy * ay + acz * az)
+    if d1 <= 0 and d2 <= 0:
+        s[v], s[v + 1], s[v + 2] = ax, ay, az
+        return 1
+    d3 = -(abx * bx + aby * by + abz * bz)
+    d4 = -(acx * bx + acy * by + acz * bz)
+    if d3 >= 0 and d4 <= d3:
+        _copy(s, o + 3, o)
+        s[v], s[v + 1], s[v + 2] = bx, by, bz
+        return 1
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        t = d1 / (d1 - d3) if d1 - d3 > 0 else 0.0
+        s[v], s[v + 1], s[v + 2] = ax + t * abx, ay + t * aby, az + t * abz
+        return 2
+    d5 = -(abx * cx + aby * cy + abz * cz)
+    d6 = -(acx * cx + acy * cy + acz * cz)
+    if d6 >= 0 and d5 <= d6:
+        _copy(s, o + 6, o)
+        s[v], s[v + 1], s[v + 2] = cx, cy, cz
+        return 1
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        t = d2 / (d2 - d6) if d2 - d6 > 0 else 0.0
+        s[v], s[v + 1], s[v + 2] = ax + t * acx, ay + t * acy, az + t * acz
+        _copy(s, o + 6, o + 3)
+        return 2
+    va = d3 * d6 - d5 * d4
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        w = (d4 - d3) + (d5 - d6)
+        t = (d4 - d3) / w if w > 0 else 0.0
+        s[v], s[v + 1], s[v + 2] = bx + t * (cx - bx), by + t * (cy - by), bz + t * (cz - bz)
+        _copy(s, o + 3, o)
+        _copy(s, o + 6, o + 3)
+        return 2
+    w = va + vb + vc
+    if w <= 0.0:  # a flat triangle: its longest side serves
+        s[v], s[v + 1], s[v + 2] = ax, ay, az
+        return 1
+    p, q = vb / w, vc / w
+    s[v], s[v + 1], s[v + 2] = ax + abx * p + acx * q, ay + aby * p + acy * q, az + abz * p + acz * q
+    return 3
+
+
+@njit(cache=True)
+def _outside(s, i, j, k, o):
+    """Whether the origin and point o are on different sides of the plane through points i, j, k."""
+    abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
+    acx, acy, acz = s[k] - s[i], s[k + 1] - s[i + 1], s[k + 2] - s[i + 2]
+    nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
+    here = -(s[i] * nx + s[i + 1] * ny + s[i + 2] * nz)
+    there = (s[o] - s[i]) * nx + (s[o + 1] - s[i + 1]) * ny + (s[o + 2] - s[i + 2]) * nz
+    scale = 1e-13 * (abs(nx) + abs(ny) + abs(nz))
+    if abs(there) <= scale:
+        return True  # flat: look at the face
+    return here * there < 0.0
+
+
+@njit(cache=True)
+def _tetrahedron(s, v):
+    """As `_segment`, for four points; returns 4 if the origin is inside."""
+    best, size = 1e300, 4
+    for face in range(4):
+        if face == 0:
+            i, j, k, o = 0, 3, 6, 9
+        elif face == 1:
+            i, j, k, o = 0, 6, 9, 3
+        elif face == 2:
+            i, j, k, o = 0, 9, 3, 6
+        else:
+            i, j, k, o = 3, 9, 6, 0
+        if not _outside(s, i, j, k, o):
+            continue
+        for m in range(3):
+            s[12 + m], s[15 + m], s[18 + m] = s[i + m], s[j + m], s[k + m]
+        n = _triangle(s, 12, 45)
+        d = s[45] * s[45] + s[46] * s[46] + s[47] * s[47]
+        if d < best:
+            best, size = d, n
+            s[v], s[v + 1], s[v + 2] = s[45], s[46], s[47]
+            for m in range(9):
+                s[21 + m] = s[12 + m]
+    if size < 4:
+        for m in range(9):
+            s[m] = s[21 + m]
+    return size
+
+
+@njit(cache=True)
+def distance(D, T, ka, sa, fa, na, kb, sb, fb, nb, enough, s):
+    """Distance of convex solid A to convex solid B [m], 0 when they touch.
+
+    Args:
+        D: numbers and points of solids.
+        T: where in `s` the 12 numbers (rows, 3x4) of the transform from A's frame to B's are.
+        ka, sa, fa, na: A's kind, where its three numbers and its points are in D, how many points; B alike.
+        enough: a lower bound above this ends the search early (the bound is returned).
+        s: scratch, the first `SCRATCH` numbers are overwritten.
+    """
+    v = 30
+    s[v], s[v + 1], s[v + 2] = s[T + 3], s[T + 7], s[T + 11]
+    if s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2] < 1e-20:
+        s[v] = 1.0
+    n, bound = 0, 0.0
+    for _ in range(MAX_ITERATIONS):
+        length2 = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
+        if n > 0 and length2 < 1e-18:
+            return 0.0
+        _minkowski(D, T, ka, sa, fa, na, kb, sb, fb, nb, -s[v], -s[v + 1], -s[v + 2], s, 36)
+        dot = s[v] * s[36] + s[v + 1] * s[37] + s[v + 2] * s[38]
+        length = np.sqrt(length2)
+        if dot > 0.0:
+            bound = max(bound, dot / length)
+            if bound > enough:
+                return bound
+        if n > 0 and length2 - dot <= 1e-10 * length2:
+            return length
+        for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
+            if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:
+                return length
+        _copy(s, 36, 3 * n)
+        n += 1
+        if n == 1:
+            s[v], s[v + 1], s[v + 2] = s[0], s[1], s[2]
+        elif n == 2:
+            n = _segment(s, v)
+        elif n == 3:
+            n = _triangle(s, 0, v)
+        else:
+            n = _tetrahedron(s, v)
+            if n == 4:  # around the origin; a separation proven before is the better witness
+                return bound if bound > 1e-7 else 0.0
+        now = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
+        if now > length2 * (1 - 1e-14) and n > 1 and bound > 0:
+            return np.sqrt(now)
+    return bound

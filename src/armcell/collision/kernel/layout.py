@@ -1,0 +1,59 @@
+"""The pack as three flat arrays, as the kernel reads it.
+
+Numba counts references of every array that is passed or taken out of a tuple, with atomic instructions:
+thirty arrays in a tuple made the kernel eight times slower. So all integers lie in one int32 array `I`, all
+floats in a float32 array `F`, all doubles in a float64 array `D`; the first numbers of `I` say how many of
+everything there is and where each table begins.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.pack import Pack
+
+Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
+
+# counts
+DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, BLOCKS, SHAPES = range(8)
+# where each table of integers begins in I
+(PARENT, KIND, COLUMN, FRAME, BODY_GROUPS, GROUP_SPHERES, BODY_PIECES, PAIR, SHAPE_KIND, SHAPE_PLANES, ALLOWED,
+ SHAPE_PIECES, PIECE_KIND, PIECE_POINTS) = range(8, 22)  # fmt: skip
+# of floats in F
+(FIXED, MULTIPLIER, OFFSET, BODY_SPHERE, PADDING, GROUP_SPHERE, SPHERE, SHAPE_POSE, SHAPE_SIZE, PLANES, BOXES) = range(
+    22, 33
+)
+# of doubles in D
+PIECE_SIZE, PIECE_POSE, PIECE_BALL, POINTS, REACH, PAIR_REACH = range(33, 39)
+HEADER = 40
+
+_INTS = ("parent", "kind", "column", "frame", "body_groups", "group_spheres", "body_pieces", "pairs", "shape_kind",
+         "shape_planes", "allowed", "shape_pieces", "piece_kind", "piece_points")  # fmt: skip
+_FLOATS = ("fixed", "multiplier", "offset", "body_sphere", "padding", "group_sphere", "sphere", "shape_pose",
+           "shape_size", "planes", "boxes")  # fmt: skip
+_DOUBLES = ("piece_size", "piece_pose", "piece_ball", "points", "reach", "pair_reach")
+
+
+def flatten(p: Pack) -> Flat:
+    """The three arrays of a pack."""
+    counts = [
+        p.dof, len(p.parent), len(p.frame), len(p.group_sphere), len(p.sphere), len(p.pairs), len(p.boxes),
+        len(p.shape_kind),
+    ]  # fmt: skip
+    header = np.zeros(HEADER, np.int32)
+    header[: len(counts)] = counts
+
+    def table(names: tuple[str, ...], first: int, dtype: type, begin: int) -> list[np.ndarray]:
+        parts, at = [], begin
+        for i, name in enumerate(names):
+            flat = np.ascontiguousarray(getattr(p, name)).astype(dtype).ravel()
+            header[first + i] = at
+            at += len(flat)
+            parts.append(flat)
+        return parts
+
+    ints = table(_INTS, PARENT, np.int32, HEADER)
+    floats = table(_FLOATS, FIXED, np.float32, 0)
+    doubles = table(_DOUBLES, PIECE_SIZE, np.float64, 0)
+    return np.concatenate([header, *ints]), np.concatenate(floats), np.concatenate(doubles)

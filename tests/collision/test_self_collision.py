@@ -1,0 +1,76 @@
+"""The allowed collision matrices of the library, checked by sampling."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.model.helpers import random_positions
+
+from armcell.collision import ExactChecker, disabled_collision_pairs
+from armcell.model import load_robot, robot_names
+from armcell.scene import PlanningScene
+
+SAMPLES = 5000
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_pairs_that_never_touch_do_not(name):
+    model = load_robot(name)
+    never = {pair for pair, reason in model.disabled_collisions.items() if reason == "Never"}
+    bodies = [n for n, link in model.links.items() if link.collisions]
+    others = {frozenset((a, b)): "not asked" for i, a in enumerate(bodies) for b in bodies[:i]}
+    only_never = replace(model, disabled_collisions={p: r for p, r in others.items() if p not in never})
+    checker, rng = ExactChecker(PlanningScene.of(only_never)), np.random.default_rng(0)
+    assert bool(len(checker.pairs)) == bool(never)
+    for _ in range(SAMPLES if never else 1):
+        q = random_positions(model, rng)
+        assert checker.is_free(q), checker.contacts(q)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_the_default_state_is_free(name):
+    model = load_robot(name)
+    scene = PlanningScene.of(model)
+    assert ExactChecker(scene).contacts(scene.positions) == []
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_named_states_are_free(name):
+    model = load_robot(name)
+    for group, states in model.named_states.items():
+        for state in states:
+            scene = PlanningScene.of(model).with_state(model.named_state(group, state))
+            assert ExactChecker(scene).contacts(scene.positions) == [], (group, state)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_sampling_anew_finds_the_srdf_s_pairs(name):
+    """With few samples more pairs look like "Never" than are; those of the SRDF must be among them."""
+    model = load_robot(name)
+    found = disabled_collision_pairs(model, samples=300, seed=1)
+    missing = set(model.disabled_collisions) - set(found)
+    assert not missing
+    for pair, reason in model.disabled_collisions.items():
+        assert (found[pair] == "Adjacent") == (reason == "Adjacent")
+
+
+def test_the_same_seed_gives_the_same_pairs():
+    model = load_robot("ur10")
+    seen = []
+    assert disabled_collision_pairs(model, 100, 3, seen.append) == disabled_collision_pairs(model, 100, 3)
+    assert seen == [100]
+
+
+def test_a_pair_that_always_touches_is_told():
+    from tests.model.helpers import collision, joint, link, model_of
+
+    ball = collision('<sphere radius="0.2"/>')
+    model = model_of(
+        link("a", ball), link("b", collision('<sphere radius="0.05"/>')), link("c", ball),
+        joint("j", "a", "b", inside='<origin xyz="0.2 0 0"/><axis xyz="0 0 1"/>'),
+        joint("k", "b", "c", inside='<origin xyz="0.15 0 0"/><axis xyz="0 0 1"/>'),
+    )  # fmt: skip
+    apart = replace(model, named_states={})
+    assert disabled_collision_pairs(apart, 50)[frozenset("ac")] in ("Always", "Default")

@@ -1,0 +1,207 @@
+"""Inverse kinematics: finds what is reachable, within limits, and says honestly what is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.model.helpers import MBM, chain_of, dual, mbm_robot, random_positions
+
+from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
+from armcell.kinematics import IKSettings, NumericIK
+from armcell.kinematics.ik.numeric import nearest_equivalent
+from armcell.model import load_robot
+
+POSES = 300
+ARMS = {"panda": "arm", "ur10": "arm", "ur10_gripper": "arm"}
+
+
+def solver(robot: str, **settings) -> NumericIK:
+    return NumericIK(load_robot(robot), ARMS[robot], settings=IKSettings(**settings))
+
+
+def reached(ik: NumericIK, positions: np.ndarray, reference: np.ndarray) -> SE3:
+    q = reference.copy()
+    q[ik.columns] = positions
+    return ik.tree.link_pose(q, ik.tip_link)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_every_reachable_pose_is_solved(robot):
+    ik = solver(robot, solutions=1)
+    model, rng, missed = ik.model, np.random.default_rng(0), 0
+    for _ in range(POSES):
+        target = ik.tree.link_pose(random_positions(model, rng), ik.tip_link)
+        reference = model.default_positions()
+        result = ik.solve(target, reference, rng=rng)
+        missed += not result.ok
+        if result.ok:
+            model.check_positions(result.positions, ik.joint_names)
+            assert reached(ik, result.positions, reference).isclose(target, 1e-5, 1e-4)
+    assert missed == 0
+
+
+def test_tips_prefixes_and_other_joints():
+    """One arm of two: the other arm's joints stay and its reference counts."""
+    model, rng = dual(), np.random.default_rng(1)
+    ik = NumericIK(model, "right_arm")
+    assert ik.tip_link == "right_gripper_tcp"
+    for _ in range(20):
+        reference = random_positions(model, rng)
+        target = ik.tree.link_pose(random_positions(model, rng), ik.tip_link)
+        result = ik.solve(target, reference, rng=rng)
+        assert result.ok and reached(ik, result.positions, reference).isclose(target, 1e-5, 1e-4)
+
+
+@pytest.mark.skipif(not MBM.is_dir(), reason="needs the MotionBenchMaker robots")
+def test_a_link_of_a_branching_robot():
+    model, rng = mbm_robot("baxter"), np.random.default_rng(2)
+    from dataclasses import replace
+
+    from armcell.model import Group
+
+    names = tuple(n for n in model.joint_names if n.startswith("left_") and n[-2] in "sew")
+    assert len(names) == 7
+    ik = NumericIK(replace(model, groups={"left": Group("left", names, ())}), "left", "left_gripper")
+    for _ in range(30):
+        reference = random_positions(model, rng)
+        q = reference.copy()
+        q[ik.columns] = random_positions(model, rng)[ik.columns]
+        result = ik.solve(ik.tree.link_pose(q, "left_gripper"), reference, rng=rng)
+        assert result.ok
+
+
+def test_the_solution_is_the_nearest_found():
+    ik, rng = solver("ur10"), np.random.default_rng(3)
+    for _ in range(10):
+        q = random_positions(ik.model, rng)
+        near = np.clip(q + rng.normal(0, 0.05, len(q)), ik.model.lower, ik.model.upper)
+        result = ik.solve(ik.tree.link_pose(q, ik.tip_link), near, rng=np.random.default_rng(0))
+        assert result.ok and np.linalg.norm(result.positions - near) <= np.linalg.norm(q - near) + 1e-6
+        others = list(ik.solutions(ik.tree.link_pose(q, ik.tip_link), near, np.random.default_rng(0)))
+        assert np.linalg.norm(result.positions - near) <= min(np.linalg.norm(o - near) for o in others) + 1e-9
+
+
+def test_solutions_are_distinct():
+    ik = solver("ur10")
+    q = ik.model.default_positions()
+    found = list(ik.solutions(ik.tree.link_pose(q, ik.tip_link), q, np.random.default_rng(0)))
+    assert len(found) >= 4  # a UR has up to eight branches
+    for i, a in enumerate(found):
+        assert all(np.max(np.abs(a - b)) > 1e-2 for b in found[i + 1 :])
+
+
+def test_nearest_equivalent_keeps_the_pose_and_comes_closer():
+    ik, rng = solver("ur10"), np.random.default_rng(4)
+    for _ in range(100):
+        q, reference = random_positions(ik.model, rng), random_positions(ik.model, rng)
+        other = nearest_equivalent(q, reference, ik)
+        ik.model.check_positions(other)
+        turns = (other - q) / (2 * np.pi)
+        np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
+        brute = [  # every whole turn within limits
+            min((abs(v - r) for v in q[k] + 2 * np.pi * np.arange(-3, 4) if low - 1e-9 <= v <= high + 1e-9))
+            for k, (r, low, high) in enumerate(zip(reference, ik.model.lower, ik.model.upper))
+        ]
+        np.testing.assert_allclose(np.abs(other - reference), brute, atol=1e-9)
+
+
+def test_a_slide_is_not_turned():
+    from dataclasses import replace
+
+    from armcell.model import Group
+
+    model = chain_of("prismatic 0 0 1", "continuous 0 0 1")
+    group = Group("g", model.joint_names, tuple(model.links), "l0", "l2")
+    ik = NumericIK(replace(model, groups={"g": group}), "g")
+    assert nearest_equivalent(np.array([0.5, 0.5]), np.array([20.0, 20.0]), ik) == pytest.approx(
+        [0.5, 0.5 + 6 * np.pi]
+    )
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_out_of_reach_is_told_with_evidence(robot):
+    ik, rng = solver(robot), np.random.default_rng(5)
+    model, tree = ik.model, ik.tree
+    reference = model.default_positions()
+    first = model.joints[ik.joint_names[0]]
+    shoulder = tree.link_pose(reference, first.child).translation
+    stretched = sum(
+        float(np.linalg.norm(j.T_parent_joint.translation)) for j in model.chain(first.child, ik.tip_link)
+    )
+    for _ in range(3):
+        direction = rng.normal(size=3) * (1, 1, 0.2)
+        distance = stretched + rng.uniform(0.3, 1.0)
+        target = SE3(
+            SO3.exp(rng.normal(size=3)), shoulder + distance * direction / np.linalg.norm(direction)
+        )
+        result = ik.solve(target, reference, rng=np.random.default_rng(0))
+        assert result.code is ErrorCode.NO_IK_SOLUTION and not result
+        assert ik.tip_link in result.message and "closest" in result.message
+        # What is reported is a real configuration ...
+        model.check_positions(result.positions, ik.joint_names)
+        closest = reached(ik, result.positions, reference)
+        assert closest.isclose(result.evidence["closest_pose"], 1e-9, 1e-6)
+        assert closest.distance_to(target) == pytest.approx((result.position_error, result.rotation_error), abs=1e-6)
+        # ... not nearer than geometry allows and not worse than blind search.
+        assert result.position_error >= distance - stretched - 1e-9
+        samples = [tree.link_pose(random_positions(model, rng), ik.tip_link) for _ in range(500)]
+        best = min(p + 0.1 * a for p, a in (s.distance_to(target) for s in samples))
+        assert result.position_error + 0.1 * result.rotation_error <= best + 1e-9
+        for name in result.evidence["joints_at_limit"]:
+            k = ik.joint_names.index(name)
+            assert min(result.positions[k] - ik.lower[k], ik.upper[k] - result.positions[k]) < 1e-3
+
+
+def test_is_valid_is_honoured():
+    ik = solver("ur10")
+    q = ik.model.default_positions()
+    target = ik.tree.link_pose(q, ik.tip_link)
+    elbow = ik.joint_names.index("elbow_joint")
+    for sign in (1, -1):
+        result = ik.solve(target, q, is_valid=lambda s, sign=sign: sign * s[elbow] > 0)
+        assert result.ok and sign * result.positions[elbow] > 0
+    refused = []
+    result = ik.solve(target, q, is_valid=lambda s: refused.append(s) or False)
+    assert result.code is ErrorCode.NO_IK_SOLUTION and "in collision" in result.message
+    assert result.evidence["invalid_solutions"] == len(refused) >= 4
+
+
+def test_the_same_seed_gives_the_same_answer():
+    ik = solver("panda")
+    target = ik.tree.link_pose(random_positions(ik.model, np.random.default_rng(6)), ik.tip_link)
+    a, b = (
+        ik.solve(target, ik.model.default_positions(), rng=np.random.default_rng(7)).positions for _ in range(2)
+    )
+    np.testing.assert_array_equal(a, b)
+
+
+def test_the_reference_is_left_alone():
+    ik = solver("panda")
+    reference = ik.model.default_positions()
+    before = reference.copy()
+    ik.solve(ik.tree.link_pose(random_positions(ik.model, np.random.default_rng(8)), ik.tip_link), reference)
+    np.testing.assert_array_equal(reference, before)
+
+
+def test_misuse_is_named():
+    panda = load_robot("panda")
+    with pytest.raises(UnknownNameError, match="known: arm, arm_and_hand, hand"):
+        NumericIK(panda, "arms")
+    with pytest.raises(UnknownNameError, match="panda_hand_tpc"):
+        NumericIK(panda, "arm", "panda_hand_tpc")
+    with pytest.raises(InputError, match="'hand' is not a chain"):
+        NumericIK(panda, "hand")
+
+
+def test_a_half_turn_is_found():
+    """The rotation error's axis is not determined there; the solver must still move."""
+    ik = solver("panda")
+    q = ik.model.default_positions()
+    start = ik.tree.link_pose(q, ik.tip_link)
+    for axis in np.eye(3):
+        target = SE3(start.rotation @ SO3.exp(np.pi * axis), start.translation)
+        result = ik.solve(target, q)
+        if result.ok:
+            assert reached(ik, result.positions, q).isclose(target, 1e-5, 1e-4)
+    assert ik.solve(SE3(start.rotation @ SO3.exp((0, 0, np.pi)), start.translation), q).ok
+

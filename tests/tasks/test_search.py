@@ -1,0 +1,122 @@
+"""The search over stages: depth first, lazy, with backtracking; its reasons; its end on cancel."""
+
+from __future__ import annotations
+
+import pytest
+
+from armcell.tasks import Draft, Planning, TaskSettings, search
+
+
+class Options:
+    """A stage that offers options by name and logs what it is asked. `bad` ones are rejected."""
+
+    def __init__(self, name, options, log, bad=lambda option, draft: None):
+        self.name, self._options, self._log, self._bad = name, options, log, bad
+
+    def drafts(self, draft, planning):
+        for option in self._options:
+            self._log.append(option)
+            reason = self._bad(option, draft)
+            if reason:
+                planning.reject(self.name, option, reason)
+                continue
+            yield draft.then(f"do {option}", **{self.name: option})
+
+
+@pytest.fixture
+def planning():
+    return Planning(TaskSettings())
+
+
+@pytest.fixture
+def log():
+    return []
+
+
+def start() -> Draft:
+    return Draft(scene=object())
+
+
+def test_no_stages_are_done_at_once(planning):
+    begin = start()
+    assert search([], begin, planning) is begin
+
+
+def test_takes_the_first_options_and_looks_at_no_other(planning, log):
+    stages = [Options("a", ["a1", "a2"], log), Options("b", ["b1", "b2"], log)]
+    found = search(stages, start(), planning)
+    assert found.steps == ("do a1", "do b1")
+    assert found.data == {"a": "a1", "b": "b1"}
+    assert log == ["a1", "b1"]
+    assert not planning.rejections.details
+
+
+def test_backtracks_to_the_latest_choice_first(planning, log):
+    """b2 is the only one that c takes, and only after a2."""
+    right = lambda c, draft: None if draft.data["b"] == "b2" and draft.data["a"] == "a2" else "does not fit"  # noqa: E731
+    stages = [
+        Options("a", ["a1", "a2", "a3"], log),
+        Options("b", ["b1", "b2", "b3"], log),
+        Options("c", ["c1"], log, right),
+    ]
+    found = search(stages, start(), planning)
+    assert found.steps == ("do a2", "do b2", "do c1")
+    assert log == ["a1", "b1", "c1", "b2", "c1", "b3", "c1", "a2", "b1", "c1", "b2", "c1"]
+
+
+def test_what_a_branch_added_is_gone_in_the_next(planning, log):
+    seen = []
+    stages = [
+        Options("a", ["a1", "a2"], log),
+        Options("b", ["b1"], log, lambda b, draft: seen.append(draft) or (draft.data["a"] == "a1" and "no")),
+    ]
+    found = search(stages, start(), planning)
+    assert [d.steps for d in seen] == [("do a1",), ("do a2",)]
+    assert found.data == {"a": "a2", "b": "b1"}
+
+
+def test_nothing_fits_collects_every_reason(planning, log):
+    stages = [
+        Options("a", ["a1", "a2"], log),
+        Options("b", ["b1", "b2"], log, lambda b, d: f"too hot: {d.data['a']}" if b == "b1" else "too cold"),
+    ]
+    assert search(stages, start(), planning) is None
+    rejections = planning.rejections
+    assert rejections.details == [
+        ("b", "b1", "too hot: a1"), ("b", "b2", "too cold"), ("b", "b1", "too hot: a2"), ("b", "b2", "too cold"),
+    ]  # fmt: skip
+    assert rejections.counts == {("b", "too hot"): 2, ("b", "too cold"): 2}
+    text = rejections.summary()
+    assert "4 candidates rejected" in text
+    assert "2 x b: too hot" in text and "2 x b: too cold" in text and "too hot: a1" in text
+
+
+def test_a_stage_without_options_is_no_plan(planning, log):
+    assert search([Options("a", ["a1"], log), Options("b", [], log)], start(), planning) is None
+    assert planning.rejections.summary() == "no candidates"
+
+
+def test_cancelled_before_looks_at_nothing(planning, log):
+    planning.cancel.set()
+    assert search([Options("a", ["a1"], log)], start(), planning) is None
+    assert log == []
+
+
+def test_cancel_during_the_search_ends_it(planning, log):
+    def cancel_at_the_second(option, draft):
+        if draft.data["a"] == "a2":
+            planning.cancel.set()
+        return "no"
+
+    stages = [Options("a", ["a1", "a2", "a3"], log), Options("b", ["b1"], log, cancel_at_the_second)]
+    assert search(stages, start(), planning) is None
+    assert log == ["a1", "b1", "a2", "b1"]
+
+
+def test_an_error_in_a_stage_is_not_taken_for_a_rejection(planning, log):
+    def broken(option, draft):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        search([Options("a", ["a1"], log, broken)], start(), planning)
+    assert not planning.rejections.details
