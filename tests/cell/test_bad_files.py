@@ -11,7 +11,9 @@ import armcell
 from armcell.core import InputError
 
 HEAD = "robot: panda\nstart: {arm: home}\n"
-CUBE = "objects:\n  table: {box: [1, 1, 0.1], pose: [0.5, 0, -0.051]}\n  cube: {sphere: 0.02, movable: true}\n"
+CUBE = (
+    "objects:\n  table: {box: [1, 1, 0.1], pose: [0.5, 0, -0.051]}\n  cube: {sphere: 0.02, movable: true}\n"
+)
 
 
 def thing(text: str) -> str:
@@ -120,14 +122,16 @@ def test_yaml_errors_name_the_line(tmp_path, text, line):
 @pytest.mark.xfail(reason="BUG files.py read_yaml: no limit on nesting, yaml's C code overflows the stack")
 def test_a_deep_file_does_not_crash_the_process(tmp_path):
     file = tmp_path / "cell.yaml"
-    file.write_text("robot: " + "[" * 40_000 + "]" * 40_000 + "\n")
+    file.write_text("robot: " + "[" * 25_000 + "]" * 25_000 + "\n")
     loads = f"import armcell; armcell.load({str(file)!r})"
     process = subprocess.run([sys.executable, "-c", loads], capture_output=True, text=True, timeout=60)
     assert process.returncode == 1  # negative: killed by a signal
     assert "InputError" in process.stderr.splitlines()[-1]
 
 
-@pytest.mark.xfail(reason="BUG cell.py _robot: a robot file that is missing does not say which cell asks for it")
+@pytest.mark.xfail(
+    reason="BUG cell.py _robot: a robot file that is missing does not say which cell asks for it"
+)
 def test_a_missing_robot_file_names_the_cell_that_asks_for_it(tmp_path):
     message = failure(tmp_path, "robot: arms/none.urdf\n")
     assert "none.urdf" in message and "cell.yaml: robot" in message
@@ -173,7 +177,6 @@ PHYSICS_BUG = "sim/settings.py: a value of the wrong type is a TypeError"
         bug("physics: {iterations: 1.5}", "physics", why=PHYSICS_BUG),
         bug("physics: {object_solref: [1]}", "physics", why=PHYSICS_BUG),
         bug("task: [{move: nowhere}]", "task/0", why="cell.py _check_names: a step's move is not checked"),
-        bug("task: [{pick: table}]", "task/0", why="cell.py _check_names: picks a fixed object"),
         bug("task: [{hold: .inf}]", "task/0", why="schema.py StepSpec.hold: infinite"),
         bug("randomize: {cube: {dx: [.inf, .inf]}}", "randomize/cube", why="schema.py Range: not finite"),
         bug("cameras: {c: {eye: [.nan, 0, 1], target: [0, 0, 0]}}", "cameras/c", why="schema.py: NaN camera"),

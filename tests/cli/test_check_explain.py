@@ -11,7 +11,9 @@ TABLE = "  table: {box: [1, 1, 0.1], pose: [0.5, 0, -0.051]}\n"
 
 
 def cell_with(cube: str, more: str = "", task: str = "task: [{pick: cube}]\n") -> str:
-    return f"robot: panda\nstart: {{arm: home, hand: open}}\nobjects:\n{TABLE}  cube: {{{cube}}}\n{more}{task}"
+    return (
+        f"robot: panda\nstart: {{arm: home, hand: open}}\nobjects:\n{TABLE}  cube: {{{cube}}}\n{more}{task}"
+    )
 
 
 GOOD = "box: [0.05, 0.05, 0.05], pose: [0.5, 0, 0.024], movable: true"
@@ -132,7 +134,9 @@ def test_explain_a_pick_of_a_fixed_object(capsys):
 
 def test_explain_another_draw(capsys, tmp_path):
     for seed in (0, 1):
-        call(capsys, "explain", "panda_pick", "--pick", "cube", "--seed", seed, "--json", tmp_path / f"{seed}")
+        call(
+            capsys, "explain", "panda_pick", "--pick", "cube", "--seed", seed, "--json", tmp_path / f"{seed}"
+        )
     assert read_json(tmp_path / "0") != read_json(tmp_path / "1")
 
 

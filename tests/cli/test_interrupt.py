@@ -116,9 +116,10 @@ runpy.run_module("armcell", run_name="__main__")
 @pytest.mark.parametrize(
     "module",
     [
-        pytest.param("typer", marks=pytest.mark.xfail(reason="BUG __main__.py: a traceback while typer loads")),
+        pytest.param(
+            "typer", marks=pytest.mark.xfail(reason="BUG __main__.py: a traceback while typer loads")
+        ),
         pytest.param("lxml.etree", marks=pytest.mark.xfail(reason="BUG a library's import swallows Ctrl-C")),
-        pytest.param("scipy.spatial", marks=pytest.mark.xfail(reason="BUG a library's import swallows Ctrl-C")),
         "mujoco",
     ],
 )

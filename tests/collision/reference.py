@@ -68,7 +68,9 @@ def is_inside(point: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> boo
     a, b, c = (vertices[faces[:, k]] - point for k in range(3))
     la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
     triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-    dot = np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b, c) * la + np.einsum("ij,ij->i", c, a) * lb
+    dot = (
+        np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b, c) * la + np.einsum("ij,ij->i", c, a) * lb
+    )
     return abs(2 * np.arctan2(triple, la * lb * lc + dot).sum()) > 2 * np.pi
 
 
@@ -166,7 +168,11 @@ def signed_distance(shape: Shape, points: np.ndarray) -> np.ndarray:
             return np.hypot(radial, z - np.clip(z, -length / 2, length / 2)) - r
         case Cone(r, length):
             # In the (radius, z) half plane: the triangle of base centre, base rim and apex.
-            p, rim, apex = np.column_stack([radial, z]), np.array([r, -length / 2]), np.array([0.0, length / 2])
+            p, rim, apex = (
+                np.column_stack([radial, z]),
+                np.array([r, -length / 2]),
+                np.array([0.0, length / 2]),
+            )
             slope = apex - rim
             t = np.clip((p - rim) @ slope / (slope @ slope), 0, 1)
             on_slope = np.linalg.norm(p - rim - t[:, None] * slope, axis=1)

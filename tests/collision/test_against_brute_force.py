@@ -135,7 +135,9 @@ def test_no_sampled_point_is_nearer_than_the_nearest_distance(robot):
             if link in base:
                 continue
             world = tree.link_pose(q, link).apply(points)
-            sampled = min(sampled, *(distance_to_points(o.shapes[0][0], o.T_world_object, world) for o in objects))
+            sampled = min(
+                sampled, *(distance_to_points(o.shapes[0][0], o.T_world_object, world) for o in objects)
+            )
         nearest = checker.nearest(q)
         if sampled > 0:
             # Hulls that stand for nearly convex meshes are a little larger than these.

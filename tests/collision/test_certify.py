@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from tests.collision.test_against_brute_force import random_objects
@@ -19,7 +21,7 @@ STEP = 0.002  # [rad] of the independent sampling
 def densely(waypoints: np.ndarray, step: float = STEP):
     """Configurations along the straight edges, at most `step` apart in any joint."""
     yield waypoints[0]
-    for a, b in zip(waypoints, waypoints[1:]):
+    for a, b in itertools.pairwise(waypoints):
         n = max(int(np.ceil(np.max(np.abs(b - a)) / step)), 1)
         yield from (a + (b - a) * k / n for k in range(1, n + 1))
 
@@ -35,7 +37,9 @@ def check_soundness(scene: PlanningScene, rng: np.random.Generator, paths: int, 
         start = random_positions(model, rng)[columns]
         if not checker.is_free(start):
             continue
-        ways = start + np.vstack([np.zeros(len(start)), np.cumsum(rng.uniform(-reach, reach, (2, len(start))), 0)])
+        ways = start + np.vstack(
+            [np.zeros(len(start)), np.cumsum(rng.uniform(-reach, reach, (2, len(start))), 0)]
+        )
         ways = np.clip(ways, model.lower[columns], model.upper[columns])
         certificate = certify_path(checker, ways)
         if certificate.free:
@@ -82,7 +86,9 @@ def test_random_motions_among_random_obstacles(robot, reach):
 def test_random_motions_at_length(robot, reach):
     rng, model = np.random.default_rng(1), load_robot(robot)
     for _ in range(8):
-        scene = PlanningScene.of(model, objects=random_objects(rng)).with_attached("Box0", model.gripper().tcp_link)
+        scene = PlanningScene.of(model, objects=random_objects(rng)).with_attached(
+            "Box0", model.gripper().tcp_link
+        )
         check_soundness(scene, rng, 10, reach, model.group("arm").joint_names)
 
 

@@ -54,7 +54,9 @@ def test_distance_and_contact_at_known_places(name):
 
 
 @pytest.mark.parametrize("name", AT_ONE)
-@pytest.mark.parametrize("pads", [{"padding": 0.02}, {"link_padding": {"cube": 0.02}}, {"link_scale": {"cube": 1.2}}])
+@pytest.mark.parametrize(
+    "pads", [{"padding": 0.02}, {"link_padding": {"cube": 0.02}}, {"link_scale": {"cube": 1.2}}]
+)
 def test_padding_and_scale_grow_the_robot(name, pads):
     """0.02 m of padding, or the cube's half edge of 0.1 m times 1.2: contact 0.02 m earlier."""
     checker = ExactChecker(scene_with(name, **pads))

@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.model.helpers import MBM, chain_of, collision, dual, joint, link, mbm_robot, model_of, random_positions
+from tests.model.helpers import (
+    MBM,
+    chain_of,
+    collision,
+    dual,
+    joint,
+    link,
+    mbm_robot,
+    model_of,
+    random_positions,
+)
 from tests.scene.helpers import box
 
 from armcell.collision import ExactChecker, MotionBound
@@ -19,12 +29,13 @@ def forked() -> RobotModel:
     """Slides, mimics and branches: a carriage with two arms, the second following the first at half speed."""
     body = collision('<box size="0.1 0.2 0.3"/>')
     return model_of(
-        link("rail"), link("car", body), link("a1", body), link("a2", body), link("b1", body), link("b2", body),
+        link("rail"), *(link(name, body) for name in ("car", "a1", "a2", "b1", "b2")),
         joint("slide", "rail", "car", "prismatic", '<axis xyz="0 1 0"/>', '<limit lower="-2" upper="1"/>'),
         joint("ja", "car", "a1", inside='<origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>'),
         joint("reach", "a1", "a2", "prismatic", '<origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>',
               '<limit lower="-0.5" upper="0.7"/>'),
-        joint("jb", "car", "b1", inside='<origin xyz="-0.4 0 0"/><axis xyz="0 1 0"/><mimic joint="ja" multiplier="-0.5"/>'),
+        joint("jb", "car", "b1",
+              inside='<origin xyz="-0.4 0 0"/><axis xyz="0 1 0"/><mimic joint="ja" multiplier="-0.5"/>'),
         joint("jb2", "b1", "b2", "continuous", '<origin xyz="0 0 0.5"/><axis xyz="1 1 0"/>'),
     )  # fmt: skip
 
@@ -47,15 +58,21 @@ def scene_of(name: str) -> tuple[PlanningScene, tuple[str, ...] | None]:
         model = mbm_robot(name[4:]) if name.startswith("mbm_") else load_robot(name)
     held = box("held", (0.1, 0.2, 0.05), (0.3, 0.2, 0.4))
     scene = PlanningScene.of(model, objects=[held, box("wall", (0.1, 1, 1), (1, 0, 0))])
-    carrier = {"panda": "panda_leftfinger", "dual": "left_gripper_base", "ur10_gripper": "gripper_left_finger"}
+    carrier = {
+        "panda": "panda_leftfinger",
+        "dual": "left_gripper_base",
+        "ur10_gripper": "gripper_left_finger",
+    }
     if name in carrier:
         scene = scene.with_attached("held", carrier[name])
-    names = None if name != "dual" else model.group("left_arm").joint_names + model.group("right_arm").joint_names
+    names = (
+        None if name != "dual" else model.group("left_arm").joint_names + model.group("right_arm").joint_names
+    )
     return scene, names
 
 
 def displacements(checker: ExactChecker, before: np.ndarray, after: np.ndarray) -> list[float]:
-    """How far the two bodies of each pair move, farthest points summed, seen from the last link above both."""
+    """How far the bodies of each pair move, farthest points summed, seen from the last link above both."""
     Ts = [checker.tree.link_transforms(q) for q in (before, after)]
     corners = {i: _corners(g) for i, g in enumerate(checker.geometries) if g.link >= 0}
     above = {i: _above(checker, i) for i in range(len(checker.geometries))}
@@ -85,7 +102,9 @@ def _above(checker: ExactChecker, geometry: int) -> list[int]:
     return [] if link < 0 else checker.tree.path_to(checker.tree.link_names[link]).tolist()
 
 
-MIMIC = pytest.mark.xfail(reason="bug: one column that moves both bodies through different joints counts as 0")
+MIMIC = pytest.mark.xfail(
+    reason="bug: one column that moves both bodies through different joints counts as 0"
+)
 ROBOTS = [
     "ur10",
     "ur10_gripper",
@@ -112,10 +131,14 @@ def test_it_is_never_below_the_measured_motion(name):
             dq = rng.uniform(-size, size, len(checker.columns)) * (rng.random(len(checker.columns)) < 0.6)
             end = start.copy()
             end[checker.columns] = np.clip(
-                start[checker.columns] + dq, scene.model.lower[checker.columns], scene.model.upper[checker.columns]
+                start[checker.columns] + dq,
+                scene.model.lower[checker.columns],
+                scene.model.upper[checker.columns],
             )
             allowed = bound.along(end[checker.columns] - start[checker.columns])
-            for pair, moved, most in zip(checker.pairs, displacements(checker, start, end), allowed, strict=True):
+            for pair, moved, most in zip(
+                checker.pairs, displacements(checker, start, end), allowed, strict=True
+            ):
                 bodies = [checker.geometries[g].body for g in pair]
                 assert moved <= most + 1e-9, f"{bodies} move {moved:.4f} m, the bound is {most:.4f} m"
 

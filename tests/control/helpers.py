@@ -48,9 +48,7 @@ def motion(goal: dict[str, float], duration: float = 1.5, start: JointState | No
     u = np.linspace(0.0, 1.0, 16)
     s, ds = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2 / duration
     dds = (60 * u - 180 * u**2 + 120 * u**3) / duration**2
-    return JointTrajectory(
-        names, u * duration, q0 + np.outer(s, way), np.outer(ds, way), np.outer(dds, way)
-    )
+    return JointTrajectory(names, u * duration, q0 + np.outer(s, way), np.outer(ds, way), np.outer(dds, way))
 
 
 def swing(angle: float = 0.5, duration: float = 1.5) -> JointTrajectory:

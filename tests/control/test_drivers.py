@@ -97,7 +97,7 @@ def test_joint_state_is_all_actuated_joints_in_the_model_s_order(driver):
 
 def test_command_returns_what_was_sent_and_the_arm_goes_there(driver):
     names = (ARM[3], ARM[0])  # fewer joints, another order
-    target = scene().state.reindexed(names).positions + (0.05, -0.05)
+    target = scene().state.reindexed(names).positions + np.array([0.05, -0.05])
     sent = driver.command(names, target, np.zeros(2))
     assert sent.joint_names == names
     np.testing.assert_allclose(sent.positions, target)
@@ -179,7 +179,7 @@ def test_a_held_object_comes_along(driver):
 
 def test_stop_holds_the_measured_position(driver):
     q = home()
-    for k in range(50):  # at 1 rad/s
+    for _ in range(50):  # at 1 rad/s
         q[0] += 1.0 * driver.period
         driver.command(ARM, q, np.eye(len(ARM))[0])
         driver.advance(driver.period)

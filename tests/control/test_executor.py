@@ -48,7 +48,7 @@ def test_reaches_the_goal(driver):
     assert result.max_tracking_error < 0.02
     assert trajectory.duration <= result.duration < trajectory.duration + 0.5
     assert result.finished == driver.now
-    assert fractions == sorted(fractions) and 0 < fractions[0] and fractions[-1] == pytest.approx(1.0)
+    assert fractions == sorted(fractions) and fractions[0] > 0 and fractions[-1] == pytest.approx(1.0)
 
 
 def test_joints_it_does_not_name_stay(driver):

@@ -55,7 +55,9 @@ def test_registry_finds_lists_and_refuses():
     assert (table["red"], len(table), list(table), "red" in table, "blue" in table) == (
         1, 2, ["green", "red"], True, False,
     )  # fmt: skip
-    with pytest.raises(UnknownNameError, match=r"unknown colour 'gren'; known: green, red \(did you mean 'green'"):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown colour 'gren'; known: green, red \(did you mean 'green'"
+    ):
         table["gren"]
     with pytest.raises(ValueError, match="twice"):
         table.register("red")(3)

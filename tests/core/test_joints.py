@@ -44,7 +44,8 @@ def test_updating_overwrites_by_name_and_leaves_the_old_value():
 
 
 @pytest.mark.parametrize(
-    "use", [lambda s: s.reindexed(("a", "x")), lambda s: s["x"], lambda s: s.updated(JointState(("x",), [0.0]))]
+    "use",
+    [lambda s: s.reindexed(("a", "x")), lambda s: s["x"], lambda s: s.updated(JointState(("x",), [0.0]))],
 )
 def test_an_unknown_joint_lists_the_known_ones(use):
     with pytest.raises(UnknownNameError, match="unknown joint 'x'; known: a, b, c"):

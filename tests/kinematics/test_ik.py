@@ -99,7 +99,7 @@ def test_nearest_equivalent_keeps_the_pose_and_comes_closer():
         turns = (other - q) / (2 * np.pi)
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
         brute = [  # every whole turn within limits
-            min((abs(v - r) for v in q[k] + 2 * np.pi * np.arange(-3, 4) if low - 1e-9 <= v <= high + 1e-9))
+            min(abs(v - r) for v in q[k] + 2 * np.pi * np.arange(-3, 4) if low - 1e-9 <= v <= high + 1e-9)
             for k, (r, low, high) in enumerate(zip(reference, ik.model.lower, ik.model.upper))
         ]
         np.testing.assert_allclose(np.abs(other - reference), brute, atol=1e-9)
@@ -131,9 +131,7 @@ def test_out_of_reach_is_told_with_evidence(robot):
     for _ in range(3):
         direction = rng.normal(size=3) * (1, 1, 0.2)
         distance = stretched + rng.uniform(0.3, 1.0)
-        target = SE3(
-            SO3.exp(rng.normal(size=3)), shoulder + distance * direction / np.linalg.norm(direction)
-        )
+        target = SE3(SO3.exp(rng.normal(size=3)), shoulder + distance * direction / np.linalg.norm(direction))
         result = ik.solve(target, reference, rng=np.random.default_rng(0))
         assert result.code is ErrorCode.NO_IK_SOLUTION and not result
         assert ik.tip_link in result.message and "closest" in result.message
@@ -141,7 +139,9 @@ def test_out_of_reach_is_told_with_evidence(robot):
         model.check_positions(result.positions, ik.joint_names)
         closest = reached(ik, result.positions, reference)
         assert closest.isclose(result.evidence["closest_pose"], 1e-9, 1e-6)
-        assert closest.distance_to(target) == pytest.approx((result.position_error, result.rotation_error), abs=1e-6)
+        assert closest.distance_to(target) == pytest.approx(
+            (result.position_error, result.rotation_error), abs=1e-6
+        )
         # ... not nearer than geometry allows and not worse than blind search.
         assert result.position_error >= distance - stretched - 1e-9
         samples = [tree.link_pose(random_positions(model, rng), ik.tip_link) for _ in range(500)]
@@ -170,7 +170,8 @@ def test_the_same_seed_gives_the_same_answer():
     ik = solver("panda")
     target = ik.tree.link_pose(random_positions(ik.model, np.random.default_rng(6)), ik.tip_link)
     a, b = (
-        ik.solve(target, ik.model.default_positions(), rng=np.random.default_rng(7)).positions for _ in range(2)
+        ik.solve(target, ik.model.default_positions(), rng=np.random.default_rng(7)).positions
+        for _ in range(2)
     )
     np.testing.assert_array_equal(a, b)
 
@@ -204,4 +205,3 @@ def test_a_half_turn_is_found():
         if result.ok:
             assert reached(ik, result.positions, q).isclose(target, 1e-5, 1e-4)
     assert ik.solve(SE3(start.rotation @ SO3.exp((0, 0, np.pi)), start.translation), q).ok
-

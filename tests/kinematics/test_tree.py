@@ -42,7 +42,11 @@ def test_jacobians_are_pinocchio_s(pair):
         np.testing.assert_allclose(tree.jacobian(q, link), reference.jacobian(link), atol=1e-10)
 
 
-BROKEN = {"alex_psyonic_hands.urdf", "romeo_laas_small.urdf", "ur3.urdf"}  # mimics nothing, lost mesh, no links
+BROKEN = {
+    "alex_psyonic_hands.urdf",
+    "romeo_laas_small.urdf",
+    "ur3.urdf",
+}  # mimics nothing, lost mesh, no links
 
 
 @pytest.mark.slow
@@ -69,11 +73,12 @@ def numeric_jacobian(tree: KinematicTree, q: np.ndarray, link: str, h: float = 1
 
 
 def robots():
+    up = '<origin xyz="0 0 0.4"/>'
     mimics = model_of(
         l("a"), l("b"), l("c"), l("d"),
         j("j1", "a", "b", inside='<origin xyz="0.1 0.2 0.3"/><axis xyz="0 1 0"/>'),
-        j("j2", "b", "c", inside='<origin xyz="0 0 0.4"/><axis xyz="1 0 0"/><mimic joint="j1" multiplier="-2" offset="0.3"/>'),
-        j("j3", "c", "d", inside='<origin xyz="0 0 0.4"/><axis xyz="0 0 1"/><mimic joint="j2" multiplier="0.5"/>'),
+        j("j2", "b", "c", inside=f'{up}<axis xyz="1 0 0"/><mimic joint="j1" multiplier="-2" offset="0.3"/>'),
+        j("j3", "c", "d", inside=f'{up}<axis xyz="0 0 1"/><mimic joint="j2" multiplier="0.5"/>'),
     )  # fmt: skip
     return {
         "panda": load_robot("panda"),
@@ -116,7 +121,9 @@ def test_a_planar_joint_moves_in_its_plane_and_a_floating_one_everywhere():
         assert np.linalg.norm(moved.translation) == pytest.approx(np.hypot(x, y))
         assert SE3(moved.rotation, np.zeros(3)).isclose(SE3(SO3.exp(theta * normal), np.zeros(3)), 1e-9, 1e-7)
         xyz, rpy = rng.uniform(-1, 1, (2, 3))
-        moved = floating.link_pose(np.zeros(7), "l1").inv() @ floating.link_pose([*xyz, *rpy[::-1], 0.0], "l1")
+        moved = floating.link_pose(np.zeros(7), "l1").inv() @ floating.link_pose(
+            [*xyz, *rpy[::-1], 0.0], "l1"
+        )
         np.testing.assert_allclose(moved.matrix, SE3.from_xyz_rpy(xyz, rpy).matrix, atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""Robots for the tests of the lower rooms: small URDF texts, files on this machine, pinocchio's view of them."""
+"""Robots for the tests of the lower rooms: URDF texts, files on this machine, pinocchio's view of them."""
 
 from __future__ import annotations
 
@@ -147,7 +147,9 @@ class PinRobot:
             while source.mimic is not None:
                 factor, source = factor * source.mimic.multiplier, self.model.joints[source.mimic.joint]
             column = J[:, self.pin.idx_vs[self.pin.getJointId(joint.name)]]
-            out[:, self.model.joint_names.index(source.name)] += factor * np.r_[R @ column[:3], R @ column[3:]]
+            out[:, self.model.joint_names.index(source.name)] += (
+                factor * np.r_[R @ column[:3], R @ column[3:]]
+            )
         return out
 
 

@@ -37,7 +37,9 @@ def test_a_package_is_found_in_the_environment(package, tmp_path, monkeypatch, v
     away.mkdir()
     with pytest.raises(InputError):
         resolve_uri("package://arm_description/meshes/part.stl", away)
-    entry = {"parent": package.parent, "package itself": package, "install space": tmp_path / "install"}[layout]
+    entry = {"parent": package.parent, "package itself": package, "install space": tmp_path / "install"}[
+        layout
+    ]
     if layout == "install space":
         (entry / "share").mkdir(parents=True)
         (entry / "share" / "arm_description").symlink_to(package)
@@ -69,7 +71,6 @@ def test_package_meshes_beside_the_urdf(name):
 
 
 @needs_mbm
-@pytest.mark.xfail(reason="bug: a visual mesh that is missing stops a robot that could be planned for")
 @pytest.mark.parametrize("name", ["panda", "ur5", "baxter"])
 def test_robots_without_their_visual_meshes_load(name):
     assert load_robot(mbm_file(name)).dof == mbm_robot(name).dof
@@ -84,7 +85,9 @@ def test_mesh_formats(tmp_path, format):
     mesh = load_mesh(file, (2.0, 1.0, 1.0))
     assert len(mesh.faces) == len(ball.faces)
     assert len(mesh.vertices) == len(ball.vertices)  # corners that STL repeats are merged
-    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), np.ptp(ball.vertices, axis=0) * (2, 1, 1), atol=1e-6)
+    np.testing.assert_allclose(
+        np.ptp(mesh.vertices, axis=0), np.ptp(ball.vertices, axis=0) * (2, 1, 1), atol=1e-6
+    )
 
 
 BOMB = (

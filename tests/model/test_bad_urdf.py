@@ -55,7 +55,7 @@ BAD = {
         ":4: <joint name='j'>",
         "has no <parent>",
     ),
-    "unknown type": ((*AB, joint("j", "a", "b", "hinge")), ":4: <joint name='j'>", "unknown joint type 'hinge'"),
+    "unknown type": ((*AB, joint("j", "a", "b", "hinge")), ":4: <joint", "unknown joint type 'hinge'"),
     "zero axis": ((*AB, joint("j", "a", "b", inside='<axis xyz="0 0 0"/>')), ":4: <axis>", "length zero"),
     "short axis": (
         (*AB, joint("j", "a", "b", inside='<axis xyz="0 1"/>')),
@@ -67,7 +67,7 @@ BAD = {
         ":4: <limit>",
         "lower 1 is above upper -1",
     ),
-    "no limit": ((*AB, joint("j", "a", "b", limit="")), ":4: <joint name='j'>", "a revolute joint needs <limit>"),
+    "no limit": ((*AB, joint("j", "a", "b", limit="")), ":4: <joint", "a revolute joint needs <limit>"),
     "nan limit": (
         (*AB, joint("j", "a", "b", limit=LIMITED.format("nan", 1))),
         ":4: <limit>",
@@ -99,7 +99,7 @@ BAD = {
     "no shape": (sized(""), ":2: <collision>", "has no <geometry>"),
     "missing mesh": (sized('<mesh filename="no.stl"/>'), ":2: <mesh>", "no.stl not found"),
     "flat mesh": (sized('<mesh filename="no.stl" scale="1 0 1"/>'), ":2: <mesh>", "mesh scale has a zero"),
-    "colour": (('<material name="m"><color rgba="1 1"/></material>', link("a")), ":2: <color>", "4 finite numbers"),
+    "colour": (('<material name="m"><color rgba="1 1"/></material>',), ":2: <color>", "4 finite numbers"),
 }  # fmt: skip
 
 

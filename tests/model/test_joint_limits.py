@@ -41,7 +41,13 @@ def test_a_switched_off_limit_is_left_alone(apply):
 
 @pytest.mark.parametrize(
     "text",
-    ["max_velocity: 2.5", "max_position: 0.0", "min_position: -3.1", "max_acceleration: 99", "max_effort: 1000"],
+    [
+        "max_velocity: 2.5",
+        "max_position: 0.0",
+        "min_position: -3.1",
+        "max_acceleration: 99",
+        "max_effort: 1000",
+    ],
 )
 def test_wider_limits_are_refused(apply, text):
     with pytest.raises(InputError, match="wider than the robot's own .*only be tightened"):

@@ -18,6 +18,11 @@ ROBOT = model_of(
 )
 
 
+def state(name: str, group: str, **values: str) -> str:
+    joints = "".join(f'<joint name="{k}" value="{v}"/>' for k, v in values.items())
+    return f'<group_state name="{name}" group="{group}">{joints}</group_state>'
+
+
 @pytest.fixture
 def apply(tmp_path):
     def read(*elements: str):
@@ -48,8 +53,8 @@ def test_named_states_and_end_effectors(apply):
     model = apply(
         '<group name="arm"><chain base_link="base" tip_link="tool"/></group>',
         '<group name="hand"><joint name="grip1"/></group>',
-        '<group_state name="home" group="arm"><joint name="elbow" value="0.5"/><joint name="shoulder" value="-0.5"/></group_state>',
-        '<group_state name="open" group="hand"><joint name="grip1" value="0.2"/><joint name="grip2" value="0.2"/></group_state>',
+        state("home", "arm", elbow="0.5", shoulder="-0.5"),
+        state("open", "hand", grip1="0.2", grip2="0.2"),
         '<end_effector name="gripper" parent_link="tool" group="hand" parent_group="arm"/>',
     )  # fmt: skip
     assert model.named_state("arm", "home").as_dict() == {"elbow": 0.5, "shoulder": -0.5}
@@ -100,11 +105,11 @@ BAD = {
 WRONG = pytest.mark.xfail(reason="bug: srdf.py does not check it")
 BAD_TOO = {
     "state nan": (
-        '<group name="g"><joint name="elbow"/></group><group_state name="s" group="g"><joint name="elbow" value="nan"/></group_state>',
+        '<group name="g"><joint name="elbow"/></group>' + state("s", "g", elbow="nan"),
         "elbow",
     ),
     "state out of limits": (
-        '<group name="g"><joint name="elbow"/></group><group_state name="s" group="g"><joint name="elbow" value="9"/></group_state>',
+        '<group name="g"><joint name="elbow"/></group>' + state("s", "g", elbow="9"),
         "elbow",
     ),
     "state group": (

@@ -124,7 +124,8 @@ XACRO = """<robot name="snake" xmlns:xacro="http://www.ros.org/wiki/xacro">
 SEGMENT = """<xacro:macro name="segment" params="parent n">
     <link name="s${n}"><collision><geometry><box size="${size} ${size/2} 0.1"/></geometry></collision></link>
     <joint name="j${n}" type="revolute"><parent link="s${parent}"/><child link="s${n}"/>
-      <origin xyz="${size} 0 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+      <origin xyz="${size} 0 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>
+    </joint>
   </xacro:macro>"""
 
 

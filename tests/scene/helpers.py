@@ -28,10 +28,8 @@ def open_bin(width: float = 0.4, height: float = 0.2, wall: float = 0.01) -> tri
     profile = {  # corners of the outer and inner rectangles, counter-clockwise seen from above
         k: np.array([(-s, -s), (s, -s), (s, s), (-s, s)]) / 2 for k, s in (("out", width), ("in", inner))
     }
-    v = np.vstack([
-        np.column_stack([profile["out"], np.zeros(4)]), np.column_stack([profile["out"], np.full(4, height)]),
-        np.column_stack([profile["in"], np.full(4, height)]), np.column_stack([profile["in"], np.full(4, wall)]),
-    ])  # fmt: skip
+    rings = (("out", 0.0), ("out", height), ("in", height), ("in", wall))
+    v = np.vstack([np.column_stack([profile[k], np.full(4, z)]) for k, z in rings])
     faces = [(0, 2, 1), (0, 3, 2), (12, 13, 14), (12, 14, 15)]  # floor from below and from inside
     for ring in (0, 4, 8):  # outer walls, rim, inner walls
         for i in range(4):

@@ -57,7 +57,10 @@ def test_touch_links_may_touch():
 @pytest.mark.xfail(reason="bug: with_attached goes through touch_links twice")
 def test_touch_links_may_be_any_iterable():
     links = (name for name in ["panda_leftfinger"])
-    assert "panda_leftfinger" in panda(CUBE).with_attached("cube", "panda_hand", links).attached["cube"].touch_links
+    assert (
+        "panda_leftfinger"
+        in panda(CUBE).with_attached("cube", "panda_hand", links).attached["cube"].touch_links
+    )
 
 
 def test_allowing_overrides_touch_links_and_the_srdf():
@@ -65,7 +68,9 @@ def test_allowing_overrides_touch_links_and_the_srdf():
     strict = held.with_allowed("cube", "panda_leftfinger", allow=False)
     assert not strict.is_allowed("panda_leftfinger", "cube") and held.is_allowed("panda_leftfinger", "cube")
     assert held.is_allowed("panda_link0", "panda_link1")  # the SRDF says so
-    assert not held.with_allowed("panda_link0", "panda_link1", allow=False).is_allowed("panda_link1", "panda_link0")
+    assert not held.with_allowed("panda_link0", "panda_link1", allow=False).is_allowed(
+        "panda_link1", "panda_link0"
+    )
 
 
 def test_allowing_several_at_once_and_taking_it_back():

@@ -59,7 +59,9 @@ def test_an_open_mesh_has_its_hull_s_volume_and_a_plane_none():
 
 def test_mass_is_given_or_from_density():
     assert box("a", (0.1, 0.1, 0.1), mass=3.0).mass_kg == 3.0
-    two = CollisionObject("b", ((Box(0.1, 0.1, 0.1), SE3.identity()), (Box(0.2, 0.1, 0.1), SE3.from_xyz(1, 0, 0))))
+    two = CollisionObject(
+        "b", ((Box(0.1, 0.1, 0.1), SE3.identity()), (Box(0.2, 0.1, 0.1), SE3.from_xyz(1, 0, 0)))
+    )
     assert two.mass_kg == pytest.approx(DEFAULT_DENSITY * 0.003)
 
 

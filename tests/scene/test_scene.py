@@ -131,7 +131,11 @@ def test_padding_and_scale_are_checked(bad):
 
 def test_what_is_not_given_stays_padded():
     scene = panda().with_padding(0.01, {"panda_hand": 0.02}).with_padding(link_scale={"panda_hand": 1.5})
-    assert (scene.padding, scene.link_padding["panda_hand"], scene.link_scale["panda_hand"]) == (0.01, 0.02, 1.5)
+    assert (scene.padding, scene.link_padding["panda_hand"], scene.link_scale["panda_hand"]) == (
+        0.01,
+        0.02,
+        1.5,
+    )
     assert scene.with_padding(0.0).padding == 0.0
 
 

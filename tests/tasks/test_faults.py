@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.tasks.helpers import (
-    PICK_STAGES, AtStage, AtTime, Freezable, live, notes, panda_pick, stages, teleport, with_cube,
+    PICK_STAGES,
+    AtStage,
+    AtTime,
+    Freezable,
+    live,
+    notes,
+    panda_pick,
+    prison,
+    stages,
+    teleport,
+    with_cube,
 )  # fmt: skip
 
 from armcell.control import ExecutionSettings
@@ -145,3 +157,24 @@ def test_after_a_failed_pick_the_arm_is_free_for_the_next():
         cell.driver.advance(0.5)
         np.testing.assert_allclose(cell.driver.joint_state().positions, rest, atol=2e-3)
         assert cell.driver.gripper("hand").held == "cube"
+
+
+def test_cancel_while_planning_ends_at_once():
+    with live("fake", prison()) as cell:
+        timer = threading.Timer(1.0, cell.ctx.cancel.set)
+        timer.start()
+        began = time.monotonic()
+        outcome = cell.arm.pick("cube")
+        took = time.monotonic() - began
+        timer.cancel()
+        assert outcome.code is ErrorCode.PREEMPTED
+        assert 1.0 <= took < 3.0
+        assert cell.driver.now == 0.0
+
+
+def test_no_way_to_any_grasp_says_so():
+    with live("fake", prison(), settings=replace(SETTINGS, planning_time=0.05)) as cell:
+        outcome = cell.arm.pick("cube")
+        assert outcome.code is ErrorCode.PLANNING_FAILED
+        assert "x move to pre-grasp: RRTConnect" in outcome.message
+        assert not stages(cell)

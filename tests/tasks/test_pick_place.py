@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.tasks.helpers import PICK_STAGES, PLACE_STAGES, AtStage, live, nominal, panda_pick, stages, with_cube
+from tests.tasks.helpers import (
+    PICK_STAGES,
+    PLACE_STAGES,
+    AtStage,
+    live,
+    nominal,
+    panda_pick,
+    stages,
+    with_cube,
+)
 
 from armcell.core import SE3, Box, ErrorCode, InputError, JointState, UnknownNameError
 from armcell.scene import CollisionObject

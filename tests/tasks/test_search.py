@@ -83,8 +83,11 @@ def test_nothing_fits_collects_every_reason(planning, log):
     assert search(stages, start(), planning) is None
     rejections = planning.rejections
     assert rejections.details == [
-        ("b", "b1", "too hot: a1"), ("b", "b2", "too cold"), ("b", "b1", "too hot: a2"), ("b", "b2", "too cold"),
-    ]  # fmt: skip
+        ("b", "b1", "too hot: a1"),
+        ("b", "b2", "too cold"),
+        ("b", "b1", "too hot: a2"),
+        ("b", "b2", "too cold"),
+    ]
     assert rejections.counts == {("b", "too hot"): 2, ("b", "too cold"): 2}
     text = rejections.summary()
     assert "4 candidates rejected" in text

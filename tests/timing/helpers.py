@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import toppra
 import toppra.algorithm
@@ -65,7 +67,7 @@ def sampled(trajectory: JointTrajectory, step: float = 1e-3):
 def distance_to_polyline(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Euclidean distance of each point (m, n) to the polyline through corners (k, n)."""
     best = np.full(len(points), np.inf)
-    for a, b in zip(corners, corners[1:]):
+    for a, b in itertools.pairwise(corners):
         t = np.clip((points - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-18), 0.0, 1.0)
         best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
     return best

@@ -55,7 +55,9 @@ def milliseconds(seed: int, deviation: float = 0.05):
 def test_as_fast_as_toppra(seed):
     path, trajectory = timed(seed)
     best = toppra_duration(path, PANDA_V, ACCELERATION_SHARE * PANDA_A)
-    assert trajectory.duration - WINDOW == pytest.approx(best, rel=0.015, abs=0.02)  # its points are 10 ms apart
+    assert trajectory.duration - WINDOW == pytest.approx(
+        best, rel=0.015, abs=0.02
+    )  # its points are 10 ms apart
     assert toppra_duration(path, PANDA_V, PANDA_A) <= trajectory.duration
 
 

@@ -190,12 +190,21 @@ class ExactChecker:
     def relax_margins(self, q: ArrayLike) -> None:
         """Lower the padding of pairs that are closer than it at q, but do not touch: a motion may start
         there and leave, it just comes no closer (0.1 mm less than now)."""
+        self.relaxed_margins(q)
+
+    def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
+        """`relax_margins`; returns what was lowered: (body, object) and the margin left [m]."""
         self.place(q)
+        lowered: dict[tuple[str, str], float] = {}
         for pairs, margins in ((self.pairs, self.margins), (self.fixed_pairs, self.fixed_margins)):
             for p in np.flatnonzero((self.pair_gaps(pairs) <= margins) & (margins > 0)):
-                distance = self.pair_distance(int(pairs[p, 0]), int(pairs[p, 1]))
+                a, b = int(pairs[p, 0]), int(pairs[p, 1])
+                distance = self.pair_distance(a, b)
                 if distance <= margins[p]:
                     margins[p] = max(distance - 1e-4, 0.0)
+                    key = (self.geometries[a].body, self.geometries[b].body)
+                    lowered[key] = min(margins[p], lowered.get(key, np.inf))
+        return lowered
 
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
         """Every pair of bodies that touches at q (or is within the padding), deepest first."""

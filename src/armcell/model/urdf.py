@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from armcell.core import SE3, Box, Capsule, Cylinder, InputError, Shape, Sphere
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
+
+logger = logging.getLogger(__name__)
 
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
@@ -164,7 +167,7 @@ class _Reader:
             name=name,
             inertial=None if inertial is None else self.inertial(inertial),
             collisions=tuple(Collision(self.shape(c), self.origin(c)) for c in element.findall("collision")),
-            visuals=tuple(self.visual(v, materials) for v in element.findall("visual")),
+            visuals=tuple(filter(None, (self.visual(v, materials) for v in element.findall("visual")))),
         )
 
     def inertial(self, element: etree._Element) -> Inertial:
@@ -222,14 +225,19 @@ class _Reader:
             raise self.fail(geometry, str(error)) from None
         raise self.fail(geometry, "unknown geometry", cure="box, sphere, cylinder, capsule and mesh exist")
 
-    def visual(self, element: etree._Element, materials: dict) -> Visual:
+    def visual(self, element: etree._Element, materials: dict) -> Visual | None:
+        """A visual; None with a warning where its mesh is missing: plans do not depend on looks."""
         material = element.find("material")
         color = None
         if material is not None:
             color = self.color(material) or materials.get(material.get("name"))
         geometry = self.geometry(element)
         if geometry.tag == "mesh":
-            file, scale = self.mesh_file(geometry)
+            try:
+                file, scale = self.mesh_file(geometry)
+            except InputError as error:
+                logger.warning("%s; the link is drawn by its collision shapes", error)
+                return None
             return Visual(self.origin(element), file=file, scale=scale, color=color)
         return Visual(self.origin(element), shape=self.shape(element), color=color)
 

@@ -16,7 +16,6 @@ from numba import njit
 
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.layout import (
-    ALLOWED,
     BLOCKS,
     BODIES,
     BODY_GROUPS,
@@ -32,6 +31,7 @@ from armcell.collision.kernel.layout import (
     GROUP_SPHERES,
     GROUPS,
     KIND,
+    MARGIN,
     MULTIPLIER,
     OFFSET,
     PADDING,
@@ -76,6 +76,7 @@ from armcell.collision.kernel.simd import (
 )
 
 REVOLUTE = 1
+EXACT, PADDED = 1, 2  # bits of `mode`
 # Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
 AT_A, AT_B, AT_RELATIVE, SCRATCH = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24, gjk.SCRATCH + 36
 
@@ -337,23 +338,25 @@ def _body_to_shape(I, F, D, w, stamps, now, s, body, o, margin, exact):
 
 
 @njit(cache=True)
-def env_block(I, F, D, w, stamps, now, s, extra, exact):
-    """Bodies against the world; `extra` (bodies,) [m] is added to each body's padding."""
+def env_block(I, F, D, w, stamps, now, s, extra, mode):
+    """Bodies against the world; `extra` (bodies,) [m] is added to the margins. See `check_block`."""
     for body in range(I[BODIES]):
         if I[I[FRAME] + body] == 0:
             continue
-        margin, sphere = F[I[PADDING] + body] + extra[body], I[BODY_SPHERE] + 4 * body
+        padding, sphere = F[I[PADDING] + body] if mode & PADDED else np.float32(0.0), I[BODY_SPHERE] + 4 * body
         at = _centre(I, F, w, stamps, now, body, _frame_at(I, I[I[FRAME] + body]), sphere)
-        x, y, z, r = load(w, at), load(w, at + L), load(w, at + 2 * L), F[sphere + 3] + margin
+        x, y, z, r = load(w, at), load(w, at + L), load(w, at + 2 * L), F[sphere + 3] + padding + extra[body]
         lx, ly, lz, hx, hy, hz = hmin(x) - r, hmin(y) - r, hmin(z) - r, hmax(x) + r, hmax(y) + r, hmax(z) + r
         for block in range(I[BLOCKS]):
             hit = _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz)
             while hit != 0:
                 o = block * L + trailing_zeros(hit)
                 hit &= hit - 1
-                if I[I[ALLOWED] + I[SHAPES] * body + o] or not any_lt(shape_gap(I, F, o, w, at), splat(r)):
+                margin = F[I[MARGIN] + I[SHAPES] * body + o]
+                if margin < 0.0 or not any_lt(shape_gap(I, F, o, w, at), splat(r)):
                     continue
-                if _body_to_shape(I, F, D, w, stamps, now, s, body, o, margin, exact):
+                margin = (margin if mode & PADDED else np.float32(0.0)) + extra[body]
+                if _body_to_shape(I, F, D, w, stamps, now, s, body, o, margin, mode & EXACT):
                     return True
     return False
 
@@ -434,28 +437,29 @@ def self_block(I, F, D, w, stamps, now, s, extra_pair, exact):
 
 
 @njit(cache=True)
-def check_block(I, F, D, w, stamps, s, extra, extra_pair, exact):
+def check_block(I, F, D, w, stamps, s, extra, extra_pair, mode):
     """Whether any of 16 configurations (positions at w[j * L:]) touches anything.
 
     Args:
         extra, extra_pair: margins [m] per body (beside its padding) and per pair of bodies.
-        exact: decide by exact pieces what the covers cannot; else covers that touch count as contact.
+        mode: bits. EXACT: decide by exact pieces what the covers cannot, else covers that touch count as
+            contact. PADDED: bodies keep their padding from world shapes.
     """
     now = stamps[0] + 1
     stamps[0] = now
     fk_block(I, F, w)
-    if env_block(I, F, D, w, stamps, now, s, extra, exact):
+    if env_block(I, F, D, w, stamps, now, s, extra, mode):
         return True
-    return self_block(I, F, D, w, stamps, now, s, extra_pair, exact)
+    return self_block(I, F, D, w, stamps, now, s, extra_pair, mode & EXACT)
 
 
 @njit(cache=True)
-def check(I, F, D, w, stamps, s, extra, extra_pair, exact, q):
+def check(I, F, D, w, stamps, s, extra, extra_pair, mode, q):
     """`check_block` on arrays, for one configuration (dof,)."""
     for j in range(len(q)):
         for lane in range(L):
             w[j * L + lane] = q[j]
     return check_block(
         pointer(I), pointer(F), pointer(D), pointer(w), pointer(stamps), pointer(s), pointer(extra),
-        pointer(extra_pair), exact,
+        pointer(extra_pair), mode,
     )  # fmt: skip

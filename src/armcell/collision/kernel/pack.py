@@ -42,7 +42,8 @@ class Pack(NamedTuple):
     frame: I32  # (k,)
     body_sphere: F32  # (k, 4) centre in the frame, radius
     body_groups: I32  # (k + 1,) first group of each
-    padding: F32  # (k,) against world shapes
+    padding: F32  # (k,) against world shapes, the largest of its margins
+    margin: F32  # (k, o) padding of each body against each world shape, -1 where contact is ignored
     group_sphere: F32  # (g, 4)
     group_spheres: I32  # (g + 1,) first sphere of each
     sphere: F32  # (s, 5) centre in the frame, outer radius, inner radius
@@ -56,7 +57,6 @@ class Pack(NamedTuple):
     shape_planes: I32  # (o + 1,) of convex meshes
     planes: F32  # (n, 4) outward normal and offset
     boxes: F32  # (blocks, 6, L) axis-aligned boxes, 16 shapes a block; unused lanes are empty
-    allowed: NDArray[np.uint8]  # (k, o) contact to be ignored
     shape_pieces: I32  # (o + 1,) first exact piece of each world shape
     # exact pieces: convex solids of bodies (in their frame) and of world shapes (in the world)
     piece_kind: I32  # (e,)
@@ -94,8 +94,12 @@ class _Packer:
         self._frames()
         bodies, body_arrays = self._bodies()
         shapes, shape_arrays = self._shapes()
-        allowed = np.array(
-            [[self.scene.is_allowed(b, o) for o in shapes] for b, _ in bodies], dtype=np.uint8
+        margin = np.array(
+            [
+                [-1.0 if self.scene.is_allowed(b, o) else body_arrays["padding"][k] for o in shapes]
+                for k, (b, _) in enumerate(bodies)
+            ],
+            dtype=np.float32,
         ).reshape(len(bodies), len(shapes))
         pairs = self._pairs(bodies)
         reach = self._reach(bodies, body_arrays["body_sphere"])
@@ -104,7 +108,7 @@ class _Packer:
             dof=self.dof, parent=np.array(self.parent, np.int32), fixed=np.array(self.fixed, np.float32).reshape(-1, 12),
             kind=np.array(self.kind, np.int32), column=np.array(self.column, np.int32),
             multiplier=np.array(self.multiplier, np.float32), offset=np.array(self.offset, np.float32),
-            pairs=pairs, allowed=allowed, reach=reach, pair_reach=self._pair_reach(bodies, pairs, reach),
+            pairs=pairs, margin=margin, reach=reach, pair_reach=self._pair_reach(bodies, pairs, reach),
             **body_arrays, **shape_arrays, **piece_arrays,
         )
         return result, Names(tuple(b for b, _ in bodies), tuple(shapes))

@@ -136,6 +136,16 @@ def splat(typingctx, value):
     return vec(value), codegen
 
 
+@intrinsic
+def iota(typingctx):
+    """0, 1, 2, ... in the lanes."""
+
+    def codegen(context, builder, signature, args):
+        return ir.Constant(_VEC, [float(k) for k in range(L)])
+
+    return vec(), codegen
+
+
 def _binary(instruction):
     @intrinsic
     def op(typingctx, a, b):

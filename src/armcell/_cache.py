@@ -1,0 +1,61 @@
+"""Where compiled kernels are kept between runs.
+
+Numba does not notice that a function which a cached one has inlined was changed, and would run the old
+machine code. So the cache folder's name is a hash of every source that holds compiled code and of the
+versions: changed sources never meet an old entry.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+import tempfile
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+
+def cache_root() -> Path:
+    """`ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder."""
+    if chosen := os.environ.get("ARMCELL_CACHE_DIR"):
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "armcell"
+
+
+def source_hash() -> str:
+    """Of all sources with compiled functions, Python, Numba and the processor."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        source = file.read_bytes()
+        if b"numba" in source or b"njit" in source:
+            digest.update(source)
+    for package in ("numba", "llvmlite", "numpy"):
+        try:
+            digest.update(version(package).encode())
+        except PackageNotFoundError:
+            digest.update(b"none")
+    digest.update(f"{sys.version}{platform.machine()}{platform.processor()}".encode())
+    return digest.hexdigest()[:16]
+
+
+def writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def use_cache() -> Path:
+    """Point Numba at the folder for these sources; a temporary one where the user's is not writable."""
+    folder = cache_root() / "kernels" / source_hash()
+    if not writable(folder):
+        folder = Path(tempfile.gettempdir()) / f"armcell-{os.getuid() if hasattr(os, 'getuid') else 0}" / folder.name
+        writable(folder)
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = str(folder)
+    return folder

@@ -1,0 +1,1 @@
+"""The native planner: RRT-Connect, shortcuts and proofs in one compiled piece."""

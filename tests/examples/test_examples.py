@@ -1,0 +1,125 @@
+"""The examples run from anywhere and print what they promise."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import armcell
+
+SOURCE = Path(armcell.__file__).parents[1]  # also where armcell is not installed
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted(path for path in EXAMPLES.rglob("*.py") if "__pycache__" not in path.parts)
+
+
+@pytest.fixture
+def printed(tmp_path):
+    """Run an example in an empty folder; the lines that it printed."""
+
+    def run(script: str) -> str:
+        process = subprocess.run(
+            [sys.executable, EXAMPLES / script], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(SOURCE)},
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert process.returncode == 0, process.stderr
+        assert process.stderr == ""
+        assert not list(tmp_path.iterdir())  # it leaves nothing behind
+        return process.stdout
+
+    return run
+
+
+def number(pattern: str, text: str) -> float:
+    """The number in the first match's group."""
+    match = re.search(pattern, text)
+    assert match, f"{pattern!r} is not in {text!r}"
+    return float(match[1])
+
+
+def test_all_five_are_there():
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05"]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_short_documented_and_public(script):
+    """What a learner reads: a docstring, at most 100 lines, no private names, no room's inner files."""
+    text = script.read_text()
+    assert text.startswith('"""') and 30 <= text.count("\n") <= 100
+    assert not re.search(r"\b_[a-z]", re.sub(r"T_\w+|__file__", "", text))
+    assert not re.search(r"from armcell\.\w+\.\w+", text)
+
+
+def test_01_load_a_robot(printed):
+    said = printed("01_load_a_robot.py")
+    assert "panda" in said and "ur10_gripper" in said
+    assert len(re.findall(r"^panda_(?:finger_)?joint\d", said, re.M)) == 8
+    assert "group 'arm': 7 joints, named states: home" in said
+    assert "opens 80 mm" in said
+    assert number(r"error of the solution: ([\d.]+) mm", said) < 0.01
+    # Turning about the base moves the hand sideways, by its distance from the axis.
+    x = number(r"hand is at SE3\(xyz=\[([-\d.]+)", said)
+    assert number(r"moves the hand at \[ ?[-\d.]+ +([-\d.]+)", said) == pytest.approx(x, abs=2e-3)
+    assert re.search(r"2 m away: NO_IK_SOLUTION: panda_hand_tcp cannot reach", said)
+
+
+def test_02_plan_to_a_pose(printed):
+    said = printed("02_plan_to_a_pose.py")
+    assert said.startswith("SUCCESS: by ")
+    assert number(r"ends ([\d.]+) mm from the target", said) < 0.5
+    assert number(r"at (\d+)% of its limit", said) <= 50
+    assert number(r"straight down: (\d+)%", said) == 100
+    assert re.search(r"extended or left: SUCCESS", said)
+    assert "NO_IK_SOLUTION: " in said and number(r"it is ([\d.]+) m from the shoulder", said) > 0.8
+    assert re.search(r"each of \d+ joint solutions touches something", said)
+    assert len(re.findall(r"touches box \([\d.]+ mm deep\)", said)) >= 2
+
+
+def test_03_scene_and_collisions(printed):
+    said = printed("03_scene_and_collisions.py")
+    states = {line.split()[0]: line for line in said.splitlines()[:3]}
+    assert "free" in states["left"] and "free" in states["right"]
+    assert "touches wall" in states["ahead"]
+    assert "around the wall: SUCCESS" in said and number(r", (\d+) mm clear", said) > 0
+    assert number(r"of it: (\d+) touch anything", said) == 0
+    around, free = number(r"([\d.]+) s, \d+ mm clear", said), number(r"without it: .*, ([\d.]+) s;", said)
+    assert free < around
+    assert "still has table wall" in said
+    held = re.search(r"the held bar touches: (.*)", said)[1]
+    assert "panda_leftfinger" in held and "panda_rightfinger" in held and "panda_hand " not in held
+    assert "allowed, it touches: 0 bodies" in said
+
+
+def test_04_pick_and_place(printed):
+    said = printed("04_pick_and_place.py")
+    assert "pick: SUCCESS; the hand holds cube with" in said
+    assert number(r"slipped ([\d.]+) mm", said) < 0.5
+    assert number(r"place: SUCCESS; ([\d.]+) mm", said) < 5
+    assert number(r"asked for: (\d+)", said) == 0
+    for stage in ("approach", "close", "lift", "move to pre-place", "lower", "retreat"):
+        assert re.search(rf"^{stage} .* \d+\.\d\d s", said, re.M), stage
+    assert "cannot reach" in said and "pick('cub'): unknown object 'cub'" in said
+
+
+@pytest.mark.slow
+def test_05_your_own_cell(printed):
+    said = printed("05_your_own_cell/05_your_own_cell.py")
+    assert said.count("success: True") == 2
+    assert len(set(re.findall(r"can of ([\d.]+) kg", said))) == 2
+    for line in re.findall(r"slip .*", said):
+        assert number(r"slip ([\d.]+) mm", line) < 0.5
+        assert number(r"placed ([\d.]+) mm off", line) < 5
+        assert " 0 unwanted contacts" in line
+    x, y, z = (float(v) for v in re.search(r"the can stands \[([^]]+)\]", said)[1].split())
+    assert (x, y, z) == pytest.approx((0.03, 0.0, 0.38), abs=5e-3)
+    assert "objects/can/frction" in said and "did you mean 'friction'?" in said
+
+
+def test_the_own_cell_is_sound(capsys):
+    from armcell.cli.main import main
+
+    assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
