@@ -53,7 +53,11 @@ def use_cache() -> Path:
     """Point Numba at the folder for these sources; a temporary one where the user's is not writable."""
     folder = cache_root() / "kernels" / source_hash()
     if not writable(folder):
-        folder = Path(tempfile.gettempdir()) / f"armcell-{os.getuid() if hasattr(os, 'getuid') else 0}" / folder.name
+        folder = (
+            Path(tempfile.gettempdir())
+            / f"armcell-{os.getuid() if hasattr(os, 'getuid') else 0}"
+            / folder.name
+        )
         writable(folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:

@@ -119,7 +119,10 @@ def test_yaml_errors_name_the_line(tmp_path, text, line):
     assert f"cell.yaml:{line}: is not valid YAML" in failure(tmp_path, text)
 
 
-@pytest.mark.xfail(reason="BUG files.py read_yaml: no limit on nesting, yaml's C code overflows the stack")
+@pytest.mark.xfail(
+    sys.version_info < (3, 12),  # later ones have another stack for C
+    reason="BUG files.py read_yaml: no limit on nesting, yaml's C code overflows the stack",
+)
 def test_a_deep_file_does_not_crash_the_process(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("robot: " + "[" * 25_000 + "]" * 25_000 + "\n")

@@ -14,6 +14,8 @@ import urllib.request
 import pytest
 from tests.cli.helpers import call, cell_file, finished, start
 
+import armcell
+
 AT_ONCE = 2.0  # [s]
 
 # The arm stands between walls and under a lid; the cube is behind a wall. Planning goes on for minutes.
@@ -29,6 +31,15 @@ objects:
   cube: {box: [0.05, 0.05, 0.05], pose: [0.0, 0.5, 0.024], movable: true, mass: 0.1}
 task: [{pick: cube}]
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """Numba has compiled everything: in its callbacks a Ctrl-C is lost (BUG, see test_while_it_loads)."""
+    cell = armcell.load("panda_pick")
+    with cell.connect("sim", seed=0) as live:
+        assert live.arm.pick("cube").ok
+        assert live.arm.place("cube", on="tray").ok
 
 
 def until(condition, process, timeout: float = 60.0) -> None:

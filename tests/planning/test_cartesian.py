@@ -31,7 +31,7 @@ MOVES = {
     "aside": lambda T: [T.shifted(x=0.05, y=0.25, z=-0.1)],
     "turn": lambda T: [SE3(T.rotation @ SO3.from_rpy((0.0, 0.0, 0.6)), T.translation)],
     "move and turn": lambda T: [
-        SE3(T.rotation @ SO3.from_rpy((0.2, 0.1, 0.5)), (*T.translation, 0.05, 0.1, -0.15))
+        T.shifted(0.05, 0.1, -0.15) @ SE3.from_xyz_rpy((0, 0, 0), (0.2, 0.1, 0.5)),
     ],
     "corner": lambda T: [T.shifted(z=-0.15), T.shifted(y=0.15, z=-0.15)],
     "there and back": lambda T: [T.shifted(z=-0.15), T],

@@ -169,7 +169,7 @@ def test_a_problem_without_solution_ends_in_time(seconds):
     spent = time.monotonic() - began
     text = failed(result, ErrorCode.TIMED_OUT)
     assert "RRTConnect" in text and result.planner_id == "RRTConnect"
-    assert seconds <= spent < seconds + 0.3 and result.planning_time == pytest.approx(spent, abs=0.1)
+    assert seconds <= spent < seconds + 0.5 and result.planning_time == pytest.approx(spent, abs=0.1)
 
 
 def test_cancelling_ends_at_once():

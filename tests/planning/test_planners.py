@@ -19,6 +19,12 @@ PLANNERS = [pytest.param(n, marks=HANGS) if n == "PRM" else n for n in planners]
 SECONDS = 1.5
 
 
+def late(name: str) -> float:
+    """[s] after its time by which a planner must have ended: FMT and BFMT draw and join all their samples
+    before they look at the clock; for the others, some for finishing the path on a busy machine."""
+    return 10.0 if "FMT" in name else 1.0
+
+
 def test_moveit_s_default_is_there():
     assert "RRTConnect" in planners
 
@@ -28,7 +34,7 @@ def test_it_solves_an_easy_problem_or_says_that_it_cannot(name):
     scene = panda_wall()
     began = time.monotonic()
     result = plan(scene, request(beyond_panda(), planner_id=name, planning_time=SECONDS))
-    assert time.monotonic() - began < SECONDS + 1.5
+    assert time.monotonic() - began < SECONDS + late(name)
     assert result.planner_id == name  # never another one in its stead
     if result.ok:
         judge(scene, result.trajectory)
@@ -42,8 +48,7 @@ def test_it_keeps_to_its_time(name):
     scene, goal = walled_in()
     began = time.monotonic()
     result = plan(scene, request(goal, planner_id=name, planning_time=0.3))
-    # FMT and BFMT draw all their samples before they look at the clock.
-    assert time.monotonic() - began < (3.0 if "FMT" in name else 0.8)
+    assert time.monotonic() - began < 0.3 + late(name)
     assert result.code in (ErrorCode.TIMED_OUT, ErrorCode.PLANNING_FAILED) and name in result.message
 
 

@@ -59,11 +59,13 @@ def run(
         if progress is not None:
             stack.enter_context(progress)
             loading = progress.add_task(
-                "loading (the first run on a machine compiles for some seconds)", total=None
+                "loading (the first run on a machine compiles for about half a minute)", total=None
             )
         from armcell.cell import load, run_task  # here: physics and planners load slowly
+        from armcell.planning import warm_up
 
         loaded = load(cell)
+        warm_up()
         scene = loaded.scene(seed)
         observers: list[Observer] = []
         viewer = recorder = None

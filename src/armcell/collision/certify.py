@@ -8,28 +8,16 @@ Latombe, "Exact collision checking of robot paths", WAFR 2002).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
-from armcell.core import Contact
 
 Array = NDArray[np.float64]
 
 MIN_INTERVAL_RAD = 2e-4
 """Edges are not cut finer than this: closer than that to contact counts as touching."""
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """`free`: proven. Else `contact` is the pair, and `at` the fraction of the motion where it is."""
-
-    free: bool
-    at: float = 1.0
-    contact: Contact | None = None
-    clearance: float = np.inf  # [m] smallest distance met at the configurations looked at
 
 
 class MotionBound:

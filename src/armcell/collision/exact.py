@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.broad import box_gaps, world_boxes
+from armcell.collision.certificate import Certificate
 from armcell.collision.shapes import Solid, solid
 from armcell.core import SE3, Contact
 from armcell.kinematics import kinematic_tree
@@ -205,6 +206,12 @@ class ExactChecker:
                     key = (self.geometries[a].body, self.geometries[b].body)
                     lowered[key] = min(margins[p], lowered.get(key, np.inf))
         return lowered
+
+    def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None) -> Certificate:
+        """Prove a piecewise linear motion (k, n) free of contact (see `certify_path`)."""
+        from armcell.collision.certify import certify_path
+
+        return certify_path(self, waypoints, slack)
 
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
         """Every pair of bodies that touches at q (or is within the padding), deepest first."""

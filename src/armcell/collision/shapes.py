@@ -53,6 +53,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
     return Solid(exact, exact, centre * scale, half * scale)
 
 
+@lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
     """Whether a closed mesh fills its convex hull (within `CONVEX_EXCESS`)."""
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)

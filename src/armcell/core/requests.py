@@ -44,7 +44,7 @@ class PlanRequest:
     goals: tuple[Goal, ...]  # any one of them will do
     start: JointState | None = None  # the scene's state where None; joints not named keep the scene's
     planner_id: str = "RRTConnect"
-    pipeline_id: str = "ompl"
+    pipeline_id: str = "native"
     planning_time: float = 5.0  # [s]
     attempts: int = 1
     velocity_scaling: float = 1.0  # (0, 1]

@@ -6,6 +6,7 @@ import os
 import sys
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -93,26 +94,54 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
     return Mesh(merged.vertices, merged.faces.astype(np.int32), path)
 
 
+Color = tuple[float, float, float, float]
+DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
+
+
 @lru_cache(maxsize=256)
-def load_visual(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
-    """A visual mesh with its colours baked into the faces, for drawing.
+def load_visual_parts(
+    path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> tuple[tuple[Mesh, Color], ...]:
+    """A visual mesh file as one mesh [m] and RGBA colour (0..1) per material, for drawing.
 
     Raises:
-        InputError: unreadable.
+        InputError: unreadable or without triangles.
     """
     try:
-        scene = trimesh.load(_checked(path), process=False)
-        parts = scene.dump() if isinstance(scene, trimesh.Scene) else [scene]
+        loaded: Any = trimesh.load(_checked(path), process=False)
+        parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
+        by_color: dict[Color, list[trimesh.Trimesh]] = {}
         for part in parts:
-            visual = getattr(part, "visual", None)
-            if visual is not None and hasattr(visual, "to_color"):
-                part.visual = visual.to_color()
-        mesh = trimesh.util.concatenate([part for part in parts if isinstance(part, trimesh.Trimesh)])
+            if isinstance(part, trimesh.Trimesh) and len(part.faces):
+                by_color.setdefault(_own_color(part), []).append(part)
+        found = tuple((_merged(some, scale, path), color) for color, some in by_color.items())
     except InputError:
         raise
-    except Exception as error:
+    except Exception as error:  # every mesh library has errors of its own; the file is what is wrong
         raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    if not found:
         raise InputError("mesh has no triangles", file=path)
-    mesh.apply_scale(np.asarray(scale))
-    return mesh
+    return found
+
+
+def _own_color(part: trimesh.Trimesh) -> Color:
+    """The one colour of a mesh: its material's, or the mean of its faces'."""
+    source = getattr(part.visual, "material", None) or part.visual
+    rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
+    if rgba.shape != (4,):
+        return DEFAULT_COLOR
+    r, g, b, a = (round(float(v) / 255, 3) for v in rgba)
+    return (r, g, b, a if a > 0.05 else 1.0)  # some exporters write opaque parts with alpha 0
+
+
+def _merged(parts: list[trimesh.Trimesh], scale: tuple[float, float, float], path: Path) -> Mesh:
+    vertices, faces, start = [], [], 0
+    for part in parts:
+        vertices.append(np.asarray(part.vertices) * scale)
+        faces.append(np.asarray(part.faces) + start)
+        start += len(part.vertices)
+    whole = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    whole.merge_vertices(merge_tex=True, merge_norm=True)  # files keep a vertex per normal
+    whole.update_faces(whole.nondegenerate_faces())
+    whole.remove_unreferenced_vertices()
+    return Mesh(whole.vertices, whole.faces.astype(np.int32), path)

@@ -2,8 +2,9 @@
 
 from armcell.planning.cartesian import plan_cartesian
 from armcell.planning.explain import Branch, PoseExplanation, explain_pose
+from armcell.planning.native.warm_up import warm_up
 from armcell.planning.pipeline import plan
-from armcell.planning.problem import Answer, Problem, normalized_planner_id, planners
+from armcell.planning.problem import Answer, Problem, find_planner, normalized_planner_id, pipelines
 
 __all__ = [
     "Answer",
@@ -11,8 +12,10 @@ __all__ = [
     "PoseExplanation",
     "Problem",
     "explain_pose",
+    "find_planner",
     "normalized_planner_id",
+    "pipelines",
     "plan",
     "plan_cartesian",
-    "planners",
+    "warm_up",
 ]

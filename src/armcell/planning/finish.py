@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision import Certificate, ExactChecker, certify_path
+from armcell.collision import Certificate, ExactChecker
 from armcell.core import JointTrajectory
+from armcell.model import RobotModel
 from armcell.timing import BlendedPath, TimingSettings, parameterize
 
 Array = NDArray[np.float64]
@@ -28,8 +30,17 @@ class Finished:
     path: BlendedPath | None = None
 
 
+class Certifier(Protocol):
+    """What proves motions: the exact checker or the kernel."""
+
+    model: RobotModel
+    joint_names: tuple[str, ...]
+
+    def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None) -> Certificate: ...
+
+
 def finish(
-    checker: ExactChecker,
+    checker: Certifier,
     waypoints: ArrayLike,
     velocity_scaling: float,
     acceleration_scaling: float,
@@ -47,7 +58,7 @@ def finish(
     slack = SAGITTA + limits * timing.smoothing**2 / 24
     for attempt in range(4):
         path = BlendedPath(points, deviation)
-        certificate = certify_path(checker, path.polyline(SAGITTA), slack if path.pieces else None)
+        certificate = checker.certify(path.polyline(SAGITTA), slack if path.pieces else None)
         if certificate.free:
             trajectory = _timed(checker, path, velocity_scaling, acceleration_scaling, timing)
             return Finished(certificate, trajectory, path)
@@ -56,7 +67,7 @@ def finish(
         deviation = deviation * 0.3 if attempt < 2 else np.zeros_like(deviation)
     # A start or goal within the slack of something cannot be proven with it: the bare edges can.
     path = BlendedPath(points, 0.0)
-    certificate = certify_path(checker, path.points)
+    certificate = checker.certify(path.points)
     if not certificate.free:
         return Finished(certificate)
     trajectory = _timed(checker, path, velocity_scaling, acceleration_scaling, timing)
@@ -64,7 +75,7 @@ def finish(
 
 
 def _timed(
-    checker: ExactChecker, path: BlendedPath, v: float, a: float, timing: TimingSettings
+    checker: Certifier, path: BlendedPath, v: float, a: float, timing: TimingSettings
 ) -> JointTrajectory:
     names = checker.joint_names
     velocity = checker.model.limits(names, "velocity") * v

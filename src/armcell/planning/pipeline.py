@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision import ExactChecker, certify_path
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
 from armcell.planning.finish import clearance_along, finish
 from armcell.planning.goals import joint_goals
-from armcell.planning.problem import Problem, normalized_planner_id, planners
+from armcell.planning.native.warm_up import warm_up
+from armcell.planning.problem import Problem, find_planner, normalized_planner_id
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
 from armcell.timing import check_scaling
@@ -36,11 +37,12 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     Raises:
         InputError: misuse: unknown group, planner, link or joint; scaling outside (0, 1].
     """
+    warm_up()
     began = time.monotonic()
     check_scaling(request.velocity_scaling, "velocity scaling")
     check_scaling(request.acceleration_scaling, "acceleration scaling")
     planner_id = normalized_planner_id(request.planner_id)
-    planner = planners[planner_id]
+    planner = find_planner(request.pipeline_id, planner_id)
     group = scene.model.group(request.group)
     if not group.joint_names:
         raise InputError(f"group {request.group!r} has no joints")
@@ -54,15 +56,15 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     scene, problem_with_start = _started(scene, request)
     if problem_with_start:
         return failed(problem_with_start)
-    checker = ExactChecker(scene, group.joint_names)
+    checker = KernelChecker(scene, group.joint_names)
     start = scene.positions[checker.columns]
-    contacts = checker.contacts(start, padded=False)
+    contacts = checker.exact.contacts(start, padded=False)
     if contacts:
         text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
         return failed(Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts}))
     checker.relax_margins(start)
     rng = np.random.default_rng(request.seed)
-    goals, outcome = joint_goals(scene, request, checker, rng)
+    goals, outcome = joint_goals(scene, request, checker.exact, rng)
     if not outcome.ok:
         return failed(outcome)
     lower, upper = _bounds(scene, group.joint_names, start, goals)
@@ -85,7 +87,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             answer = planner(problem)
             if answer.waypoints is None:
                 break
-            waypoints = simplify(problem, answer.waypoints, rng)
+            waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints, rng)
         finished = finish(checker, waypoints, request.velocity_scaling, request.acceleration_scaling)
         if finished.trajectory is not None:
             return PlanResult(
@@ -94,7 +96,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
                 trajectory=finished.trajectory,
                 planner_id=used,
                 planning_time=time.monotonic() - began,
-                min_clearance=clearance_along(checker, finished.trajectory),
+                min_clearance=clearance_along(checker.exact, finished.trajectory),
                 evidence=answer.statistics if answer else {},
             )
     cancelled = cancel is not None and cancel.is_set()
@@ -105,7 +107,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     message = (
         answer.message if answer else ""
     ) or "found paths, but none could be proven free between its samples"
-    return failed(Outcome(code, message, {"goals": len(goals), "checks": checker.checks}))
+    return failed(Outcome(code, message, {"goals": len(goals), **(answer.statistics if answer else {})}))
 
 
 def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene, Outcome | None]:
@@ -136,13 +138,11 @@ def _bounds(
 
 def _direct(problem: Problem) -> Array | None:
     """The straight line to a goal, where it is free with padding: the shortest path there is."""
-    from armcell.planning.problem import edge_is_free
-
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
-        if edge_is_free(problem.checker, problem.start, goal, 0.03):
+        if problem.checker.edge_is_free(problem.start, goal):
             edge = np.vstack([problem.start, goal])
-            if certify_path(problem.checker, edge).free:
+            if problem.checker.certify(edge).free:
                 return edge
     return None

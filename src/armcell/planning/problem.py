@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision import ExactChecker
-from armcell.core import Registry
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import Registry, UnknownNameError
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 class Problem:
     """One start, one or more goals (n,) in the joint space of a group, and what is free."""
 
-    checker: ExactChecker
+    checker: KernelChecker
     start: Array
     goals: tuple[Array, ...]
     lower: Array  # bounds to sample in, finite
@@ -45,10 +45,27 @@ class Answer:
     waypoints: Array | None
     message: str = ""
     statistics: dict[str, float] = field(default_factory=dict)
+    simplified: bool = False
 
 
 Planner = Callable[[Problem], Answer]
-planners: Registry[Planner] = Registry("planner")
+pipelines: dict[str, Registry[Planner]] = {
+    "native": Registry("planner of pipeline 'native'"),
+    "ompl": Registry("planner of pipeline 'ompl'"),
+}
+"""Planners by pipeline and name."""
+
+
+def find_planner(pipeline_id: str, planner_id: str) -> Planner:
+    """The planner a request names; an empty pipeline is the default one.
+
+    Raises:
+        UnknownNameError: no such pipeline, or no such planner in it; never replaced by another.
+    """
+    pipeline_id = pipeline_id or "native"
+    if pipeline_id not in pipelines:
+        raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
+    return pipelines[pipeline_id][normalized_planner_id(planner_id)]
 
 
 def normalized_planner_id(planner_id: str) -> str:
@@ -57,11 +74,3 @@ def normalized_planner_id(planner_id: str) -> str:
     if name.endswith("]") and "[" in name:
         name = name[name.index("[") + 1 : -1]
     return name.removeprefix("geometric::").removesuffix("kConfigDefault") or "RRTConnect"
-
-
-def edge_is_free(checker: ExactChecker, a: Array, b: Array, step: float) -> bool:
-    """Whether the straight motion from a to b is free at samples at most `step` [rad] apart (b included)."""
-    count = max(int(np.ceil(np.max(np.abs(b - a)) / step)), 1)
-    # Middle first, then quarters: a blocked motion is usually found early.
-    order = sorted(range(1, count + 1), key=lambda k: (-(k & -k), k))
-    return all(checker.is_free(a + (b - a) * (k / count)) for k in order)

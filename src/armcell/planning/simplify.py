@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.planning.problem import Problem, edge_is_free
+from armcell.planning.problem import Problem
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def _drop_vertices(problem: Problem, path: list[Array]) -> list[Array]:
     result, i = [path[0]], 0
     while i < len(path) - 1:
         j = len(path) - 1
-        while j > i + 1 and not edge_is_free(problem.checker, path[i], path[j], CHECK_STEP):
+        while j > i + 1 and not problem.checker.edge_is_free(path[i], path[j], CHECK_STEP):
             j -= 1
         result.append(path[j])
         i = j
@@ -50,7 +50,7 @@ def _random_shortcut(problem: Problem, path: list[Array], rng: np.random.Generat
         return False
     a = path[i] + (path[i + 1] - path[i]) * (s - ends[i]) / max(lengths[i], 1e-12)
     b = path[j] + (path[j + 1] - path[j]) * (t - ends[j]) / max(lengths[j], 1e-12)
-    if (t - s) - np.linalg.norm(b - a) < 1e-3 or not edge_is_free(problem.checker, a, b, CHECK_STEP):
+    if (t - s) - np.linalg.norm(b - a) < 1e-3 or not problem.checker.edge_is_free(a, b, CHECK_STEP):
         return False
     path[i + 1 : j + 1] = [a, b]
     return True

@@ -1,9 +1,9 @@
 """Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
 
+from armcell.collision.convex import convex_pieces
 from armcell.sim.build import BuiltModel, GripperIndex, build
 from armcell.sim.camera import Camera, has_gl, render_depth, render_rgb
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
-from armcell.collision.convex import convex_pieces
 from armcell.sim.grip import GripperState, WeldEvent
 from armcell.sim.pace import Pacer
 from armcell.sim.settings import PhysicsSettings

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
+from armcell.model.assets import DEFAULT_COLOR
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import GeomAdder, solid_inertia
-from armcell.sim.visuals import DEFAULT_COLOR, visual_parts
+from armcell.sim.visuals import visual_parts
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -285,9 +286,11 @@ def _add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: Physics
         joint = model.joints[name]
         slide = joint.type == "prismatic"
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        # A weak joint with a strong joint's gains would saturate at every small error and chatter.
+        weak = min(1.0, joint.limits.effort / settings.full_gain_effort)
         actuator.set_to_pid(
-            kp=settings.slide_kp if slide else settings.arm_kp,
-            kv=settings.slide_kv if slide else settings.arm_kv,
+            kp=weak * (settings.slide_kp if slide else settings.arm_kp),
+            kv=weak * (settings.slide_kv if slide else settings.arm_kv),
         )
         if np.isfinite(joint.limits.effort) and joint.limits.effort > 0:
             actuator.forcelimited = True

@@ -40,6 +40,7 @@ class PhysicsSettings:
     # Arm joints: native pid actuators, force = kp (u_pos - q) + kv (u_vel - qd), within JointLimits.effort.
     arm_kp: float = 5000.0  # [Nm/rad]
     arm_kv: float = 500.0  # [Nm s/rad]
+    full_gain_effort: float = 50.0  # [Nm or N] joints with a lower effort limit get gains in proportion to it
     slide_kp: float = 50000.0  # [N/m], of sliding joints that are no fingers
     slide_kv: float = 5000.0  # [N s/m]
     armature: float = 0.1  # [kg m^2 or kg] rotor inertia: keeps a joint stable when its force saturates

@@ -10,9 +10,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from armcell.collision.convex import convex_pieces
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.scene import shape_volume
-from armcell.collision.convex import convex_pieces
 
 Array = NDArray[np.float64]
 GEOM = mujoco.mjtGeom

@@ -16,7 +16,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.model.assets import DEFAULT_COLOR, load_visual_parts
 from armcell.model.robot import Link, Visual
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Color = tuple[float, float, float, float]
 
-DEFAULT_COLOR: Color = (0.78, 0.80, 0.82, 1.0)
 COLLISION_COLOR: Color = (0.90, 0.45, 0.0, 0.45)
 COLLISION_SWELL_M = 0.0015
 MAX_FACES = 10_000
@@ -93,30 +93,10 @@ def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) 
     Raises:
         InputError: unreadable or without triangles.
     """
-    try:
-        loaded: Any = trimesh.load(path, process=False)
-        meshes = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
-        by_color: dict[Color, list[trimesh.Trimesh]] = {}
-        for mesh in meshes:
-            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-                bare = trimesh.Trimesh(mesh.vertices * np.asarray(scale), mesh.faces, process=False)
-                by_color.setdefault(_own_color(mesh), []).append(bare)
-    except Exception as error:  # every mesh library has errors of its own; the file is what is wrong
-        raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
-    if not by_color:
-        raise InputError("mesh has no triangles", file=path)
-    return tuple(_shaded(trimesh.util.concatenate(some), color) for color, some in by_color.items())
-
-
-def _own_color(mesh: trimesh.Trimesh) -> Color:
-    """The one colour of a mesh: its material's, or the mean of its vertices' or faces'."""
-    visual: Any = mesh.visual
-    if not visual.defined:
-        return DEFAULT_COLOR
-    material = getattr(visual, "material", None)
-    rgba = np.asarray(visual.main_color if material is None else material.main_color, dtype=float)
-    red, green, blue, alpha = (float(v) for v in rgba[:4] / 255)
-    return red, green, blue, alpha if alpha > 0 else 1.0  # some exporters write alpha 0 for opaque
+    return tuple(
+        _shaded(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), color)
+        for mesh, color in load_visual_parts(path, scale)
+    )
 
 
 def _shaded(mesh: Any, color: Color) -> Part:

@@ -9,6 +9,8 @@ Everywhere `I`, `F`, `D` are the flat pack (see layout), `w` the lanes' workspac
 is of this block (`now`), `s` is float64 scratch; all are bare pointers (see simd).
 """
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
@@ -85,7 +87,7 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def workspace(flat: Flat) -> Workspace:
     """Scratch for one thread: lanes (float32, 64-byte aligned), stamps (int64), exact tests (float64)."""
-    I = flat[0]  # noqa: E741
+    I = flat[0]
     centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
     size = int(I[DOF] + 12 * I[FRAMES] + 3 * centres) * L
     raw = np.zeros(size + 16, np.float32)
@@ -167,7 +169,9 @@ def _centre(I, F, w, stamps, now, i, frame, sphere):
         x, y, z = splat(F[sphere]), splat(F[sphere + 1]), splat(F[sphere + 2])
         for k in range(3):
             row = frame + 4 * k * L
-            value = fma(load(w, row), x, fma(load(w, row + L), y, fma(load(w, row + 2 * L), z, load(w, row + 3 * L))))
+            value = fma(
+                load(w, row), x, fma(load(w, row + L), y, fma(load(w, row + 2 * L), z, load(w, row + 3 * L)))
+            )
             store(w, at + k * L, value)
     return at
 
@@ -197,7 +201,9 @@ def shape_gap(I, F, o, w, at):
         gap = splat(np.float32(-1e9))
         for k in range(I[I[SHAPE_PLANES] + o], I[I[SHAPE_PLANES] + o + 1]):
             n = I[PLANES] + 4 * k
-            gap = vmax(gap, fma(x, splat(F[n]), fma(y, splat(F[n + 1]), z * splat(F[n + 2]))) - splat(F[n + 3]))
+            gap = vmax(
+                gap, fma(x, splat(F[n]), fma(y, splat(F[n + 1]), z * splat(F[n + 2]))) - splat(F[n + 3])
+            )
         return gap
     r = vsqrt(fma(x, x, y * y))
     if kind == gjk.CYLINDER:
@@ -343,7 +349,10 @@ def env_block(I, F, D, w, stamps, now, s, extra, mode):
     for body in range(I[BODIES]):
         if I[I[FRAME] + body] == 0:
             continue
-        padding, sphere = F[I[PADDING] + body] if mode & PADDED else np.float32(0.0), I[BODY_SPHERE] + 4 * body
+        padding, sphere = (
+            F[I[PADDING] + body] if mode & PADDED else np.float32(0.0),
+            I[BODY_SPHERE] + 4 * body,
+        )
         at = _centre(I, F, w, stamps, now, body, _frame_at(I, I[I[FRAME] + body]), sphere)
         x, y, z, r = load(w, at), load(w, at + L), load(w, at + 2 * L), F[sphere + 3] + padding + extra[body]
         lx, ly, lz, hx, hy, hz = hmin(x) - r, hmin(y) - r, hmin(z) - r, hmax(x) + r, hmax(y) + r, hmax(z) + r

@@ -1,5 +1,7 @@
 """`KernelChecker`: the kernel behind the same questions as the exact checker."""
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 from collections.abc import Iterable
@@ -7,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.certify import Certificate
+from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
 from armcell.collision.kernel.block import EXACT, PADDED, check, workspace
 from armcell.collision.kernel.layout import flatten
@@ -72,7 +74,9 @@ class KernelChecker:
         a, b = np.ascontiguousarray(a, dtype=float), np.ascontiguousarray(b, dtype=float)
         return bool(free_edge(*self.arrays, a, b, step))
 
-    def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None, padded: bool = False) -> Certificate:
+    def certify(
+        self, waypoints: ArrayLike, slack: ArrayLike | None = None, padded: bool = False
+    ) -> Certificate:
         """Prove a piecewise linear motion (k, n) free. See `certify_path` for the exact checker's own."""
         points = np.ascontiguousarray(waypoints, dtype=float)
         if len(points) == 1:

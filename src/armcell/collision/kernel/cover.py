@@ -9,31 +9,48 @@ contact the solid is; where the inner ball (depth d) is hit the solid certainly 
 from __future__ import annotations
 
 import hashlib
+import logging
+import os
+import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
+from zipfile import BadZipFile
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from armcell._cache import cache_root
 from armcell.collision.kernel.surface import depths, interior_points, outer_skin, triangulated
 from armcell.core import Shape
 
 Array = NDArray[np.float64]
 
 GROUP = 8  # spheres that share a bounding sphere
+FIT_VERSION = 1  # to be raised when `fit` gives other spheres
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
     """Spheres in the solid's frame: `centres` (k, 3), `outer` radii (k,) and `inner` radii (k,) [m].
 
-    Sorted so that every `GROUP` in a row are neighbours.
+    Sorted so that every `GROUP` in a row are neighbours; `groups` (g, 4) are spheres around those.
     """
 
     centres: Array
     outer: Array
     inner: Array
+    groups: Array
+
+
+def _grouped(centres: Array, outer: Array, inner: Array) -> Cover:
+    groups = [
+        np.append(*bounding_sphere(centres[i : i + GROUP], outer[i : i + GROUP]))
+        for i in range(0, len(centres), GROUP)
+    ]
+    return Cover(centres, outer, inner, np.array(groups))
 
 
 @njit(cache=True)
@@ -64,7 +81,9 @@ def _greedy(e, centres, reach2):
             break
         chosen.append(best)
         for p in range(n):
-            if held[p] or not _holds(e, p, centres[best, 0], centres[best, 1], centres[best, 2], reach2[best]):
+            if held[p] or not _holds(
+                e, p, centres[best, 0], centres[best, 1], centres[best, 2], reach2[best]
+            ):
                 continue
             held[p] = True
             for c in range(m):
@@ -75,7 +94,29 @@ def _greedy(e, centres, reach2):
 
 @lru_cache(maxsize=4096)
 def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
-    """The cover of one shape; `overshoot` [m] is how far it may reach beyond the shape."""
+    """The cover of one shape; `overshoot` [m] is how far it may reach beyond the shape.
+
+    Kept on disk by the shape's content: a robot's covers are fitted once per machine.
+    """
+    file = cache_root() / "covers" / f"{shape_key(shape, overshoot)}.npz"
+    try:
+        with np.load(file) as stored:
+            return _grouped(stored["centres"], stored["outer"], stored["inner"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        pass  # not there, or cut off: fit it
+    found = fit(shape, overshoot)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".npz", delete=False) as temporary:
+            np.savez(temporary, centres=found.centres, outer=found.outer, inner=found.inner)
+        os.replace(temporary.name, file)
+    except OSError as error:
+        logger.info("cannot keep the sphere cover in %s: %s", file, error)
+    return found
+
+
+def fit(shape: Shape, overshoot: float) -> Cover:
+    """`cover` without looking anything up."""
     vertices, faces, round_gap = triangulated(shape)
     elements = outer_skin(vertices, faces, 0.7 * overshoot)
     size = float((vertices.max(0) - vertices.min(0)).max())
@@ -94,12 +135,16 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
     missing = elements[~held]  # the repair pass: what no candidate holds gets a ball of its own
     while len(missing):
         centre = missing[0].mean(axis=0)
-        centres, inner, outer = np.vstack([centres, centre]), np.append(inner, 0.0), np.append(outer, overshoot)
+        centres, inner, outer = (
+            np.vstack([centres, centre]),
+            np.append(inner, 0.0),
+            np.append(outer, overshoot),
+        )
         chosen = np.append(chosen, len(centres) - 1)
         missing = missing[((missing - centre) ** 2).sum(axis=2).max(axis=1) > (overshoot - round_gap) ** 2]
     order = _neighbours_together(centres[chosen])
     chosen = chosen[order]
-    return Cover(centres[chosen], outer[chosen], inner[chosen])
+    return _grouped(centres[chosen], outer[chosen], inner[chosen])
 
 
 def _neighbours_together(centres: Array) -> NDArray[np.int64]:
@@ -132,8 +177,8 @@ def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
 
 
 def shape_key(shape: Shape, overshoot: float) -> str:
-    """A name for the cover of a shape, the same in every process."""
-    digest = hashlib.sha256(f"{overshoot:.6f}".encode())
+    """A name for the cover of a shape, the same in every process; another one when the fitting changes."""
+    digest = hashlib.sha256(f"{FIT_VERSION} {overshoot:.6f}".encode())
     vertices = getattr(shape, "vertices", None)
     if vertices is not None:
         digest.update(vertices.tobytes())

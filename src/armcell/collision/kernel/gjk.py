@@ -34,7 +34,7 @@ def support(D, kind, size, first, count, dx, dy, dz, s, out):
         s[out] = a if dx >= 0 else -a
         s[out + 1] = b if dy >= 0 else -b
         s[out + 2] = c if dz >= 0 else -c
-    elif kind == SPHERE or kind == CAPSULE:
+    elif kind in (SPHERE, CAPSULE):
         n = a / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300)
         s[out], s[out + 1], s[out + 2] = n * dx, n * dy, n * dz
         if kind == CAPSULE:
@@ -69,7 +69,7 @@ def _copy(s, src, dst):
 
 @njit(cache=True)
 def _segment(s, v):
-    """Closest point to the origin on the segment s[0:3], s[3:6], into s[v:]; returns the simplex size left."""
+    """Closest point to the origin on the segment s[0:3], s[3:6], into s[v:]; returns the size left."""
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
     t = -(s[0] * bx + s[1] * by + s[2] * bz)
     n = bx * bx + by * by + bz * bz

@@ -18,19 +18,69 @@ Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
 # counts
 DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, BLOCKS, SHAPES = range(8)
 # where each table of integers begins in I
-(PARENT, KIND, COLUMN, FRAME, BODY_GROUPS, GROUP_SPHERES, BODY_PIECES, PAIR, SHAPE_KIND, SHAPE_PLANES, SHAPE_PIECES,
- PIECE_KIND, PIECE_POINTS) = range(8, 21)  # fmt: skip
+(
+    PARENT,
+    KIND,
+    COLUMN,
+    FRAME,
+    BODY_GROUPS,
+    GROUP_SPHERES,
+    BODY_PIECES,
+    PAIR,
+    SHAPE_KIND,
+    SHAPE_PLANES,
+    SHAPE_PIECES,
+    PIECE_KIND,
+    PIECE_POINTS,
+) = range(8, 21)
 # of floats in F
-(FIXED, MULTIPLIER, OFFSET, BODY_SPHERE, PADDING, MARGIN, GROUP_SPHERE, SPHERE, SHAPE_POSE, SHAPE_SIZE, PLANES,
- BOXES) = range(21, 33)  # fmt: skip
+(
+    FIXED,
+    MULTIPLIER,
+    OFFSET,
+    BODY_SPHERE,
+    PADDING,
+    MARGIN,
+    GROUP_SPHERE,
+    SPHERE,
+    SHAPE_POSE,
+    SHAPE_SIZE,
+    PLANES,
+    BOXES,
+) = range(21, 33)
 # of doubles in D
 PIECE_SIZE, PIECE_POSE, PIECE_BALL, POINTS, REACH, PAIR_REACH = range(33, 39)
 HEADER = 40
 
-_INTS = ("parent", "kind", "column", "frame", "body_groups", "group_spheres", "body_pieces", "pairs", "shape_kind",
-         "shape_planes", "shape_pieces", "piece_kind", "piece_points")  # fmt: skip
-_FLOATS = ("fixed", "multiplier", "offset", "body_sphere", "padding", "margin", "group_sphere", "sphere", "shape_pose",
-           "shape_size", "planes", "boxes")  # fmt: skip
+_INTS = (
+    "parent",
+    "kind",
+    "column",
+    "frame",
+    "body_groups",
+    "group_spheres",
+    "body_pieces",
+    "pairs",
+    "shape_kind",
+    "shape_planes",
+    "shape_pieces",
+    "piece_kind",
+    "piece_points",
+)
+_FLOATS = (
+    "fixed",
+    "multiplier",
+    "offset",
+    "body_sphere",
+    "padding",
+    "margin",
+    "group_sphere",
+    "sphere",
+    "shape_pose",
+    "shape_size",
+    "planes",
+    "boxes",
+)
 _DOUBLES = ("piece_size", "piece_pose", "piece_ball", "points", "reach", "pair_reach")
 
 

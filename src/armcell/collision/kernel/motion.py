@@ -1,5 +1,7 @@
 """Motions in the kernel: quickly checked at samples, or proven free between them as well."""
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +89,7 @@ class _Packer:
         self.tree = kinematic_tree(scene.model)
         self.columns = {int(c): i for i, c in enumerate(scene.model.columns(joint_names))}
         self.dof = len(joint_names)
-        self.pieces: list[tuple[int, list[float], F64, F64, F64]] = []
+        self.pieces: list[tuple[int, list[float], NDArray[Any], NDArray[Any], NDArray[Any]]] = []
 
     def build(self) -> tuple[Pack, Names]:
         self._frames()
@@ -105,11 +106,20 @@ class _Packer:
         reach = self._reach(bodies, body_arrays["body_sphere"])
         piece_arrays = self._piece_arrays()
         result = Pack(
-            dof=self.dof, parent=np.array(self.parent, np.int32), fixed=np.array(self.fixed, np.float32).reshape(-1, 12),
-            kind=np.array(self.kind, np.int32), column=np.array(self.column, np.int32),
-            multiplier=np.array(self.multiplier, np.float32), offset=np.array(self.offset, np.float32),
-            pairs=pairs, margin=margin, reach=reach, pair_reach=self._pair_reach(bodies, pairs, reach),
-            **body_arrays, **shape_arrays, **piece_arrays,
+            dof=self.dof,
+            parent=np.array(self.parent, np.int32),
+            fixed=np.array(self.fixed, np.float32).reshape(-1, 12),
+            kind=np.array(self.kind, np.int32),
+            column=np.array(self.column, np.int32),
+            multiplier=np.array(self.multiplier, np.float32),
+            offset=np.array(self.offset, np.float32),
+            pairs=pairs,
+            margin=margin,
+            reach=reach,
+            pair_reach=self._pair_reach(bodies, pairs, reach),
+            **body_arrays,
+            **shape_arrays,
+            **piece_arrays,
         )
         return result, Names(tuple(b for b, _ in bodies), tuple(shapes))
 
@@ -155,29 +165,39 @@ class _Packer:
             overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
             scale = scene.link_scale.get(link.name, 1.0)
             bodies.append((link.name, frame))
-            per_body.append([(_scaled(c.shape, scale), T @ c.T_link_shape.matrix, overshoot) for c in link.collisions])
+            per_body.append(
+                [(_scaled(c.shape, scale), T @ c.T_link_shape.matrix, overshoot) for c in link.collisions]
+            )
             padding.append(scene.link_padding.get(link.name, scene.padding))
         for held in scene.attached.values():
             frame, T = self.of_link[tree.link_index[held.link]]
             bodies.append((held.object.name, frame))
             per_body.append(
-                [(s, T @ held.T_link_object.matrix @ t.matrix, OBJECT_OVERSHOOT) for s, t in held.object.shapes]
+                [
+                    (s, T @ held.T_link_object.matrix @ t.matrix, OBJECT_OVERSHOOT)
+                    for s, t in held.object.shapes
+                ]
             )
             padding.append(scene.link_padding.get(held.link, scene.padding))
         body_sphere, body_groups, group_sphere, group_first, spheres = [], [0], [], [0], []
         body_pieces = [0]
         for parts in per_body:
-            centres, outer, inner = _covered(parts)
-            for i in range(0, len(centres), GROUP):
-                c, r = bounding_sphere(centres[i : i + GROUP], outer[i : i + GROUP])
-                group_sphere.append([*c, r])
-                spheres.append(np.column_stack([centres, outer, inner])[i : i + GROUP])
-                group_first.append(group_first[-1] + len(spheres[-1]))
+            mine = []
+            for shape, T, overshoot in parts:
+                found = cover(shape, overshoot)
+                move = SE3.from_matrix(T).apply
+                mine.append(np.column_stack([move(found.groups[:, :3]), found.groups[:, 3]]))
+                every = np.column_stack([move(found.centres), found.outer, found.inner])
+                spheres.append(every)
+                sizes = [len(every[i : i + GROUP]) for i in range(0, len(every), GROUP)]
+                group_first += (group_first[-1] + np.cumsum(sizes)).tolist()
+            around = np.vstack(mine)
+            group_sphere += around.tolist()
             body_groups.append(len(group_sphere))
-            c, r = bounding_sphere(centres, outer)
+            c, r = bounding_sphere(around[:, :3], around[:, 3])
             body_sphere.append([*c, r])
             for shape, T, _ in parts:
-                self._add_pieces(shape, T, exact=True)
+                self._add_pieces(shape, T)
             body_pieces.append(len(self.pieces))
         up = np.float32(1 + 1e-6)  # rounding to float32 may not shrink a cover
         group = np.array(group_sphere, np.float32).reshape(-1, 4)
@@ -209,7 +229,17 @@ class _Packer:
 
     # --- the world ---
     def _shapes(self):
-        names, kinds, poses, sizes, planes, first_plane, low, high, first_piece = [], [], [], [], [], [0], [], [], []
+        names, kinds, poses, sizes, planes, first_plane, low, high, first_piece = (
+            [],
+            [],
+            [],
+            [],
+            [],
+            [0],
+            [],
+            [],
+            [],
+        )
         for item in self.scene.objects.values():
             for shape, T_object_shape in item.shapes:
                 T = (item.T_world_object @ T_object_shape).matrix
@@ -226,7 +256,7 @@ class _Packer:
                     low.append(lo)
                     high.append(hi)
                     first_piece.append(len(self.pieces))
-                    self._add_pieces(part, T, exact=True)
+                    self._add_pieces(part, T)
         first_piece.append(len(self.pieces))
         blocks = max(-(-len(names) // L), 1)
         boxes = np.full((blocks, 6, L), 1e9, np.float32)
@@ -245,7 +275,7 @@ class _Packer:
         }
 
     # --- exact pieces ---
-    def _add_pieces(self, shape: Shape, T: F64, exact: bool) -> None:
+    def _add_pieces(self, shape: Shape, T: F64) -> None:
         parts = [shape]
         if isinstance(shape, Mesh) and not is_convex(shape):
             parts = list(convex_pieces(shape))
@@ -253,7 +283,7 @@ class _Packer:
             kind, size = _solid(part)
             points = np.zeros((0, 3))
             if isinstance(part, Mesh):
-                points = np.unique(part.vertices[_hull_vertices(part)], axis=0)
+                points = _hull_points(part)
             if isinstance(part, Plane):
                 ball = np.array([0.0, 0.0, 0.0, 1e9])
             else:
@@ -312,7 +342,7 @@ class _Packer:
         return out
 
 
-def _rows(T: F64) -> list[float]:
+def _rows(T: NDArray[Any]) -> list[float]:
     return np.asarray(T)[:3].ravel().tolist()
 
 
@@ -329,17 +359,6 @@ def _scaled(shape: Shape, scale: float) -> Shape:
         case Cylinder() | Capsule() | Cone():
             return type(shape)(shape.radius * scale, shape.length * scale)
     return shape
-
-
-def _covered(parts: list[tuple[Shape, F64, float]]) -> tuple[F64, F64, F64]:
-    """The covers of a body's shapes in its frame."""
-    centres, outer, inner = [], [], []
-    for shape, T, overshoot in parts:
-        found = cover(shape, overshoot)
-        centres.append(SE3.from_matrix(T).apply(found.centres))
-        outer.append(found.outer)
-        inner.append(found.inner)
-    return np.vstack(centres), np.concatenate(outer), np.concatenate(inner)
 
 
 def _first_tier(shape: Shape) -> list[Shape]:
@@ -369,6 +388,7 @@ def _solid(shape: Shape) -> tuple[int, list[float]]:
     raise InputError(f"the kernel does not know {type(shape).__name__}")
 
 
+@lru_cache(maxsize=1024)
 def _hull_planes(mesh: Mesh) -> F64:
     """Outward normals and offsets (n, 4) of a mesh's hull."""
     from scipy.spatial import ConvexHull
@@ -379,10 +399,11 @@ def _hull_planes(mesh: Mesh) -> F64:
     return np.column_stack([planes[:, :3], -planes[:, 3]])
 
 
-def _hull_vertices(mesh: Mesh) -> NDArray[np.int32]:
+@lru_cache(maxsize=1024)
+def _hull_points(mesh: Mesh) -> F64:
     from scipy.spatial import ConvexHull
 
-    return ConvexHull(mesh.vertices).vertices
+    return mesh.vertices[ConvexHull(mesh.vertices).vertices]
 
 
 def _local_box(shape: Shape) -> tuple[F64, F64]:

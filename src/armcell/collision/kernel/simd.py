@@ -1,11 +1,13 @@
 """An explicit SIMD vector of 16 floats for Numba.
 
-LLVM's auto-vectoriser makes 3-6 times slower code of loops over lanes, and drops reductions altogether;
-here `a * b + c` on `Vec` values is exactly one vector instruction each (two or four on narrower machines).
+LLVM's auto-vectoriser makes 3-6 times slower code of loops over lanes, and drops reductions
+altogether; here each operator on `Vec` values is one vector instruction (or two, or four).
 Inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`, `vsqrt`, `fma`,
 `vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`.
 """
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import operator
@@ -168,7 +170,12 @@ def _overload(function, implementation):
         return None
 
 
-for _function, _implementation in ((operator.add, _add), (operator.sub, _sub), (operator.mul, _mul), (operator.truediv, _div)):
+for _function, _implementation in (
+    (operator.add, _add),
+    (operator.sub, _sub),
+    (operator.mul, _mul),
+    (operator.truediv, _div),
+):
     _overload(_function, _implementation)
 
 

@@ -70,7 +70,10 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
     Robot meshes are often several closed solids pushed into each other; the skin inside needs no cover.
     """
     _, parts = connected_components(
-        coo_matrix((np.ones(3 * len(faces)), (faces.ravel(), np.roll(faces, 1, axis=1).ravel())), (len(vertices),) * 2)
+        coo_matrix(
+            (np.ones(3 * len(faces)), (faces.ravel(), np.roll(faces, 1, axis=1).ravel())),
+            (len(vertices),) * 2,
+        )
     )
     part_of_face = parts[faces[:, 0]]
     names = np.unique(part_of_face)

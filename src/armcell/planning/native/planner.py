@@ -1,5 +1,7 @@
 """The native planner for Python: buffers, seeds, evidence; and its registration."""
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import time
@@ -54,20 +56,49 @@ class NativePlanner:
         self.none_pair = np.zeros_like(checker.extra_pair)
         self.slack = np.zeros(dof)
 
-    def search(self, start: Array, goals: Array, lower: Array, upper: Array, seed: int, stop: NDArray[np.int64],
-               step: float) -> tuple[int, int, int]:  # fmt: skip
+    def search(
+        self,
+        start: Array,
+        goals: Array,
+        lower: Array,
+        upper: Array,
+        seed: int,
+        stop: NDArray[np.int64],
+        step: float,
+    ) -> tuple[int, int, int]:
         """One search; fills `path` and returns waypoints, iterations, nodes."""
         c, s = self.checker, self.settings
         c.extra[:] = 0
         c.extra_pair[:] = 0
         shift = np.random.default_rng(seed).random(len(start)) if seed else np.zeros(len(start))
         return rrt_connect(
-            *c.arrays, start, goals, lower, upper, shift, s.reach, step, *self.tree_a, *self.tree_b, self.room,
-            stop, s.max_iterations, self.path,
-        )  # fmt: skip
+            *c.arrays,
+            start,
+            goals,
+            lower,
+            upper,
+            shift,
+            s.reach,
+            step,
+            *self.tree_a,
+            *self.tree_b,
+            self.room,
+            stop,
+            s.max_iterations,
+            self.path,
+        )
 
-    def plan(self, start: Array, goals: Array, lower: Array, upper: Array, seed: int = 0,
-             stop: NDArray[np.int64] | None = None, simplify: bool = True, rounds: int = 5) -> NativeAnswer:  # fmt: skip
+    def plan(
+        self,
+        start: Array,
+        goals: Array,
+        lower: Array,
+        upper: Array,
+        seed: int = 0,
+        stop: NDArray[np.int64] | None = None,
+        simplify: bool = True,
+        rounds: int = 5,
+    ) -> NativeAnswer:
         """A path whose every edge is proven free, or None.
 
         Args:
@@ -94,9 +125,18 @@ class NativePlanner:
             raw = self.path[:count].copy()
             if simplify:
                 count = smooth(
-                    *c.arrays, self.none, self.none_pair, self.path, count, self.slack, False, self.settings.step,
+                    *c.arrays,
+                    self.none,
+                    self.none_pair,
+                    self.path,
+                    count,
+                    self.slack,
+                    False,
+                    self.settings.step,
                     seed + 1,
-                )  # fmt: skip
+                )
                 simplify_s = time.thread_time() - t2
-            return NativeAnswer(self.path[:count].copy(), raw, plan_s, simplify_s, certify_s, iterations, nodes)
+            return NativeAnswer(
+                self.path[:count].copy(), raw, plan_s, simplify_s, certify_s, iterations, nodes
+            )
         return NativeAnswer(None, None, plan_s, simplify_s, certify_s, iterations, nodes)

@@ -2,6 +2,8 @@
 and Halton samples; the choices follow VAMP (Thomason, Kingston and Kavraki, ICRA 2024).
 """
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
@@ -11,7 +13,9 @@ from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
 from armcell.planning.native.tree import get, nearest, put
 
-PRIMES = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89])
+PRIMES = np.array(
+    [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89]
+)
 DOMAIN = 4.0  # [rad] radius of a node's domain after its first failure
 DOMAIN_MIN = 1.0
 DOMAIN_STEP = 1e-4
@@ -29,8 +33,33 @@ def halton(index, base):
 
 
 @njit(cache=True, nogil=True)
-def rrt_connect(I, F, D, w, stamps, s, extra, extra_pair, start, goals, lower, upper, shift, reach, step,
-                nodes_a, parents_a, radii_a, nodes_b, parents_b, radii_b, room, stop, max_iterations, path):
+def rrt_connect(
+    I,
+    F,
+    D,
+    w,
+    stamps,
+    s,
+    extra,
+    extra_pair,
+    start,
+    goals,
+    lower,
+    upper,
+    shift,
+    reach,
+    step,
+    nodes_a,
+    parents_a,
+    radii_a,
+    nodes_b,
+    parents_b,
+    radii_b,
+    room,
+    stop,
+    max_iterations,
+    path,
+):
     """Waypoints from the start to one of the goals, into path (m, dof).
 
     Args:

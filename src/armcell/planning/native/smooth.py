@@ -1,5 +1,7 @@
 """Shorter, smoother paths on the kernel; only edges that are proven free are accepted."""
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
@@ -27,7 +29,12 @@ def _proven(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, a, b, sla
     ap, bp = pointer(a), pointer(b)
     if not edge_free(Ip, Fp, Dp, wp, tp, sp, pointer(none), pointer(none_pair), ap, bp, step):
         return False
-    return certify_edge(Ip, Fp, Dp, wp, tp, sp, pointer(extra), pointer(extra_pair), ap, bp, pointer(slack), padded) > 1.0
+    return (
+        certify_edge(
+            Ip, Fp, Dp, wp, tp, sp, pointer(extra), pointer(extra_pair), ap, bp, pointer(slack), padded
+        )
+        > 1.0
+    )
 
 
 @njit(cache=True)
@@ -44,7 +51,23 @@ def _shortcut(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, c
     i = 0
     while i < count - 2:
         for j in range(count - 1, i + 1, -1):
-            if _proven(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path[i], path[j], slack, padded, step):
+            if _proven(
+                I,
+                F,
+                D,
+                w,
+                stamps,
+                s,
+                extra,
+                extra_pair,
+                none,
+                none_pair,
+                path[i],
+                path[j],
+                slack,
+                padded,
+                step,
+            ):
                 gone = j - i - 1
                 for k in range(j, count):
                     path[k - gone] = path[k]
@@ -55,7 +78,9 @@ def _shortcut(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, c
 
 
 @njit(cache=True)
-def _cut_corners(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step, rng):
+def _cut_corners(
+    I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step, rng
+):
     """Random points on the path joined by proven straight lines."""
     dof = path.shape[1]
     a, b = np.empty(dof), np.empty(dof)
@@ -122,9 +147,37 @@ def _spline(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, cou
         if np.sqrt(np.sum((corner - path[i]) ** 2)) < 5e-3:
             continue
         if _proven(
-            I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path[i - 1], corner, slack, padded, step
+            I,
+            F,
+            D,
+            w,
+            stamps,
+            s,
+            extra,
+            extra_pair,
+            none,
+            none_pair,
+            path[i - 1],
+            corner,
+            slack,
+            padded,
+            step,
         ) and _proven(
-            I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, corner, path[i + 1], slack, padded, step
+            I,
+            F,
+            D,
+            w,
+            stamps,
+            s,
+            extra,
+            extra_pair,
+            none,
+            none_pair,
+            corner,
+            path[i + 1],
+            slack,
+            padded,
+            step,
         ):
             path[i] = corner
             changed = True
@@ -141,7 +194,9 @@ def smooth(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, coun
     rng = np.empty(1, np.int64)
     rng[0] = seed
     if count > 2:
-        count = _shortcut(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step)
+        count = _shortcut(
+            I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step
+        )
     if count <= 2:
         return count
     count = _cut_corners(
@@ -153,4 +208,6 @@ def smooth(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, coun
         )
         if not changed:
             break
-    return _shortcut(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step)
+    return _shortcut(
+        I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step
+    )

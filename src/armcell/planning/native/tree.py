@@ -1,5 +1,7 @@
 """A growing set of configurations with nearest-neighbour search, 16 at a time."""
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
@@ -13,7 +15,11 @@ FAR = 1e9
 def new_tree(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes (blocks, dof, L) as one float32 array, parents, and radii of the dynamic domain."""
     blocks = -(-capacity // L)
-    return np.full(blocks * dof * L, FAR, np.float32), np.full(blocks * L, -1, np.int32), np.full(blocks * L, FAR)
+    return (
+        np.full(blocks * dof * L, FAR, np.float32),
+        np.full(blocks * L, -1, np.int32),
+        np.full(blocks * L, FAR),
+    )
 
 
 @njit(cache=True, forceinline=True)

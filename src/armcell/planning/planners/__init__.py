@@ -1,5 +1,5 @@
 """Planners by name. Importing this package registers them."""
 
-from armcell.planning.planners import ompl
+from armcell.planning.planners import native, ompl
 
-__all__ = ["ompl"]
+__all__ = ["native", "ompl"]

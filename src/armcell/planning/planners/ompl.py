@@ -1,4 +1,4 @@
-"""OMPL's planners on the exact checker."""
+"""OMPL's planners on the kernel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import ompl.base as ob
 import ompl.geometric as og
 import ompl.util as ou
 
-from armcell.planning.problem import Answer, Problem, planners
+from armcell.planning.problem import Answer, Problem, pipelines
 
 CHECK_STEP = 0.03
 """[rad] between validity checks along an edge while searching; the result is certified afterwards."""
@@ -34,9 +34,10 @@ def _plan(name: str, problem: Problem) -> Answer:
         bounds.setHigh(i, float(problem.upper[i]))
     space.setBounds(bounds)
     setup = og.SimpleSetup(space)
-    q = np.empty(n)
+    q, calls = np.empty(n), [0]
 
     def valid(state: Any) -> bool:
+        calls[0] += 1
         for i in range(n):
             q[i] = state[i]
         return problem.checker.is_free(q)
@@ -57,7 +58,7 @@ def _plan(name: str, problem: Problem) -> Answer:
     stop = ob.PlannerTerminationCondition(lambda: problem.stopped)
     timed = ob.timedPlannerTerminationCondition(max(left, 0.0))
     setup.solve(ob.plannerOrTerminationCondition(stop, timed))
-    statistics = {"checks": float(problem.checker.checks)}
+    statistics = {"checks": float(calls[0])}
     if not setup.haveExactSolutionPath():
         reason = "cancelled" if problem.cancel.is_set() else f"no path found in {max(left, 0):.1f} s"
         return Answer(None, f"{name}: {reason}", statistics)
@@ -82,4 +83,4 @@ def _planner(name: str) -> Callable[[Problem], Answer]:
 
 
 for _name in NAMES:
-    planners.register(_name)(_planner(_name))
+    pipelines["ompl"].register(_name)(_planner(_name))

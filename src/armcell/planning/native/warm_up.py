@@ -1,0 +1,37 @@
+"""Compiling, or loading from the cache, before anything is timed."""
+
+from __future__ import annotations
+
+import logging
+import time
+from functools import lru_cache
+
+import numpy as np
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.model import load_robot
+from armcell.planning.native.planner import NativePlanner
+from armcell.scene import PlanningScene
+
+logger = logging.getLogger(__name__)
+
+
+@lru_cache(maxsize=1)
+def warm_up() -> float:
+    """Have every compiled function of the planner ready; returns the seconds it took. Cheap the next time.
+
+    The first time on a machine (or with changed sources) this compiles, later it loads from disk.
+    """
+    began = time.monotonic()
+    model = load_robot("parallel_gripper")
+    scene = PlanningScene.of(model)
+    checker = KernelChecker(scene, model.group("gripper").joint_names)
+    a, b = np.array([0.01]), np.array([0.04])
+    checker.is_free(a)
+    checker.edge_is_free(a, b)
+    checker.certify([a, b])
+    NativePlanner(checker).plan(a, b[None], np.array([0.0]), np.array([0.05]))
+    seconds = time.monotonic() - began
+    if seconds > 2.0:
+        logger.info("compiled the planner in %.0f s; it is kept for later runs", seconds)
+    return seconds
