@@ -10,6 +10,7 @@ from tests.model.helpers import random_positions
 from tests.scene.helpers import mesh_of, open_bin
 
 from armcell.collision import ExactChecker
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, Mesh, Sphere
 from armcell.kinematics import kinematic_tree
 from armcell.model import load_robot
@@ -43,7 +44,8 @@ def check_agreement(robot: str, scenes: int, poses: int, seed: int) -> tuple[int
     touched = free = 0
     for _ in range(scenes):
         scene = PlanningScene.of(model, objects=random_objects(rng))
-        checker, reference = ExactChecker(scene), BruteForce(scene, robot)
+        checker, kernel = ExactChecker(scene), KernelChecker(scene)
+        reference = BruteForce(scene, robot)
         for _ in range(poses):
             q = random_positions(model, rng)
             expected = reference.distances(q)
@@ -59,6 +61,8 @@ def check_agreement(robot: str, scenes: int, poses: int, seed: int) -> tuple[int
                 continue  # test_exact.py has the bodies inside others
             assert checker.is_free(q) == (not found)
             nearest = checker.nearest(q)
+            if abs(nearest.distance) > TOLERANCE:
+                assert kernel.is_free(q) == (not found), (nearest, q.tolist())
             if found:
                 touched += 1
                 assert nearest.distance <= 0.0

@@ -105,7 +105,8 @@ def test_no_goal():
 
 NAMES_NOTHING = {
     "group": ({"group": "arms"}, "planning group 'arms'; known: arm"),
-    "planner": ({"planner_id": "RTTConnect"}, r"planner 'RTTConnect'; known: .*did you mean 'RRTConnect'"),
+    "planner": ({"planner_id": "RTTConnect"}, "planner .*'RTTConnect'; known: .*mean 'RRTConnect'"),
+    "pipeline": ({"pipeline_id": "omlp"}, "pipeline 'omlp'; known: .*mean 'ompl'"),
     "link": ({"goals": (PoseGoal(down(0.5, 0.2, 0.2), link="hand"),)}, "link 'hand'; known: "),
     "state": ({"goals": (NamedGoal("hom"),)}, "'hom'; known: extended, home"),
 }
@@ -129,7 +130,7 @@ WRONG = {
 def test_unknown_names_raise_and_list(change, words):
     from dataclasses import replace
 
-    with pytest.raises(UnknownNameError, match="unknown .*" + words):
+    with pytest.raises(UnknownNameError, match=words):
         plan(panda_wall(), replace(request(NamedGoal("home")), **change))
 
 
@@ -140,12 +141,14 @@ def test_scaling_is_checked(kind, value):
         plan(panda_wall(), request(NamedGoal("home"), **{kind: value}))
 
 
-@pytest.mark.xfail(reason="bug: planning_time is not checked; inf ends at once")
+@pytest.mark.xfail(reason="bug: planning_time is not checked")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
 def test_the_time_is_checked(value):
     scene, goal = walled_in()
+    cancel = threading.Event()
+    threading.Timer(0.2, cancel.set).start()  # or it might never end
     with pytest.raises(InputError, match="planning_time"):
-        plan(scene, request(goal, planning_time=value))
+        plan(scene, request(goal, planning_time=value), cancel)
 
 
 @pytest.mark.xfail(reason="bug: LinAlgError", raises=np.linalg.LinAlgError)

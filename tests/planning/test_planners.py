@@ -10,12 +10,14 @@ from tests.planning.helpers import judge, panda_wall, request, walled_in
 from tests.planning.test_plan import beyond_panda
 
 from armcell.core import ErrorCode
-from armcell.planning import normalized_planner_id, plan, planners
+from armcell.planning import normalized_planner_id, pipelines, plan
 
 HANGS = pytest.mark.xfail(
     run=False, reason="bug: OMPL's PRM asks Python from a second thread and waits for ever"
 )
-PLANNERS = [pytest.param(n, marks=HANGS) if n == "PRM" else n for n in planners]
+ALL = [(pipeline, name) for pipeline, table in pipelines.items() for name in table]
+PLANNERS = [pytest.param(*p, marks=HANGS) if p == ("ompl", "PRM") else p for p in ALL]
+each_planner = pytest.mark.parametrize(("pipeline", "name"), PLANNERS)
 SECONDS = 1.5
 
 
@@ -26,14 +28,16 @@ def late(name: str) -> float:
 
 
 def test_moveit_s_default_is_there():
-    assert "RRTConnect" in planners
+    assert all("RRTConnect" in table for table in pipelines.values())
 
 
-@pytest.mark.parametrize("name", PLANNERS)
-def test_it_solves_an_easy_problem_or_says_that_it_cannot(name):
+@each_planner
+def test_it_solves_an_easy_problem_or_says_that_it_cannot(pipeline, name):
     scene = panda_wall()
     began = time.monotonic()
-    result = plan(scene, request(beyond_panda(), planner_id=name, planning_time=SECONDS))
+    result = plan(
+        scene, request(beyond_panda(), pipeline_id=pipeline, planner_id=name, planning_time=SECONDS)
+    )
     assert time.monotonic() - began < SECONDS + late(name)
     assert result.planner_id == name  # never another one in its stead
     if result.ok:
@@ -43,28 +47,29 @@ def test_it_solves_an_easy_problem_or_says_that_it_cannot(name):
         assert name in result.message and result.trajectory is None
 
 
-@pytest.mark.parametrize("name", PLANNERS)
-def test_it_keeps_to_its_time(name):
+@each_planner
+def test_it_keeps_to_its_time(pipeline, name):
     scene, goal = walled_in()
     began = time.monotonic()
-    result = plan(scene, request(goal, planner_id=name, planning_time=0.3))
+    result = plan(scene, request(goal, pipeline_id=pipeline, planner_id=name, planning_time=0.3))
     assert time.monotonic() - began < 0.3 + late(name)
     assert result.code in (ErrorCode.TIMED_OUT, ErrorCode.PLANNING_FAILED) and name in result.message
 
 
-SAMPLING = [n for n in planners if n in ("RRTConnect", "BKPIECE1", "KPIECE1", "LBKPIECE1")]
+FAST = [p for p in ALL if p[1] in ("RRTConnect", "BKPIECE1", "KPIECE1", "LBKPIECE1")]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SAMPLING)
-def test_the_same_seed_gives_the_same_motion(name):
+@pytest.mark.parametrize(("pipeline", "name"), FAST)
+def test_the_same_seed_gives_the_same_motion(pipeline, name):
     scene, goal = panda_wall(), beyond_panda()
-    a, b = (plan(scene, request(goal, planner_id=name, seed=3, planning_time=20.0)) for _ in range(2))
+    asked = request(goal, pipeline_id=pipeline, planner_id=name, seed=3, planning_time=20.0)
+    a, b = (plan(scene, asked) for _ in range(2))
     assert a.ok and b.ok
     np.testing.assert_array_equal(a.trajectory.positions, b.trajectory.positions)
 
 
-@pytest.mark.parametrize("name", planners)
+@pytest.mark.parametrize("name", sorted({name for _, name in ALL}))
 @pytest.mark.parametrize(
     "form", ["{}", " {} ", "geometric::{}", "{}kConfigDefault", "geometric::{}kConfigDefault", "arm[{}]",
              "arm[{}kConfigDefault]", "arm[geometric::{}]"],

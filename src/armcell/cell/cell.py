@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import CameraSpec, CellSpec, ObjectSpec, ShapeSpec, validated
-from armcell.control import DriverOptions, ExecutionSettings, drivers
+from armcell.control import DriverOptions, drivers
 from armcell.core import (
     SE3,
     SO3,
@@ -26,15 +26,17 @@ from armcell.core import (
     Sphere,
     UnknownNameError,
 )
+from armcell.core.checks import settings_from
 from armcell.model import Part, RobotModel, compose, load_robot
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import read_yaml
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import Camera, PhysicsSettings
-from armcell.tasks import Speed, TaskSettings
+from armcell.tasks import TaskSettings
 
 LIBRARY = Path(__file__).parent / "library"
 CELL_FILE = "cell.yaml"
+T = TypeVar("T")
 
 
 def cell_names() -> list[str]:
@@ -65,8 +67,8 @@ class Cell:
     def __init__(self, name: str, file: Path, spec: CellSpec):
         self.name, self.file, self.spec = name, file, spec
         self.model: RobotModel = self._robot()
-        self.settings: TaskSettings = self._task_settings()
-        self.physics: PhysicsSettings = self._physics()
+        self.settings: TaskSettings = self._settings(TaskSettings, spec.settings, "settings")
+        self.physics: PhysicsSettings = self._settings(PhysicsSettings, spec.physics, "physics")
         self.cameras = tuple(_camera(n, c) for n, c in spec.cameras.items())
         self._check_names()
         self.scene()  # whatever is wrong with the objects is said now
@@ -82,28 +84,13 @@ class Cell:
                 return model
             return compose(model.name, [Part(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))])
         except InputError as error:
-            if error.file is not None:
-                raise
-            raise self._fail("robot", error.reason, error.cure) from None
+            raise self._fail("robot", str(error)) from None
 
-    def _task_settings(self) -> TaskSettings:
-        values = dict(self.spec.settings)
-        for key, value in values.items():
-            if key in ("free", "carry", "near"):
-                values[key] = Speed(**_known(value, Speed, self.file, f"settings/{key}"))
-            elif key == "execution":
-                values[key] = ExecutionSettings(
-                    **_known(value, ExecutionSettings, self.file, "settings/execution")
-                )
-        return TaskSettings(**_known(values, TaskSettings, self.file, "settings"))
-
-    def _physics(self) -> PhysicsSettings:
+    def _settings(self, cls: type[T], values: dict[str, Any], element: str) -> T:
         try:
-            return PhysicsSettings(**_known(self.spec.physics, PhysicsSettings, self.file, "physics"))
+            return settings_from(cls, values, element)
         except InputError as error:
-            if error.file is not None:
-                raise
-            raise self._fail("physics", error.reason, error.cure) from None
+            raise self._fail(element, error.reason, error.cure) from None
 
     def _check_names(self) -> None:
         """Names in randomize, start and task that do not exist."""
@@ -125,6 +112,9 @@ class Cell:
             for name in names:
                 if name not in spec.objects:
                     raise UnknownNameError("object", name, spec.objects, file=where, element=f"task/{i}")
+            states = {s for group in self.model.named_states.values() for s in group}
+            if step.move is not None and step.move not in states:
+                raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 
     # --- the world ---
     def draw(self, seed: int) -> dict[str, dict[str, float]]:
@@ -175,16 +165,6 @@ class Cell:
         return LiveCell(
             self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
         )
-
-
-def _known(values: dict[str, Any], cls: type, file: Path, element: str) -> dict[str, Any]:
-    names = {f.name for f in fields(cls)}
-    if not isinstance(values, dict):
-        raise InputError("is not a mapping", file=file, element=element)
-    for key in values:
-        if key not in names:
-            raise UnknownNameError("setting", key, names, file=file, element=element)
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
 
 
 def _object(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:

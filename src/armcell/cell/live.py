@@ -18,7 +18,7 @@ from armcell.core import (
     UnknownNameError,
 )
 from armcell.scene import PlanningScene
-from armcell.tasks import TaskContext, TaskSettings, hold, move_to, pick, place
+from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
 
 
 class Arm:
@@ -45,6 +45,10 @@ class Arm:
         elif isinstance(goal, str):
             goal = NamedGoal(goal)
         return move_to(self._ctx, self.group, goal)
+
+    def open(self) -> Outcome:
+        """Open the gripper fully and forget what it held."""
+        return release(self._ctx, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def hold(self, duration: float) -> Outcome:
         """Stand still [s]."""
@@ -105,6 +109,15 @@ class LiveCell:
         if group not in self.arms:
             raise UnknownNameError("arm", group, self.arms)
         return self.arms[group]
+
+    @property
+    def reports(self) -> list[StageReport]:
+        """The stages performed so far."""
+        return self.ctx.reports
+
+    def stop(self) -> None:
+        """Stop the running motion; from another thread. The next call moves again."""
+        self.ctx.cancel.set()
 
     def scene(self) -> PlanningScene:
         """The planning scene as measured now."""

@@ -34,7 +34,10 @@ def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]
     began = time.monotonic()
     outcome, placements = Outcome(ErrorCode.SUCCESS), []
     for step in cell.spec.task:
-        outcome = _perform(live, step)
+        try:
+            outcome = _perform(live, step)
+        except InputError as error:  # the run so far is worth its report
+            outcome = Outcome(ErrorCode.FAILURE, str(error))
         if step.place and isinstance(target := outcome.evidence.get("placement"), Placement):
             placements.append((step.place.object, target))
         if not outcome.ok:

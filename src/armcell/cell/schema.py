@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -13,7 +13,7 @@ Range = tuple[float, float]
 
 
 class Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class ShapeSpec(Strict):
@@ -24,9 +24,9 @@ class ShapeSpec(Strict):
     cylinder: tuple[float, float] | None = None  # radius, length
     capsule: tuple[float, float] | None = None  # radius, length of the straight part
     cone: tuple[float, float] | None = None  # radius, length
-    plane: bool | None = None
+    plane: Literal[True] | None = None
     mesh: str | None = None  # file, relative to the cell folder, or package://
-    mesh_scale: float = 1.0
+    mesh_scale: float = Field(1.0, gt=0)
     pose: Any = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -50,9 +50,9 @@ class ObjectSpec(Strict):
     cylinder: tuple[float, float] | None = None
     capsule: tuple[float, float] | None = None
     cone: tuple[float, float] | None = None
-    plane: bool | None = None
+    plane: Literal[True] | None = None
     mesh: str | None = None
-    mesh_scale: float = 1.0
+    mesh_scale: float = Field(1.0, gt=0)
     shapes: list[ShapeSpec] = []
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] = (0.6, 0.6, 0.6)

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 from rich.table import Table
 
-from armcell.cli.console import console, write_json
+from armcell.cli.console import check_writable, console, write_json
 
 Finding = tuple[bool, str, str]  # sound, what was looked at, what was found
 
@@ -21,6 +21,8 @@ def check(
 
     Exit status 0 if all is sound, 1 with the cures if not.
     """
+    if json_file is not None:
+        check_writable(json_file)
     findings = list(_findings(cell))
     table = Table(box=None, pad_edge=False, show_header=False)
     for sound, what, text in findings:
@@ -75,35 +77,45 @@ def _objects(scene) -> Iterator[Finding]:
 
 
 def _task(cell, scene) -> Iterator[Finding]:
+    for step in cell.spec.task:
+        if step.pick is not None:
+            yield _pick(cell, scene, step.pick)
+        elif step.place is not None:
+            yield _place(scene, step.place.object, step.place.on, step.place.at)
+
+
+def _pick(cell, scene, name: str) -> Finding:
+    from armcell.core import InputError
     from armcell.grasping import grasp_candidates
 
-    for step in cell.spec.task:
-        if step.pick is None:
-            continue
-        item = scene.object(step.pick)
-        if not item.movable:
-            yield False, f"pick {step.pick}", "the object is fixed: give it 'movable: true'"
-            continue
-        grasps, rejected = grasp_candidates(item, model_gripper(cell))
-        if not grasps:
-            yield (
-                False,
-                f"pick {step.pick}",
-                f"no grasp: {rejected[0].reason if rejected else 'no candidates'}",
-            )
-            continue
-        yield _reach(cell, scene, step.pick)
+    item, what = scene.object(name), f"pick {name}"
+    if not item.movable:
+        return False, what, "the object is fixed: give it 'movable: true'"
+    try:
+        gripper = cell.model.gripper()
+    except InputError as error:
+        return False, what, str(error)
+    grasps, rejected = grasp_candidates(item, gripper)
+    if not grasps:
+        return False, what, f"no grasp: {rejected[0].reason if rejected else 'no candidates'}"
+    return _reach(cell, scene, name, gripper)
 
 
-def model_gripper(cell):
-    return next(iter(cell.model.grippers.values()))
+def _place(scene, item: str, on: str, at) -> Finding:
+    from armcell.core import InputError
+    from armcell.grasping import place_candidates
+
+    try:
+        found = place_candidates(scene.object(item), scene.object(on), at)
+    except InputError as error:
+        return False, f"place {item}", str(error)
+    return True, f"place {item}", f"{len(found)} places on {on}"
 
 
-def _reach(cell, scene, item: str) -> Finding:
+def _reach(cell, scene, item: str, gripper) -> Finding:
     from armcell.tasks import Draft, Planning, search
     from armcell.tasks.stages import ChooseGrasp
 
-    gripper = model_gripper(cell)
     planning = Planning(cell.settings)
     stage = ChooseGrasp(item, gripper, cell.settings.near, cell.settings.approach_distance)
     draft = search([stage], Draft(scene), planning)

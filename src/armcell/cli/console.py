@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,10 @@ from rich.table import Table
 
 from armcell.core import InputError
 
-console = Console(highlight=False)
+PIPE_WIDTH = 400
+"""Columns where nobody's terminal says how wide it is: whoever reads a pipe wants whole lines."""
+
+console = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
@@ -33,8 +37,12 @@ def check_writable(path: Path) -> None:
         raise InputError("is a folder, a file name is needed", file=path)
     if not folder.is_dir():
         raise InputError("folder does not exist", file=folder, cure=f"mkdir -p {folder}")
-    if not os.access(folder, os.W_OK):
-        raise InputError("folder is not writable", file=folder)
+    try:  # os.access says yes to everything for root
+        handle, trial = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.")
+    except OSError as error:
+        raise InputError(f"folder is not writable ({error.strerror})", file=folder) from None
+    os.close(handle)
+    os.unlink(trial)
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from armcell.cli.console import console, write_json
+from armcell.cli.console import check_writable, console, write_json
 
 
 def explain(
@@ -33,6 +33,8 @@ def explain(
         raise typer.BadParameter("give either --pose X Y Z or --pick OBJECT")
     from armcell.cell import load
 
+    if json_file is not None:
+        check_writable(json_file)
     loaded = load(cell)
     scene = loaded.scene(seed)
     if pick is not None:
@@ -45,9 +47,16 @@ def explain(
 
 
 def _arm_group(model) -> str:
-    if model.grippers:
-        return next(iter(model.grippers.values())).arm_group
-    return next(g.name for g in model.groups.values() if g.tip_link)
+    from armcell.core import InputError
+
+    groups = [g.arm_group for g in model.grippers.values()] or [
+        g.name for g in model.groups.values() if g.tip_link
+    ]
+    if not groups:
+        raise InputError(
+            f"robot {model.name!r} has no arm: no planning group is a chain", cure="name one with --group"
+        )
+    return groups[0]
 
 
 def _explain_pose(scene, group: str, xyz, rpy_deg) -> tuple[bool, dict[str, Any]]:
@@ -84,10 +93,13 @@ def _explain_pose(scene, group: str, xyz, rpy_deg) -> tuple[bool, dict[str, Any]
 
 
 def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
+    from armcell.core import InputError
     from armcell.grasping import grasp_candidates
     from armcell.tasks import Draft, Planning
     from armcell.tasks.stages import ChooseGrasp
 
+    if not scene.object(item).movable:
+        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
     gripper = loaded.model.gripper(arm_group=_arm_group(loaded.model))
     grasps, rejected = grasp_candidates(scene.object(item), gripper)
     planning = Planning(loaded.settings)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 
-import click
 import typer
 
 from armcell import __version__
@@ -50,34 +49,22 @@ def _root(version: bool = typer.Option(False, "--version", help="Print the versi
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line: status 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C."""
-    code = _run(arguments)
-    if arguments is None:
-        sys.stdout.flush()
-        sys.exit(code)
-    return code
-
-
-def _run(arguments: list[str] | None) -> int:
+    """Run the command line; its status: 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C."""
     try:
         result = app(args=arguments, standalone_mode=False)
         return result if isinstance(result, int) else 0
-    except click.exceptions.Exit as exit_:
+    except typer.Exit as exit_:
         return exit_.exit_code
-    except click.exceptions.NoArgsIsHelpError as error:
-        error.show()
-        return 2
-    except click.ClickException as error:
-        error.show()
-        return error.exit_code
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        err("interrupted")
+    except (KeyboardInterrupt, typer.Abort):
         return 130
     except ArmcellError as error:
         err(str(error))
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
+        if hasattr(error, "show") and hasattr(error, "exit_code"):  # a usage error of typer's own click
+            error.show()
+            return int(error.exit_code)
         if os.environ.get("ARMCELL_DEBUG"):
             raise
         err(f"internal error: {type(error).__name__}: {error} (set ARMCELL_DEBUG=1 for the traceback)")

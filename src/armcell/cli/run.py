@@ -50,20 +50,23 @@ def run(
     if headless and view:
         raise typer.BadParameter("--headless and --view exclude each other")
     progress = None
-    if not headless:
+    if not headless and errors.is_terminal:
         progress = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(),
             console=errors, transient=True,
         )  # fmt: skip
     with ExitStack() as stack:
+        loading = None
         if progress is not None:
             stack.enter_context(progress)
             loading = progress.add_task(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
         from armcell.cell import load, run_task  # here: physics and planners load slowly
+        from armcell.control import drivers
         from armcell.planning import warm_up
 
+        drivers[mode]  # an unknown mode is said before anything is made
         loaded = load(cell)
         warm_up()
         scene = loaded.scene(seed)
@@ -81,7 +84,7 @@ def run(
 
             recorder = stack.enter_context(RunRecorder(new_run_folder(runs, loaded.name), scene))
             observers.append(recorder)
-        if progress is not None:
+        if progress is not None and loading is not None:
             progress.remove_task(loading)
             observers.append(_Bar(progress))
         live = loaded.connect(mode, seed, observers, time_scale)
@@ -90,7 +93,7 @@ def run(
             live.ctx.observers.append(observers[-1])
         with live:
             result = run_task(loaded, live, seed, mode)
-        result["command"] = shlex.join(["armcell", *sys.argv[1:]]) if sys.argv[1:] else f"armcell run {cell}"
+        result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode])
         if progress is not None:
             progress.stop()
         report = _written(recorder, result, json_file)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from armcell.control.driver import Driver
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
+from armcell.core.checks import require
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,11 @@ class ExecutionSettings:
     goal_tolerance: float = 0.005  # [rad or m]
     goal_speed: float = 0.02  # [rad/s or m/s] below which the arm counts as at rest
     settle_time: float = 1.0  # [s] to reach the goal after the trajectory's end
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            require(value > 0, f"{field.name} is {value:g}, it must be positive")
 
 
 Progress = Callable[[float], None]

@@ -135,6 +135,30 @@ class Mesh:
 Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh
 
 
+def extent(shape: Shape, direction: Array) -> tuple[float, float]:
+    """Lowest and highest coordinate [m] of a shape along a unit direction (3,) of its own frame."""
+    x, y, z = (float(v) for v in direction)
+    across = float(np.hypot(x, y))
+    match shape:
+        case Mesh():
+            along = shape.vertices @ np.asarray(direction)
+            return float(along.min()), float(along.max())
+        case Box():
+            half = float(np.abs(direction) @ shape.half_extents)
+        case Sphere():
+            half = shape.radius
+        case Cylinder():
+            half = shape.radius * across + shape.length / 2 * abs(z)
+        case Capsule():
+            half = shape.radius + shape.length / 2 * abs(z)
+        case Cone():
+            rim, apex = shape.radius * across, shape.length / 2 * z
+            return min(apex, -apex - rim), max(apex, -apex + rim)
+        case Plane():
+            half = PLANE_EXTENT_M
+    return -half, half
+
+
 def local_bounds(shape: Shape) -> tuple[Array, Array]:
     """Centre and half extents (3,), (3,) [m] of the axis-aligned box around a shape, in its frame."""
     if isinstance(shape, Mesh):

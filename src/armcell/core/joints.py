@@ -136,6 +136,14 @@ class JointTrajectory:
     def duration(self) -> float:
         return float(self.times[-1]) if len(self.times) else 0.0
 
+    @property
+    def start(self) -> JointState:
+        return JointState(self.joint_names, self.positions[0])
+
+    @property
+    def end(self) -> JointState:
+        return JointState(self.joint_names, self.positions[-1])
+
     def sample(self, t: float) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at time t [s], held at both ends.
 

@@ -14,6 +14,7 @@ from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
+MIN_DEPTH = 0.002  # [m] that the tcp is inside the object at least
 BOTTOM_CLEARANCE = 0.006  # [m] between the finger tips and what the object stands on
 OPENING_FACTOR = 1.125  # pre-opening relative to the object: 10-15 % wider
 OPENING_MARGIN = 0.010  # [m] wider at least: half of it is what a finger may be off by
@@ -46,11 +47,14 @@ Generator = Callable[[CollisionObject, Gripper], tuple[list[Grasp], list[Rejecti
 generators: Registry[Generator] = Registry("grasp generator")
 
 
+def needed_force(item: CollisionObject) -> float:
+    """Force per finger [N] that just holds the object: m (g + a) / (2 mu) by Coulomb."""
+    return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))
+
+
 def grip_force(item: CollisionObject, gripper: Gripper) -> float:
-    """Force per finger [N] that holds the object: m (g + a) / (2 mu) by Coulomb, times a safety factor."""
-    friction = max(item.material.friction, 0.05)
-    needed = item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * friction) * FORCE_SAFETY
-    return float(np.clip(needed, MIN_FORCE, gripper.max_force))
+    """Force per finger [N] to grip with: `needed_force` with a safety factor, as far as the gripper has it."""
+    return float(np.clip(needed_force(item) * FORCE_SAFETY, MIN_FORCE, gripper.max_force))
 
 
 @generators.register("bounding_box")
@@ -67,8 +71,8 @@ def bounding_box_grasps(item: CollisionObject, gripper: Gripper) -> tuple[list[G
             approach = np.zeros(3)
             approach[axis] = sign
             for closing, turn in _closings(item, axis):
-                width = float(size[int(np.argmax(np.abs(closing)))])
-                label = f"{_direction(approach, up)} {turn}"
+                width = item.extent(closing)
+                label = f"{_direction(approach, axis, up)} {turn}"
                 opening = min(max(width * OPENING_FACTOR, width + OPENING_MARGIN), gripper.max_width)
                 if width > gripper.max_width - OPENING_MARGIN / 2:
                     reason = (
@@ -76,7 +80,17 @@ def bounding_box_grasps(item: CollisionObject, gripper: Gripper) -> tuple[list[G
                     )
                     rejected.append(Rejection(label, reason))
                     continue
+                if needed_force(item) > gripper.max_force:
+                    force = needed_force(item)
+                    text = f"needs {force:.0f} N per finger, the gripper has {gripper.max_force:.0f} N"
+                    rejected.append(Rejection(label, text))
+                    continue
                 position = _tcp_position(centre, size, approach, axis, up, gripper)
+                if position is None:
+                    rejected.append(
+                        Rejection(label, f"{size[axis] * 1000:.0f} mm is too flat for the finger tips")
+                    )
+                    continue
                 for flip in (1.0, -1.0):
                     y = flip * closing
                     R = SO3(np.column_stack([np.cross(y, approach), y, approach]))
@@ -97,26 +111,29 @@ def _closings(item: CollisionObject, axis: int) -> list[tuple[Array, str]]:
     """Closing directions across an approach axis, in the object's frame."""
     others = [k for k in range(3) if k != axis]
     basis = [np.eye(3)[k] for k in others]
-    shape = item.shapes[0][0] if len(item.shapes) == 1 else None
-    if isinstance(shape, Sphere) or (isinstance(shape, Cylinder) and axis == 2):
+    shape, T_object_shape = item.shapes[0] if len(item.shapes) == 1 else (None, None)
+    lies_along = T_object_shape is not None and abs(T_object_shape.rotation.matrix[axis, 2]) > 0.999
+    if isinstance(shape, Sphere) or (isinstance(shape, Cylinder) and lies_along):
         angles = np.deg2rad([0, 30, 60, 90, 120, 150])
         return [(np.cos(a) * basis[0] + np.sin(a) * basis[1], f"at {np.rad2deg(a):.0f} deg") for a in angles]
     return [(b, f"across {'xyz'[k]}") for b, k in zip(basis, others, strict=True)]
 
 
-def _direction(approach: Array, up: Array) -> str:
+def _direction(approach: Array, axis: int, up: Array) -> str:
     down = float(-approach @ up)
-    if down > 0.7:
+    face = f"{'-' if approach[axis] > 0 else '+'}{'xyz'[axis]}"
+    if down > 0.9:
         return "top"
-    if down < -0.7:
+    if down < -0.9:
         return "from below"
-    axis = int(np.argmax(np.abs(approach)))
+    if abs(down) > 0.1:
+        return f"slanting {face}"
     return f"side {'-' if approach[axis] > 0 else '+'}{'xyz'[axis]}"
 
 
 def _tcp_position(
     centre: Array, size: Array, approach: Array, axis: int, up: Array, gripper: Gripper
-) -> Array:
+) -> Array | None:
     """The tcp at the object's centre, or as deep as the fingers allow, and high enough above the support."""
     position = centre.copy()
     half = size[axis] / 2
@@ -125,7 +142,8 @@ def _tcp_position(
     depth = min(half, gripper.finger_depth)
     if float(-approach @ up) > 0.7:
         depth = min(depth, size[axis] - gripper.pad_depth - BOTTOM_CLEARANCE)
-    depth = max(depth, 0.002)
+    if depth < MIN_DEPTH:
+        return None
     position += approach * (depth - half)
     return position
 

@@ -80,6 +80,11 @@ def place_candidates(
     quarter = [yaw_frame + k * np.pi / 2 for k in range(4)]
     quarter.sort(key=lambda yaw: abs(_wrap(yaw - yaw_now)))
     cx, cy = at or (0.0, 0.0)
+    if abs(cx) > size_x / 2 or abs(cy) > size_y / 2:
+        raise InputError(
+            f"place {at} m is beside {support.name!r}: {size_x:.2f} x {size_y:.2f} m from its centre on"
+        )
+    middle = (low + high) / 2
     found = []
     for i, yaw in enumerate([*quarter, yaw_now]):
         R = SO3.exp((0.0, 0.0, yaw)) @ upright
@@ -92,7 +97,9 @@ def place_candidates(
                     or abs(y) + foot[1] > size_y / 2 - STABILITY_MARGIN
                 ):
                     continue
-                point = frame.apply((x, y, height))
+                # The foot's middle goes to (x, y), wherever in the object its origin is.
+                aside = R.matrix @ middle
+                point = frame.apply((x, y, height)) - np.array([aside[0], aside[1], 0.0])
                 score = -float(np.hypot(dx, dy)) * 10 - 0.1 * i
                 found.append(
                     Placement(

@@ -13,11 +13,23 @@ from armcell.core import InputError
 
 MAX_TEXT_BYTES = 20_000_000
 MAX_YAML_BYTES = 2_000_000
+MAX_YAML_DEPTH = 64
 MAX_YAML_ALIASES = 50  # anchors are fine, a "billion laughs" document is not
 
 
 class _Loader(yaml.CSafeLoader):
-    """Only `true` and `false` are booleans, as in YAML 1.2: a key called `on` stays a key."""
+    """Only `true` and `false` are booleans, as in YAML 1.2: a key called `on` stays a key. A key given twice
+    is an error, where YAML lets the last one win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                if key.value in seen:
+                    text = f"key {key.value!r} is given twice"
+                    raise yaml.MarkedYAMLError(problem=text, problem_mark=key.start_mark)
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -71,6 +83,22 @@ def read_xml(path: Path) -> etree._Element:
     return parse_xml(read_text(path), path)
 
 
+def _check_events(text: str, path: Path) -> None:
+    """Refuse what is cheap to write and dear to build: deep nesting and "billion laughs" aliases."""
+    aliases = depth = 0
+    for event in yaml.parse(text, _Loader):
+        if isinstance(event, yaml.AliasEvent):
+            aliases += 1
+        elif isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if aliases > MAX_YAML_ALIASES:
+            raise InputError(f"uses more than {MAX_YAML_ALIASES} YAML aliases", file=path)
+        if depth > MAX_YAML_DEPTH:
+            raise InputError(f"is nested deeper than {MAX_YAML_DEPTH} levels", file=path)
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file whose top level is a mapping.
 
@@ -79,11 +107,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     text = read_text(path, MAX_YAML_BYTES)
     try:
-        aliases = sum(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader))
-        if aliases > MAX_YAML_ALIASES:
-            raise InputError(
-                f"uses {aliases} YAML aliases, at most {MAX_YAML_ALIASES} are allowed", file=path
-            )
+        _check_events(text, path)
         data = yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None

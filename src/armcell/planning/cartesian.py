@@ -63,6 +63,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
             "the timed motion could not be proven free",
             0.0,
         )
+    spent = time.monotonic() - began
     return PlanResult(
         code,
         message,
@@ -70,9 +71,9 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         path=JointPath(ik.joint_names, path) if len(path) > 1 else None,
         trajectory=trajectory,
         planner_id="cartesian",
-        planning_time=time.monotonic() - began,
+        planning_time=spent,
         fraction=float(fraction),
-        min_clearance=clearance_along(checker, trajectory, 12) if trajectory is not None else np.inf,
+        min_clearance=clearance_along(checker, trajectory) if trajectory is not None else np.inf,
     )
 
 

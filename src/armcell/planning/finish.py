@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision import Certificate, ExactChecker
+from armcell.collision import Certificate, ExactChecker, MotionBound
 from armcell.core import JointTrajectory
 from armcell.model import RobotModel
 from armcell.timing import BlendedPath, TimingSettings, parameterize
@@ -19,6 +20,7 @@ SAGITTA = 2e-4
 """[rad] by which the certified chords may differ from the rounded path."""
 
 CLEARANCE_CUTOFF = 0.25  # [m] distances beyond this are reported as this
+CLEARANCE_TOLERANCE = 5e-4  # [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +85,32 @@ def _timed(
     return parameterize(path, names, velocity, acceleration, timing)
 
 
-def clearance_along(checker: ExactChecker, trajectory: JointTrajectory, samples: int = 24) -> float:
-    """Smallest distance [m] at evenly spread trajectory points, at most `CLEARANCE_CUTOFF`."""
-    index = np.unique(np.linspace(0, len(trajectory.times) - 1, samples).round().astype(int))
+def clearance_along(checker: ExactChecker, trajectory: JointTrajectory) -> float:
+    """Smallest distance [m] along a motion, within `CLEARANCE_TOLERANCE`, at most `CLEARANCE_CUTOFF`.
+
+    Between two trajectory points a pair can come closer than at either by no more than half of what it
+    moves, so stretches that cannot beat the smallest distance found are left out.
+    """
+    points = trajectory.positions
+    bound = MotionBound(checker)
+    moved = np.zeros(len(points))
+    if len(checker.pairs):
+        moved[1:] = np.cumsum([bound.along(b - a).max() for a, b in itertools.pairwise(points)])
     best = CLEARANCE_CUTOFF
-    for i in index:
-        contact = checker.nearest(trajectory.positions[i], best)
-        best = best if contact is None else min(best, contact.distance)
+
+    def at(i: int) -> float:
+        nonlocal best
+        contact = checker.nearest(points[i], CLEARANCE_CUTOFF)
+        distance = CLEARANCE_CUTOFF if contact is None else contact.distance
+        best = min(best, distance)
+        return distance
+
+    stretches = [(0, len(points) - 1, at(0), at(len(points) - 1))]
+    while stretches:
+        i, j, di, dj = stretches.pop()
+        if j - i < 2 or (di + dj - (moved[j] - moved[i])) / 2 >= best - CLEARANCE_TOLERANCE:
+            continue
+        k = (i + j) // 2
+        dk = at(k)
+        stretches += [(i, k, di, dk), (k, j, dk, dj)]
     return float(best)

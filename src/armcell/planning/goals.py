@@ -52,11 +52,11 @@ def joint_goals(scene: PlanningScene, request: PlanRequest, checker: ExactChecke
 
 
 def _from_joints(scene, joint_names, state, checker) -> tuple[Outcome, list[Array]]:
+    for name in state.joint_names:  # misuse, not a failure of planning
+        if name not in joint_names:
+            scene.model.joint(name)
+            raise InputError(f"goal names joint {name!r}, which the group does not move")
     try:
-        # A joint of another group in the goal is misuse, not a failure of planning.
-        for name in state.joint_names:
-            if name not in joint_names:
-                raise InputError(f"goal names joint {name!r}, which the group does not move")
         q = scene.state.updated(state).reindexed(joint_names).positions
         scene.model.check_positions(q, joint_names)
     except InputError as error:

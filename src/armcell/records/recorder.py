@@ -60,13 +60,20 @@ def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
     """
     stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(cell).stem).strip("._") or "run"
     base = f"{now or datetime.now():%Y%m%d-%H%M%S}-{stem}"
-    root.mkdir(parents=True, exist_ok=True)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot be made: {error.strerror}", file=root, cure="choose another --runs folder"
+        ) from None
     for count in range(1, 10_000):
         folder = root / (base if count == 1 else f"{base}-{count}")
         try:
             folder.mkdir()
         except FileExistsError:
             continue
+        except OSError as error:
+            raise InputError(f"cannot be written to: {error.strerror}", file=root) from None
         return folder
     raise InputError(f"no free folder name for {base}", file=root)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+from armcell.core.geometry import extent, local_bounds
 
 Color = tuple[float, float, float, float]
 
@@ -75,10 +76,17 @@ class CollisionObject:
     def mass_kg(self) -> float:
         return self.mass if self.mass is not None else DEFAULT_DENSITY * self.volume
 
+    def extent(self, direction: NDArray[np.float64]) -> float:
+        """Size [m] along a unit direction (3,) of the object's frame."""
+        ends = []
+        for shape, T in self.shapes:
+            low, high = extent(shape, T.rotation.matrix.T @ np.asarray(direction))
+            shift = float(T.translation @ np.asarray(direction))
+            ends.append((low + shift, high + shift))
+        return max(e[1] for e in ends) - min(e[0] for e in ends)
+
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Lowest and highest corner (3,), (3,) [m] of the box around it, in the object's frame."""
-        from armcell.core.geometry import local_bounds
-
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape, T in self.shapes:
             centre, half = local_bounds(shape)

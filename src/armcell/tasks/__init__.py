@@ -1,7 +1,7 @@
 """In which order, and what if it fails? Stages, search, recipes."""
 
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.recipes import hold, move_to, pick, place
+from armcell.tasks.recipes import hold, move_to, pick, place, release
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.steps import Motion, perform_all
@@ -21,5 +21,6 @@ __all__ = [
     "perform_all",
     "pick",
     "place",
+    "release",
     "search",
 ]

@@ -64,6 +64,7 @@ class TaskContext:
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
         self._next_sample = 0.0
+        self._told = (0, 0)  # welds and unwanted contacts that were reported
 
     # --- truth ---
     def scene(self) -> PlanningScene:
@@ -99,9 +100,10 @@ class TaskContext:
             self.observe()
 
     def observe(self) -> None:
-        """Give the observers a sample if one is due."""
+        """Give the observers a sample if one is due, and tell what physics did unasked."""
         if not self.observers or self.driver.now < self._next_sample:
             return
+        self._report_news()
         self._next_sample = self.driver.now + OBSERVER_PERIOD - 1e-9
         readings = {name: self.driver.gripper(name) for name in self._base.model.grippers}
         sample = StateSample(
@@ -113,6 +115,15 @@ class TaskContext:
         )
         for observer in self.observers:
             observer.on_state(sample)
+
+    def _report_news(self) -> None:
+        """Events for welds and unwanted contacts that are new."""
+        welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
+        for weld in welds[self._told[0] :]:
+            self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
+        for contact in contacts[self._told[1] :]:
+            self.emit("contact", f"{contact.body_a} touches {contact.body_b}", depth_m=contact.depth)
+        self._told = (len(welds), len(contacts))
 
     # --- telling ---
     def emit(self, kind: str, text: str, **data: Any) -> None:
@@ -145,4 +156,5 @@ class Rejections:
         counted = ", ".join(
             f"{n} x {s}: {r}" for (s, r), n in sorted(self.counts.items(), key=lambda kv: -kv[1])[:4]
         )
-        return f"{len(self.details)} candidates rejected ({counted}); the best one, {candidate!r}: {reason}"
+        first = f"; the best one, {candidate!r}: {reason}" if candidate else ""
+        return f"{len(self.details)} rejected ({counted}){first}"

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from armcell.collision import neighbours
 from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
+from armcell.core.checks import require
 from armcell.model import Gripper
+from armcell.planning import warm_up
 from armcell.tasks.context import TaskContext
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.stages import (
@@ -19,7 +23,7 @@ from armcell.tasks.stages import (
     Planned,
     Straight,
 )
-from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, perform_all
+from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, Grip, perform_all
 
 
 def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
@@ -30,8 +34,9 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
     """
-    if ctx.holding:
-        raise InputError(f"the robot already holds {', '.join(ctx.holding)}", cure="place it first")
+    for held in ctx.holding.values():
+        if held.gripper.name == gripper.name:
+            raise InputError(f"gripper {gripper.name!r} already holds {held.object}", cure="place it first")
     if not ctx.scene().object(item).movable:
         raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
     s, excluded, outcome = ctx.settings, (), DONE
@@ -55,6 +60,8 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return outcome
         excluded = (*excluded, draft.data["grasp"].name)
+        ctx.holding.pop(item, None)
+        ctx.driver.unwatch_object(item)
         ctx.emit("note", f"pick {item}: {outcome.message}; trying the next grasp")
         ctx.driver.command_gripper(gripper.name, gripper.max_width, gripper.max_force)
         ctx.advance(s.release_settle + 0.5)
@@ -73,7 +80,7 @@ def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None =
     stages: list[Stage] = [
         ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at),
         Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
-        ExpectSupport(item, on),
+        ExpectSupport(item, on, gripper),
         Planned("lower", "after_lower"),
         Open(item, on, gripper, s.release_margin, s.release_settle),
         Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
@@ -96,17 +103,40 @@ def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> O
 
 
 def hold(ctx: TaskContext, duration: float) -> Outcome:
-    """Stand still [s]; the stage table shows how far a held object slipped."""
+    """Stand still [s]; the stage table shows how far a held object slipped.
+
+    Raises:
+        InputError: a duration that is negative or not finite.
+    """
+    require(np.isfinite(duration) and duration >= 0, f"cannot hold for {duration} s")
     return Dwell("hold", duration).perform(ctx)
 
 
+def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
+    """Open a gripper fully, wherever it is; what it held belongs to the world again."""
+    for held in [h for h in ctx.holding.values() if h.gripper.name == gripper.name]:
+        ctx.holding.pop(held.object)
+        ctx.driver.unwatch_object(held.object)
+    return Grip("open", gripper, gripper.max_width, gripper.max_force, ctx.settings.release_settle).perform(
+        ctx
+    )
+
+
 def _planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
+    warm_up()  # not on the time of a plan
     planning = Planning(ctx.settings, ctx.seed, ctx.cancel)
     draft = search(stages, Draft(ctx.scene()), planning)
     if draft is not None:
         return draft, DONE
     if ctx.cancel.is_set():
         return None, Outcome(ErrorCode.PREEMPTED, f"{what}: cancelled")
+    failure = planning.failure
+    if failure is not None and (len(stages) == 1 or planning.hopeless):
+        text = f"{what}: {failure.message}"
+        ctx.emit("error", text)
+        return None, Outcome(
+            failure.code, text, {**failure.evidence, "rejections": planning.rejections.details}
+        )
     text = f"{what}: {planning.rejections.summary()}"
     ctx.emit("error", text)
     return None, Outcome(ErrorCode.PLANNING_FAILED, text, {"rejections": planning.rejections.details})

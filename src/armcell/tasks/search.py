@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+from armcell.core import ErrorCode, Outcome
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Rejections
 from armcell.tasks.settings import TaskSettings
@@ -33,9 +35,26 @@ class Planning:
     seed: int = 0
     cancel: threading.Event = field(default_factory=threading.Event)
     rejections: Rejections = field(default_factory=Rejections)
+    failure: Outcome | None = None  # of the last planner that failed, with its code and evidence
+    began: float = field(default_factory=time.monotonic)
 
-    def reject(self, stage: str, candidate: str, reason: str) -> None:
+    def reject(self, stage: str, candidate: str, reason: str, outcome: Outcome | None = None) -> None:
         self.rejections.add(stage, candidate, reason)
+        self.failure = outcome or self.failure
+
+    @property
+    def time_left(self) -> float:
+        """Of the budget for planning [s]."""
+        return self.settings.planning_budget - (time.monotonic() - self.began)
+
+    @property
+    def hopeless(self) -> bool:
+        """No other candidate can help: cancelled, out of time, or the start itself is in collision."""
+        return (
+            self.cancel.is_set()
+            or self.time_left <= 0
+            or (self.failure is not None and self.failure.code is ErrorCode.START_STATE_IN_COLLISION)
+        )
 
 
 class Stage(Protocol):
@@ -49,12 +68,12 @@ class Stage(Protocol):
 
 def search(stages: Sequence[Stage], start: Draft, planning: Planning) -> Draft | None:
     """The first complete draft, or None with the reasons in `planning.rejections`."""
-    if planning.cancel.is_set():
+    if planning.hopeless:
         return None
     if not stages:
         return start
     for draft in stages[0].drafts(start, planning):
         found = search(stages[1:], draft, planning)
-        if found is not None or planning.cancel.is_set():
+        if found is not None or planning.hopeless:
             return found
     return None

@@ -5,6 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.control import ExecutionSettings
+from armcell.core.checks import require
+from armcell.planning import find_planner
+
+_POSITIVE = (
+    "approach_distance",
+    "lift_distance",
+    "lower_distance",
+    "retreat_distance",
+    "gripper_timeout",
+    "planning_time",
+    "planning_budget",
+)
 
 
 @dataclass(frozen=True)
@@ -13,6 +25,11 @@ class Speed:
 
     velocity: float
     acceleration: float
+
+    def __post_init__(self) -> None:
+        for name in ("velocity", "acceleration"):
+            value = getattr(self, name)
+            require(0 < value <= 1, f"{name} share is {value:g}, it must be in (0, 1]")
 
 
 @dataclass(frozen=True)
@@ -34,4 +51,14 @@ class TaskSettings:
     max_candidates: int = 40  # of grasps or placements looked at per attempt
     planning_time: float = 5.0  # [s] per motion
     planner_id: str = "RRTConnect"
+    planning_budget: float = 20.0  # [s] for all motions of one pick or place together
     execution: ExecutionSettings = ExecutionSettings()
+
+    def __post_init__(self) -> None:
+        for name in _POSITIVE:
+            require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
+        for name in ("release_margin", "grasp_settle", "release_settle"):
+            require(getattr(self, name) >= 0, f"{name} is {getattr(self, name):g}, it must not be negative")
+        for name in ("attempts", "max_candidates"):
+            require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")
+        find_planner("", self.planner_id)

@@ -152,8 +152,29 @@ class CheckGrasp:
         if reading.held == self.object and height - self.height_before >= 0.5 * self.rise:
             return DONE
         ctx.holding.pop(self.object, None)
+        ctx.driver.unwatch_object(self.object)
         rose = height - self.height_before
         text = f"lost {self.object}: it rose {rose * 1000:.0f} of {self.rise * 1000:.0f} mm"
+        ctx.emit("grasp", text)
+        return Outcome(ErrorCode.CONTROL_FAILED, text)
+
+
+@dataclass(frozen=True, eq=False)
+class StillHeld:
+    """Before something is done with a held object: is it still between the fingers?"""
+
+    object: str
+    gripper: Gripper
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        reading = ctx.driver.gripper(self.gripper.name)
+        if reading.held == self.object:
+            return DONE
+        ctx.holding.pop(self.object, None)
+        ctx.driver.unwatch_object(self.object)
+        text = (
+            f"lost {self.object} on the way: the fingers are {reading.width * 1000:.1f} mm apart without it"
+        )
         ctx.emit("grasp", text)
         return Outcome(ErrorCode.CONTROL_FAILED, text)
 
@@ -179,7 +200,7 @@ class Dwell:
         return _staged(ctx, report, wait)
 
 
-Step = Motion | Grip | Hold | Release | Expect | Watch | CheckGrasp | Dwell
+Step = Motion | Grip | Hold | Release | Expect | Watch | CheckGrasp | StillHeld | Dwell
 
 
 def _staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:

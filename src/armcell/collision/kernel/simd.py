@@ -2,8 +2,8 @@
 
 LLVM's auto-vectoriser makes 3-6 times slower code of loops over lanes, and drops reductions
 altogether; here each operator on `Vec` values is one vector instruction (or two, or four).
-Inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`, `vsqrt`, `fma`,
-`vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`.
+Inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`,
+`vsqrt`, `fma`, `vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`.
 """
 
 # pyright: reportCallIssue=false

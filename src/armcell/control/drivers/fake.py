@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike
 
 from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.core import SE3, JointState
+from armcell.core.checks import require
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
+from armcell.sim import Pacer
 
 FINGER_SPEED = 0.1  # [m/s] of the opening
 
@@ -27,7 +29,7 @@ class FakeDriver:
         self._scene, self._model = scene, scene.model
         self._tree = kinematic_tree(scene.model)
         self.period = 0.01
-        self._time_scale = options.time_scale
+        self._pacer = Pacer(options.time_scale)
 
     def __enter__(self) -> FakeDriver:
         self._now = 0.0
@@ -51,14 +53,17 @@ class FakeDriver:
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
+        sent = JointState(joint_names, positions, velocities, time=self._now)  # type: ignore[arg-type]
         columns = self._model.columns(joint_names)
-        self._q[columns] = np.asarray(positions, dtype=float)
-        self._v[columns] = np.asarray(velocities, dtype=float)
-        return JointState(joint_names, self._q[columns], self._v[columns], time=self._now)
+        self._q[columns] = sent.positions
+        self._v[columns] = 0.0 if sent.velocities is None else sent.velocities
+        return sent
 
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        opens = width > self.gripper(gripper).width + 1e-4
+        require(bool(np.isfinite(width) and np.isfinite(force)), f"gripper target {width} m, {force} N")
         self._targets[gripper] = (width, force)
-        if width > self.gripper(gripper).width + 1e-4:
+        if opens:
             self._held.pop(gripper, None)
 
     def gripper(self, gripper: str) -> GripperReading:
@@ -84,6 +89,7 @@ class FakeDriver:
                     self._held[name] = (item, self._tcp(name).inv() @ self._poses[item])
         for name, (item, T_tcp_object) in self._held.items():
             self._poses[item] = self._tcp(name) @ T_tcp_object
+        self._pacer.wait_until(self._now)
 
     def _tcp(self, gripper: str) -> SE3:
         return self._tree.link_pose(self._q, self._model.gripper(gripper).tcp_link)
@@ -99,13 +105,12 @@ class FakeDriver:
         return None
 
     def _blocked_width(self, gripper: str) -> float:
-        """Extent [m] along the closing axis of the object between the fingers, 0 without one."""
+        """Size [m] along the closing axis of the object between the fingers, 0 without one."""
         item = self._held[gripper][0] if gripper in self._held else self._between(gripper)
         if item is None:
             return 0.0
-        low, high = self._scene.object(item).bounds()
         axis = (self._poses[item].rotation.inv() @ self._tcp(gripper).rotation).matrix[:, 1]
-        return float(np.abs(axis) @ (high - low))
+        return self._scene.object(item).extent(axis)
 
     def stop(self) -> None:
         self._v[:] = 0.0

@@ -38,14 +38,15 @@ class Connect:
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         names = draft.scene.model.group(self.group).joint_names
         goal = self.goal or JointGoal(JointState(names, draft.data[self.target or ""]))
+        seconds = min(planning.settings.planning_time, planning.time_left)
         request = PlanRequest(
             self.group, (goal,), planner_id=planning.settings.planner_id,
-            planning_time=planning.settings.planning_time, velocity_scaling=self.speed.velocity,
+            planning_time=max(seconds, 0.01), velocity_scaling=self.speed.velocity,
             acceleration_scaling=self.speed.acceleration, seed=planning.seed,
         )  # fmt: skip
         result = plan(draft.scene, request, planning.cancel)
         if not result.ok or result.trajectory is None:
-            planning.reject(self.name, draft.data.get("candidate", ""), result.message)
+            planning.reject(self.name, draft.data.get("candidate", ""), result.message, result)
             return
         yield moved(draft, self.name, result)
 
@@ -67,7 +68,7 @@ class Straight:
         target = shifted(scene.frame_pose(self.link), self.offset, self.in_tip_frame)
         result = straight(scene, self.group, self.link, target, self.speed)
         if not result.ok or result.trajectory is None:
-            planning.reject(self.name, draft.data.get("candidate", ""), result.message)
+            planning.reject(self.name, draft.data.get("candidate", ""), result.message, result)
             return
         yield moved(draft, self.name, result)
 
@@ -98,8 +99,7 @@ def moved(draft: Draft, name: str, result: PlanResult) -> Draft:
     trajectory = result.trajectory
     assert trajectory is not None
     motion = Motion(name, trajectory, result.planner_id, result.planning_time, result.min_clearance)
-    end = JointState(trajectory.joint_names, trajectory.positions[-1])
-    return draft.then(motion, scene=draft.scene.with_state(end))
+    return draft.then(motion, scene=draft.scene.with_state(trajectory.end))
 
 
 __all__ = ["Connect", "NamedGoal", "Straight", "moved", "shifted", "straight", "with_contacts"]

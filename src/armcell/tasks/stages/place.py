@@ -11,7 +11,7 @@ from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.stages.moves import straight
-from armcell.tasks.steps import Expect, Grip, Motion, Release, Watch
+from armcell.tasks.steps import Expect, Grip, Motion, Release, StillHeld, Watch
 from armcell.timing import reversed_in_time
 
 
@@ -71,6 +71,7 @@ class Open:
         width = min(self.gripper.width(joint) + self.margin, self.gripper.max_width)
         scene = draft.scene.with_detached(self.object).with_state(finger_state(self.gripper, width))
         yield draft.then(
+            StillHeld(self.object, self.gripper),
             Grip("open", self.gripper, width, self.gripper.max_force, self.settle),
             Release(self.object),
             Watch(self.object, on=False),
@@ -80,11 +81,12 @@ class Open:
 
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """From here on the held object may touch its support."""
+    """The object has come along; from here on it may touch its support."""
 
     object: str
     support: str
+    gripper: Gripper
     name: str = "expect support"
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        yield draft.then(Expect(self.object, (self.support,)))
+        yield draft.then(StillHeld(self.object, self.gripper), Expect(self.object, (self.support,)))
