@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
+from armcell.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
 
 Array = NDArray[np.float64]
 
@@ -27,32 +28,36 @@ class MotionBound:
         self.checker = checker
         tree = checker.tree
         column_of = {int(c): k for k, c in enumerate(checker.columns)}
-        n, g = len(checker.joint_names), len(checker.geometries)
-        reach = np.zeros((g, n))
-        for i, geometry in enumerate(checker.geometries):
+        n, joints = len(checker.joint_names), len(tree.parent)
+        levers = [np.zeros(joints) for _ in checker.geometries]  # per joint above the geometry
+        for lever, geometry in zip(levers, checker.geometries, strict=True):
             if geometry.link < 0:
                 continue
-            corner = np.abs(geometry.T_link_solid.apply(geometry.solid.centre)).copy()
-            radius = float(np.linalg.norm(corner) + np.linalg.norm(geometry.solid.half))
+            middle = geometry.T_link_solid.apply(geometry.solid.centre)
+            radius = float(np.linalg.norm(middle) + np.linalg.norm(geometry.solid.half))
             for joint in reversed(tree.path_to(tree.link_names[geometry.link]).tolist()):
-                if tree.kind[joint] != 0:
-                    k = column_of.get(int(tree.column[joint]))
-                    if k is not None:
-                        arm = radius if tree.kind[joint] == 1 else 1.0
-                        reach[i, k] += abs(tree.multiplier[joint]) * arm
-                    if tree.kind[joint] == 2:  # a slide further down lengthens what turns above it
-                        limits = checker.model.joints[checker.model.joint_names[tree.column[joint]]].limits
-                        span = max(abs(limits.lower), abs(limits.upper))
-                        radius += abs(tree.multiplier[joint]) * span + abs(tree.offset[joint])
+                if tree.kind[joint] != FIXED:
+                    lever[joint] = abs(tree.multiplier[joint]) * (
+                        radius if tree.kind[joint] == REVOLUTE else 1.0
+                    )
+                if tree.kind[joint] == PRISMATIC:  # a slide further down lengthens what turns above it
+                    limits = checker.model.joints[checker.model.joint_names[tree.column[joint]]].limits
+                    span = max(abs(limits.lower), abs(limits.upper))
+                    radius += abs(tree.multiplier[joint]) * span + abs(tree.offset[joint])
                 radius += float(np.linalg.norm(tree.T_parent_joint[joint, :3, 3]))
-        a, b = checker.pairs[:, 0], checker.pairs[:, 1]
-        # A joint above both bodies moves them together: only joints above exactly one count.
-        common = (reach[a] > 0) & (reach[b] > 0)
-        self.per_joint = np.where(common, 0.0, np.maximum(reach[a], reach[b]))  # (pairs, n)
+        self.per_joint = np.zeros((len(checker.pairs), n))
+        for p, (a, b) in enumerate(checker.pairs):
+            # A joint above both bodies moves them together: only joints above exactly one count.
+            alone = (levers[a] > 0) != (levers[b] > 0)
+            for joint in np.flatnonzero(alone):
+                k = column_of.get(int(tree.column[joint]))
+                if k is not None:
+                    self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
         """Bound of the relative motion of each pair over a change dq (n,) of the joints [m]."""
-        return self.per_joint @ np.abs(dq)
+        moving = np.abs(dq) > 0  # 0 rad on an endless lever is no motion
+        return self.per_joint[:, moving] @ np.abs(dq)[moving]
 
 
 def certify_path(checker: ExactChecker, waypoints: ArrayLike, slack: ArrayLike | None = None,

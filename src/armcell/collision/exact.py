@@ -107,9 +107,8 @@ class ExactChecker:
             return frozenset()
         mine = set(self.columns.tolist())
         path = self.tree.path_to(self.tree.link_names[link])
-        return frozenset(
-            int(self.tree.column[j]) for j in path if self.tree.kind[j] != 0 and self.tree.column[j] in mine
-        )
+        # By joint, not by column: two fingers that mimic one joint do move against each other.
+        return frozenset(int(j) for j in path if self.tree.kind[j] != 0 and int(self.tree.column[j]) in mine)
 
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:

@@ -34,6 +34,9 @@ class JointState:
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
+        if len(set(self.joint_names)) != n:
+            twice = next(name for name in self.joint_names if self.joint_names.count(name) > 1)
+            raise InputError(f"joint {twice!r} is named twice")
         for label in ("positions", "velocities", "efforts"):
             values = getattr(self, label)
             if values is None:
@@ -151,6 +154,8 @@ class JointTrajectory:
         (the rule of ROS's joint_trajectory_controller).
         """
         times, n = self.times, len(self.joint_names)
+        if len(times) == 0:
+            raise InputError("an empty trajectory has no position at any time")
         zero = np.zeros(n)
         if t <= times[0]:
             return self.positions[0].copy(), zero, zero.copy()

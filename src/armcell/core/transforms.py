@@ -187,6 +187,11 @@ class SE3:
         m = np.asarray(matrix, dtype=float)
         if m.shape != (4, 4):
             raise InputError(f"a homogeneous transform has shape (4, 4), got {m.shape}")
+        if not np.all(np.isfinite(m)):
+            raise InputError("a homogeneous transform has a value that is not finite")
+        R = m[:3, :3]
+        if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
+            raise InputError("the upper left of a homogeneous transform is no rotation")
         return SE3(SO3(m[:3, :3].copy()), m[:3, 3].copy())
 
     @staticmethod

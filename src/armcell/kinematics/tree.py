@@ -167,6 +167,7 @@ class KinematicTree:
             q: positions (dof,).
             joint_names: columns wanted; all actuated joints by default.
         """
+        self.model.link(link)
         names = self.model.joint_names if joint_names is None else joint_names
         group_column = np.full(self.model.dof, -1, dtype=np.int64)
         group_column[self.model.columns(names)] = np.arange(len(names))

@@ -53,7 +53,7 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
         if path.stat().st_size > limit:
             raise InputError(f"is larger than {limit} bytes", file=path)
         return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError("file not found", file=path, cure="check the path") from None
     except PermissionError:
         raise InputError("no permission to read", file=path) from None
@@ -113,7 +113,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         raise InputError(f"is not valid YAML: {error.problem}", file=path, line=line) from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise InputError(f"is not valid YAML: {error}", file=path) from None
+        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"is not valid YAML: {first}", file=path) from None
     if not isinstance(data, dict):
         raise InputError(f"top level is {type(data).__name__}, a mapping is needed", file=path)
     return data

@@ -6,6 +6,7 @@ The file has MoveIt's form (`joint_limits: {joint: {has_velocity_limits, max_vel
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -62,19 +63,22 @@ def _tightened(limits: Any, name: str, entry: Any, path: Path):
             raise UnknownNameError("key", key, [*_FIELDS, *_SWITCHES], **where)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise InputError(f"{key} is {value!r}, a number is needed", **where)
+        if not math.isfinite(value):
+            raise InputError(f"{key} is {value}, a finite number is needed", **where)
         if key in off:
             continue
         attribute = _FIELDS[key]
         old = getattr(limits, attribute)
         if attribute not in ("lower", "upper") and value <= 0:
             raise InputError(f"{key} is {value:g}, it must be positive", **where)
-        if (attribute == "lower" and value < old) or (
-            attribute != "lower" and value > old * (1 + 1e-6) + 1e-9
-        ):
+        slack = 1e-6 * abs(old) + 1e-9 if math.isfinite(old) else 0.0
+        if value < old - slack if attribute == "lower" else value > old + slack:
             raise InputError(
                 f"{key} {value:g} is wider than the robot's own {old:g}",
                 **where,
                 cure="limits may only be tightened",
             )
         limits = replace(limits, **{attribute: float(value)})
+    if limits.lower > limits.upper:
+        raise InputError(f"min_position {limits.lower:g} is above max_position {limits.upper:g}", **where)
     return limits

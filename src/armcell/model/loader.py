@@ -60,6 +60,10 @@ def load_folder(folder: Path) -> RobotModel:
     for key in data:
         if key not in _KEYS:
             raise UnknownNameError("key", key, _KEYS, file=file)
+    if not isinstance(data.get("parts", []), list):
+        raise InputError("is not a list", file=file, element="parts")
+    if not isinstance(data.get("grippers") or {}, dict):
+        raise InputError("is not a mapping", file=file, element="grippers")
     if ("urdf" in data) == ("parts" in data):
         raise InputError("needs either 'urdf' or 'parts'", file=file)
     if "urdf" in data:
@@ -108,19 +112,26 @@ def _urdf_path(uri: str, folder: Path, file: Path) -> Path:
 
 
 def _part(entry: Any, folder: Path, file: Path) -> Part:
-    if not isinstance(entry, dict) or "robot" not in entry:
-        raise InputError("each of 'parts' needs a 'robot'", file=file, element="parts")
+    if not isinstance(entry, dict) or not isinstance(entry.get("robot"), str):
+        raise InputError("each of 'parts' needs a 'robot': a name or a path", file=file, element="parts")
     for key in entry:
         if key not in ("robot", "prefix", "parent_link", "pose"):
             raise UnknownNameError(
                 "key", key, ["robot", "prefix", "parent_link", "pose"], file=file, element="parts"
             )
     return Part(
-        load_robot(entry["robot"], folder),
-        str(entry.get("prefix", "")),
+        _part_robot(entry["robot"], folder, file),
+        str(entry.get("prefix") or ""),
         str(entry.get("parent_link", "world")),
         SE3.from_mapping(entry.get("pose", [0.0, 0.0, 0.0]), f"{file}: parts: pose"),
     )
+
+
+def _part_robot(robot: str, folder: Path, file: Path) -> RobotModel:
+    try:
+        return load_robot(robot, folder)
+    except RecursionError:
+        raise InputError(f"part {robot!r} contains itself", file=file, element="parts") from None
 
 
 def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +11,9 @@ from lxml import etree
 
 from armcell.core import InputError, UnknownNameError
 from armcell.model.files import read_xml
-from armcell.model.robot import EndEffector, Group, RobotModel
+from armcell.model.robot import EndEffector, Group, JointLimits, RobotModel
+
+logger = logging.getLogger(__name__)
 
 
 def with_srdf(model: RobotModel, path: Path) -> RobotModel:
@@ -21,11 +25,12 @@ def with_srdf(model: RobotModel, path: Path) -> RobotModel:
     root = read_xml(Path(path))
     if root.tag != "robot":
         raise InputError("root element is not <robot>", file=path, cure="is this an SRDF file?")
+    groups = _groups(model, root, path)
     return replace(
         model,
-        groups=_groups(model, root, path),
-        end_effectors=_end_effectors(root, path),
-        named_states=_named_states(model, root, path),
+        groups=groups,
+        end_effectors=_end_effectors(model, groups, root, path),
+        named_states=_named_states(model, groups, root, path),
         disabled_collisions=_disabled(model, root, path),
     )
 
@@ -96,18 +101,24 @@ def _groups(model: RobotModel, root: etree._Element, path: Path) -> dict[str, Gr
     return groups
 
 
-def _end_effectors(root: etree._Element, path: Path) -> dict[str, EndEffector]:
+def _end_effectors(
+    model: RobotModel, groups: dict[str, Group], root: etree._Element, path: Path
+) -> dict[str, EndEffector]:
     found = {}
     for e in root.findall("end_effector"):
-        name = _get(e, "name", path)
-        found[name] = EndEffector(
-            name, _get(e, "group", path), _get(e, "parent_link", path), e.get("parent_group")
-        )
+        name, group, link = _get(e, "name", path), _get(e, "group", path), _get(e, "parent_link", path)
+        where = {"file": path, "line": e.sourceline, "element": f"<end_effector name={name!r}>"}
+        for named in (group, e.get("parent_group")):
+            if named and named not in groups:
+                raise UnknownNameError("group", named, groups, **where)
+        if link not in model.links:
+            raise UnknownNameError("link", link, model.links, **where)
+        found[name] = EndEffector(name, group, link, e.get("parent_group"))
     return found
 
 
 def _named_states(
-    model: RobotModel, root: etree._Element, path: Path
+    model: RobotModel, groups: dict[str, Group], root: etree._Element, path: Path
 ) -> dict[str, dict[str, dict[str, float]]]:
     states: dict[str, dict[str, dict[str, float]]] = {}
     for element in root.findall("group_state"):
@@ -122,24 +133,34 @@ def _named_states(
                 values[joint] = float(_get(part, "value", path))
             except ValueError:
                 raise InputError(f"value of joint {joint!r} is not a number", **where) from None
+            if not math.isfinite(values[joint]):
+                raise InputError(f"value of joint {joint!r} is not finite", **where)
+        if group not in groups:
+            raise UnknownNameError("group", group, groups, **where)
+        beyond = [j for j, v in values.items() if not _within(model.joints[j].limits, v)]
+        if beyond:  # as MoveIt: say so, and do without it
+            logger.warning(
+                "%s:%s: named state %r puts %s out of limits", path, element.sourceline, name, beyond[0]
+            )
+            continue
         values = {joint: v for joint, v in values.items() if model.joints[joint].actuated}
         states.setdefault(group, {})[name] = values
     return states
+
+
+def _within(limits: JointLimits, value: float) -> bool:
+    return limits.lower - 1e-3 <= value <= limits.upper + 1e-3
 
 
 def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[frozenset[str], str]:
     pairs = {}
     for element in root.findall("disable_collisions"):
         link1, link2 = _get(element, "link1", path), _get(element, "link2", path)
-        for link in (link1, link2):
-            if link not in model.links:
-                raise UnknownNameError(
-                    "link",
-                    link,
-                    model.links,
-                    file=path,
-                    line=element.sourceline,
-                    element="<disable_collisions>",
-                )
+        gone = [link for link in (link1, link2) if link not in model.links]
+        if gone:  # as MoveIt: SRDFs are often written for a larger robot
+            logger.warning(
+                "%s:%s: disable_collisions names unknown link %r", path, element.sourceline, gone[0]
+            )
+            continue
         pairs[frozenset((link1, link2))] = element.get("reason", "")
     return pairs

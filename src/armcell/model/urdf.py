@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,9 +42,21 @@ def expand_xacro(path: Path, text: str) -> str:
     from xacrodoc import XacroDoc
 
     try:
-        return XacroDoc.from_file(path, resolve_packages=False).to_urdf_string()
-    except Exception as error:  # xacro raises many types, SystemExit aside
-        raise InputError(f"xacro cannot expand it: {error}", file=path) from None
+        with _inside(path.resolve().parent):  # xacro looks for relative includes in the current folder
+            return XacroDoc.from_file(path.resolve(), resolve_packages=False).to_urdf_string()
+    except Exception as error:  # xacro raises many types
+        text = " ".join(str(error).split())
+        raise InputError(f"xacro cannot expand it: {text}", file=path) from None
+
+
+@contextmanager
+def _inside(folder: Path) -> Iterator[None]:
+    before = os.getcwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
 
 
 def parse_urdf(text: str, file: Path) -> RobotModel:
@@ -111,15 +126,25 @@ class _Reader:
                     raise self.fail(element, "a second joint of this name")
                 joints[joint.name] = joint
         for joint in joints.values():
-            if joint.mimic and joint.mimic.joint not in joints:
-                raise InputError(
-                    f"mimics unknown joint {joint.mimic.joint!r}",
-                    file=self.file,
-                    element=f"joint {joint.name!r}",
-                )
+            self.check_mimic(joint, joints)
         root_link, ordered = self.tree(links, joints)
         name = root.get("name") or self.file.stem
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
+
+    def check_mimic(self, joint: Joint, joints: dict[str, Joint]) -> None:
+        """A mimic joint follows a movable joint, in the end a driven one."""
+        seen, source = {joint.name}, joint
+        while source.mimic is not None:
+            name = source.mimic.joint
+            where = {"file": self.file, "element": f"joint {joint.name!r}"}
+            if name not in joints:
+                raise InputError(f"mimics unknown joint {name!r}", **where)
+            if name in seen:
+                raise InputError(f"mimics itself ({' -> '.join([*seen, name])})", **where)
+            if not joints[name].movable:
+                raise InputError(f"mimics joint {name!r}, which is fixed", **where)
+            seen.add(name)
+            source = joints[name]
 
     def tree(self, links: dict[str, Link], joints: dict[str, Joint]) -> tuple[str, dict[str, Joint]]:
         """The root link and the joints depth first."""

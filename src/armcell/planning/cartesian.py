@@ -6,9 +6,9 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision import ExactChecker, certify_path
+from armcell.collision import Certificate, ExactChecker, certify_path
 from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, PlanResult
 from armcell.kinematics import NumericIK
 from armcell.planning.finish import clearance_along, finish
@@ -37,6 +37,9 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         raise InputError("the Cartesian path has no waypoints")
     if not (np.isfinite(request.max_step) and request.max_step > 0):
         raise InputError(f"max_step is {request.max_step:g} m, it must be positive")
+    speed = request.max_cartesian_speed
+    if speed is not None and not (np.isfinite(speed) and speed > 0):
+        raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
     if request.start is not None:
         scene = replace(scene, positions=scene.state.updated(request.start).positions)
     ik = NumericIK(scene.model, request.group, request.link)
@@ -79,7 +82,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
 
 def _timed(checker: ExactChecker, request: CartesianRequest, path: Array):
     finished = finish(
-        checker if request.avoid_collisions else _blind(checker), path,
+        checker if request.avoid_collisions else _Blind(checker), path,
         request.velocity_scaling, request.acceleration_scaling, TimingSettings(max_deviation=DEVIATION),
     )  # fmt: skip
     trajectory = finished.trajectory
@@ -96,9 +99,14 @@ def _tip_positions(checker: ExactChecker, request: CartesianRequest, path: Array
     return np.array([checker.tree.link_transforms(checker.full(q))[index, :3, 3] for q in path])
 
 
-def _blind(checker: ExactChecker) -> ExactChecker:
-    """A checker that sees nothing, for avoid_collisions=False."""
-    return ExactChecker(replace(checker.scene, objects={}, attached={}), checker.joint_names)
+class _Blind:
+    """Proves everything, for avoid_collisions=False."""
+
+    def __init__(self, checker: ExactChecker):
+        self.model, self.joint_names = checker.model, checker.joint_names
+
+    def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None) -> Certificate:
+        return Certificate(True)
 
 
 def _follow(scene: PlanningScene, request: CartesianRequest, ik: NumericIK, checker: ExactChecker):

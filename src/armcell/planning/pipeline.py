@@ -41,6 +41,8 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     began = time.monotonic()
     check_scaling(request.velocity_scaling, "velocity scaling")
     check_scaling(request.acceleration_scaling, "acceleration scaling")
+    if not (np.isfinite(request.planning_time) and request.planning_time > 0):
+        raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
     planner_id = normalized_planner_id(request.planner_id)
     planner = find_planner(request.pipeline_id, planner_id)
     group = scene.model.group(request.group)
@@ -54,7 +56,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
         )
 
     scene, problem_with_start = _started(scene, request)
-    if problem_with_start:
+    if problem_with_start is not None:
         return failed(problem_with_start)
     checker = KernelChecker(scene, group.joint_names)
     start = scene.positions[checker.columns]
@@ -113,9 +115,9 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
 
 def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene, Outcome | None]:
     """The scene at the request's start state, or what is wrong with that."""
+    if request.start is not None:  # an unknown joint in it is misuse and raises
+        scene = replace(scene, positions=scene.state.updated(request.start).positions)
     try:
-        if request.start is not None:
-            scene = replace(scene, positions=scene.state.updated(request.start).positions)
         scene.model.check_positions(scene.positions, margin=1e-3)
     except InputError as error:
         return scene, Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")

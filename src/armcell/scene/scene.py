@@ -44,6 +44,11 @@ class PlanningScene:
     link_padding: Mapping[str, float] = field(default_factory=dict)
     link_scale: Mapping[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        positions = np.array(self.positions, dtype=float)
+        positions.setflags(write=False)
+        object.__setattr__(self, "positions", positions)
+
     @staticmethod
     def of(
         model: RobotModel, positions: ArrayLike | None = None, objects: Iterable[CollisionObject] = ()
@@ -104,11 +109,12 @@ class PlanningScene:
         """An object taken from the world and fixed to a link where it now is."""
         if name not in self.objects:
             raise UnknownNameError("object", name, self.objects)
-        for touch in (link, *touch_links):
+        touches = frozenset((link, *touch_links))
+        for touch in touches:
             self.model.link(touch)
         item = self.objects[name]
         T_link_object = self.frame_pose(link).inv() @ item.T_world_object
-        body = AttachedBody(item, link, T_link_object, frozenset((link, *touch_links)))
+        body = AttachedBody(item, link, T_link_object, touches)
         return replace(self.without_object(name), attached={**self.attached, name: body})
 
     def with_detached(self, name: str) -> PlanningScene:

@@ -52,7 +52,7 @@ class KernelChecker:
         return (*self.flat, self.lanes, self.stamps, self.scratch, self.extra, self.extra_pair)
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Lower the padding of pairs that are closer than it at q, but do not touch (as the exact checker)."""
+        """Lower the padding of pairs that are closer than it at q, but do not touch (see the exact one)."""
         near = self.exact.relaxed_margins(q)
         if not near:
             return
