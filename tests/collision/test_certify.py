@@ -170,10 +170,7 @@ def test_touching_at_the_start_is_told(prover):
     assert not certificate.free and "block" in (certificate.contact.body_a, certificate.contact.body_b)
 
 
-MIMIC = pytest.mark.xfail(reason="bug: bodies moved by one joint through a mimic count as rigid")
-
-
-@pytest.mark.parametrize("prover", [pytest.param(ExactChecker, marks=MIMIC), KernelChecker])
+@pytest.mark.parametrize("prover", [ExactChecker, KernelChecker])
 def test_fingers_that_close_on_a_thing_between_them_are_seen(prover):
     """Both fingers follow one joint and move against each other; the thing is held by one of them."""
     bare = panda()

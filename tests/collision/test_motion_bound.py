@@ -102,16 +102,13 @@ def _above(checker: ExactChecker, geometry: int) -> list[int]:
     return [] if link < 0 else checker.tree.path_to(checker.tree.link_names[link]).tolist()
 
 
-MIMIC = pytest.mark.xfail(
-    reason="bug: one column that moves both bodies through different joints counts as 0"
-)
 ROBOTS = [
     "ur10",
     "ur10_gripper",
     "dual",
     "panda",
-    pytest.param("forked", marks=MIMIC),
-    pytest.param("in_series", marks=MIMIC),
+    "forked",
+    "in_series",
     *(
         pytest.param(f"mbm_{n}", marks=pytest.mark.skipif(not MBM.is_dir(), reason="needs MotionBenchMaker"))
         for n in ("ur5", "baxter")
@@ -159,7 +156,6 @@ def test_it_is_not_far_above_either():
         assert np.all(allowed[most == 0.0] == 0.0)  # what a joint does not move costs nothing
 
 
-@pytest.mark.xfail(reason="bug: 0 rad times an endless lever is NaN, and NaN looks proven")
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_an_unbounded_slide_is_still_bounded_below_it():
     """A turn above a slide without limits: nothing can be proven, but nothing may be "proven" by a NaN."""

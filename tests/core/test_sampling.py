@@ -83,7 +83,6 @@ def test_one_point_is_a_trajectory():
     np.testing.assert_array_equal(t.sample(0.5)[0], [1.0, 2.0, 3.0])
 
 
-@pytest.mark.xfail(reason="bug: IndexError", raises=IndexError)
 def test_a_trajectory_without_points_is_refused():
     with pytest.raises(InputError):
         JointTrajectory(NAMES, [], np.zeros((0, 3))).sample(0.0)

@@ -150,7 +150,6 @@ def test_unknown_links_are_named():
             ask()
 
 
-@pytest.mark.xfail(reason="bug: KeyError instead of UnknownNameError", raises=KeyError)
 def test_the_jacobian_of_an_unknown_link_names_it():
     tree = kinematic_tree(load_robot("panda"))
     with pytest.raises(UnknownNameError):

@@ -70,11 +70,8 @@ def test_package_meshes_beside_the_urdf(name):
     assert files and all(f.is_relative_to(mbm_file(name).parent) for f in files)
 
 
-STRICT = pytest.mark.xfail(reason="bug: its SRDF disables links that are not there; MoveIt warns and goes on")
-
-
 @needs_mbm
-@pytest.mark.parametrize("name", ["panda", "ur5", pytest.param("baxter", marks=STRICT)])
+@pytest.mark.parametrize("name", ["panda", "ur5", "baxter"])
 def test_robots_without_their_visual_meshes_load(name):
     assert load_robot(mbm_file(name)).dof == mbm_robot(name).dof
 

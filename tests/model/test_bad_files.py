@@ -37,7 +37,7 @@ FILES = {
     ),
 }
 XACRO_NAME = ("r.xacro", XACRO.format('<link name="${nope}"/>').encode(), "'nope' is not defined")
-LONG = pytest.param(*XACRO_NAME, marks=pytest.mark.xfail(reason="bug: two lines"))
+LONG = pytest.param(*XACRO_NAME)
 
 
 @pytest.mark.parametrize(("name", "data", "reason"), [*FILES.values(), LONG], ids=[*FILES, "xacro name"])
@@ -57,7 +57,6 @@ def test_a_missing_file_is_named(tmp_path, name):
     assert str(error.value).startswith(str(tmp_path / name)) and "no" in str(error.value)
 
 
-@pytest.mark.xfail(reason="bug: NotADirectoryError", raises=NotADirectoryError)
 def test_a_file_below_a_file_is_missing_too(tmp_path):
     (tmp_path / "r.urdf").write_text("<robot/>")
     with pytest.raises(InputError):
@@ -101,7 +100,7 @@ YAML = {
     "python": (b"a: !!python/object/apply:os.getcwd []\n", ":1: is not valid YAML"),
     "binary": (b"\xff\xfe\xff", "is not UTF-8"),
 }
-CONTROL = pytest.param(b"a: \x00", "is not valid YAML", marks=pytest.mark.xfail(reason="bug: two lines"))
+CONTROL = pytest.param(b"a: \x00", "is not valid YAML")
 
 
 @pytest.mark.parametrize(("data", "reason"), [*YAML.values(), CONTROL], ids=[*YAML, "control character"])
@@ -120,7 +119,6 @@ def test_only_true_and_false_are_booleans(tmp_path):
 
 
 URDF = robot(link("a"), link("b"), joint("j", "a", "b"))
-NOT_CHECKED = pytest.mark.xfail(reason="bug: loader.py does not check the type")
 ROBOT_YAML = [
     ("name: x\n", "needs either 'urdf' or 'parts'"),
     ("urdf: r.urdf\nparts: []\n", "needs either 'urdf' or 'parts'"),
@@ -135,10 +133,10 @@ ROBOT_YAML = [
     ("urdf: r.urdf\ngrippers: {g: 3}\n", "grippers/g: is not a mapping"),
     ("urdf: r.urdf\ngrippers: {g: {max_with: 3}}\n", "unknown key 'max_with'.*did you mean 'max_width'"),
     ("urdf: r.urdf\ngrippers: {g: {max_width: 3}}\n", "grippers/g: is incomplete"),
-    pytest.param("parts: 3\n", "parts", marks=NOT_CHECKED),
-    pytest.param("parts: [{robot: 5}]\n", "robot", marks=NOT_CHECKED),
-    pytest.param("parts: [{robot: .}]\n", "itself", marks=pytest.mark.xfail(reason="bug: RecursionError")),
-    pytest.param("urdf: r.urdf\ngrippers: 3\n", "grippers", marks=NOT_CHECKED),
+    pytest.param("parts: 3\n", "parts"),
+    pytest.param("parts: [{robot: 5}]\n", "robot"),
+    pytest.param("parts: [{robot: .}]\n", "itself"),
+    pytest.param("urdf: r.urdf\ngrippers: 3\n", "grippers"),
 ]
 
 
@@ -151,7 +149,6 @@ def test_bad_robot_yaml(tmp_path, text, reason):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.xfail(reason="bug: str(None) becomes the prefix")
 def test_an_empty_prefix_is_no_prefix(tmp_path):
     (tmp_path / "r.urdf").write_text(URDF)
     (tmp_path / "robot.yaml").write_text("parts: [{robot: r.urdf, prefix: null}]")

@@ -116,9 +116,9 @@ def test_a_broken_urdf(tmp_path, elements, place, reason):
 @pytest.mark.parametrize(
     ("type", "mimicked"),
     [
-        pytest.param("revolute", "j", marks=pytest.mark.xfail(reason="bug: endless loop")),
-        pytest.param("revolute", "k", marks=pytest.mark.xfail(reason="bug: endless loop")),
-        pytest.param("fixed", "f", marks=pytest.mark.xfail(reason="bug: KeyError")),
+        ("revolute", "j"),
+        ("revolute", "k"),
+        ("fixed", "f"),
     ],
 )
 def test_a_mimic_must_follow_a_joint_that_is_driven(tmp_path, within, type, mimicked):

@@ -145,11 +145,7 @@ def write_snake(folder, name: str, include: bool):
     [
         ("snake.urdf.xacro", False),
         ("snake.xacro", False),
-        pytest.param(
-            "snake.urdf.xacro",
-            True,
-            marks=pytest.mark.xfail(reason="bug: an include is looked for in the current folder only"),
-        ),
+        ("snake.urdf.xacro", True),
     ],
 )
 def test_xacro_is_expanded_and_its_srdf_found(tmp_path, name, include):

@@ -97,7 +97,6 @@ def test_not_asked_to_avoid_it_goes_through():
     assert tip_poses(scene, result.trajectory)[-1].isclose(start.shifted(z=-0.2), 1e-5, 1e-4)
 
 
-@pytest.mark.xfail(reason="bug: _blind() drops the objects but still sees the robot touch itself")
 def test_not_asked_to_avoid_it_may_touch_itself():
     scene = panda().with_allowed("panda_link1", "panda_link2", allow=False)  # these always touch
     result = run(scene, tip(scene).shifted(z=-0.1), avoid_collisions=False)
@@ -170,7 +169,6 @@ def test_the_step_must_be_positive(value):
         run(panda(), tip(panda()).shifted(z=-0.1), max_step=value)
 
 
-@pytest.mark.xfail(reason="bug: the speed is not checked", strict=True)
 @pytest.mark.parametrize("value", [0.0, -0.1, np.nan])
 def test_the_speed_must_be_positive(value):
     with pytest.raises(InputError, match="max_cartesian_speed"):

@@ -12,12 +12,8 @@ from tests.planning.test_plan import beyond_panda
 from armcell.core import ErrorCode
 from armcell.planning import normalized_planner_id, pipelines, plan
 
-HANGS = pytest.mark.xfail(
-    run=False, reason="bug: OMPL's PRM asks Python from a second thread and waits for ever"
-)
 ALL = [(pipeline, name) for pipeline, table in pipelines.items() for name in table]
-PLANNERS = [pytest.param(*p, marks=HANGS) if p == ("ompl", "PRM") else p for p in ALL]
-each_planner = pytest.mark.parametrize(("pipeline", "name"), PLANNERS)
+each_planner = pytest.mark.parametrize(("pipeline", "name"), ALL)
 SECONDS = 1.5
 
 

@@ -54,7 +54,6 @@ def test_touch_links_may_touch():
     assert not held.with_detached("cube").is_allowed("cube", "panda_hand")
 
 
-@pytest.mark.xfail(reason="bug: with_attached goes through touch_links twice")
 def test_touch_links_may_be_any_iterable():
     links = (name for name in ["panda_leftfinger"])
     assert (

@@ -52,7 +52,6 @@ def test_detaching_leaves_the_old_value():
     assert snapshot(held) == before
 
 
-@pytest.mark.xfail(reason="bug: positions can be written to")
 def test_the_numbers_cannot_be_written_to():
     scene = panda()
     with pytest.raises(ValueError):

@@ -53,7 +53,7 @@ def needed_force(item: CollisionObject) -> float:
 
 
 def grip_force(item: CollisionObject, gripper: Gripper) -> float:
-    """Force per finger [N] to grip with: `needed_force` with a safety factor, as far as the gripper has it."""
+    """Force per finger [N] to grip with: `needed_force` with a safety factor, if the gripper has it."""
     return float(np.clip(needed_force(item) * FORCE_SAFETY, MIN_FORCE, gripper.max_force))
 
 

@@ -292,7 +292,7 @@ class _Reader:
         limits = self.limits(element, type_)
         mimic_element = element.find("mimic")
         mimic = None
-        if mimic_element is not None:
+        if mimic_element is not None and type_ != "fixed":  # a joint that cannot move follows nothing
             mimic = Mimic(
                 self.attribute(mimic_element, "joint"),
                 self.number(mimic_element, "multiplier", 1.0),
