@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import sys
 
@@ -89,9 +88,6 @@ def test_runs_names_the_folder_and_two_runs_have_two(capsys, here):
     assert len(list((here / "kept").iterdir())) == 2
 
 
-@pytest.mark.xfail(
-    reason="BUG run.py: result['command'] is made of sys.argv, the --json file's name included"
-)
 def test_the_same_seed_gives_the_same_json(capsys, here, monkeypatch):
     texts = []
     for name in ("a.json", "b.json"):
@@ -123,31 +119,23 @@ def test_a_file_where_the_folder_should_be(capsys, here):
     assert nothing_ran(said) and "internal error" not in said.err
 
 
-@pytest.mark.xfail(
-    os.geteuid() == 0, reason="BUG console.py check_writable: for root, os.access says yes to all"
-)
 def test_a_folder_that_takes_no_files(capsys, here):
     said = call(capsys, "run", "panda_pick", *FAKE, "--headless", "--json", "/proc/armcell.json")
     assert nothing_ran(said) and "/proc" in said.err and "internal error" not in said.err
 
 
-@pytest.mark.xfail(reason="BUG recorder.py new_run_folder: an OSError is an internal error")
 def test_a_runs_folder_that_cannot_be_made(capsys, here):
     (here / "runs").write_text("a file")
     said = call(capsys, "run", "panda_pick", *FAKE)
     assert nothing_ran(said) and "runs" in said.err and "internal error" not in said.err
 
 
-@pytest.mark.xfail(reason="BUG run.py: the run folder is made before the mode is looked up")
 def test_a_run_that_cannot_begin_leaves_no_folder(capsys, here):
     said = call(capsys, "run", "panda_pick", "--mode", "real")
     assert said.status == 1 and "unknown mode" in said.err
     assert not list(here.glob("runs/*"))
 
 
-@pytest.mark.xfail(
-    reason="BUG cell/run.py: an InputError amid the task loses what was done (no JSON, no report)"
-)
 def test_a_task_that_turns_out_impossible_is_reported_like_any_failure(capsys, here):
     text = (
         "robot: panda\nstart: {arm: home, hand: open}\nobjects:\n"

@@ -62,10 +62,8 @@ WRONG = {
     "two things to explain": ("explain", "panda_pick", "--pick", "cube", "--pose", "0", "0", "1"),
     "pose of two": ("explain", "panda_pick", "--pose", "0.5", "0"),
 }
-USAGE_BUG = "BUG main.py: typer has its own click, so click.ClickException never matches"
 
 
-@pytest.mark.xfail(reason=USAGE_BUG)
 @pytest.mark.parametrize("arguments", WRONG.values(), ids=WRONG)
 def test_wrong_usage_is_status_2(capsys, arguments):
     said = call(capsys, *arguments)
@@ -73,7 +71,6 @@ def test_wrong_usage_is_status_2(capsys, arguments):
     assert said.err and "internal error" not in said.err
 
 
-@pytest.mark.xfail(reason=USAGE_BUG)
 def test_wrong_usage_names_the_option_and_a_near_one(capsys):
     said = call(capsys, "run", "panda_pick", "--sed", "1")
     assert "--sed" in said.err and "--seed" in said.err
@@ -84,13 +81,7 @@ def test_wrong_usage_names_the_option_and_a_near_one(capsys):
     ("arguments", "reason"),
     [
         (("run", "panda_pik", "--headless"), "unknown cell 'panda_pik'; known: panda_pick"),
-        pytest.param(
-            ("run", "panda_pik"),
-            "unknown cell 'panda_pik'",
-            marks=pytest.mark.xfail(
-                reason="BUG run.py: the progress bar leaves an empty line where there is no terminal"
-            ),
-        ),
+        (("run", "panda_pik"), "unknown cell 'panda_pik'"),
         (("check", "none/cell.yaml"), "none/cell.yaml: file not found"),
         (("explain", "panda_pick", "--pick", "cub"), "unknown object 'cub'"),
         (("explain", "panda_pick", "--pose", "nan", "0", "0"), "not finite"),
@@ -116,9 +107,6 @@ def test_wrong_input_is_one_line_and_status_1(capsys, arguments, reason):
         ('<robot name="r"><link name="base"/></robot>', ("explain", "--pose", "0", "0", "1")),
     ],
     ids=["no gripper", "no group"],
-)
-@pytest.mark.xfail(
-    reason="BUG check.py model_gripper, explain.py _arm_group: next() of nothing: StopIteration"
 )
 def test_a_robot_that_lacks_what_is_asked_for(capsys, tmp_path, text, arguments):
     file = cell_file(tmp_path, text)

@@ -25,11 +25,6 @@ def driver(name):
         yield connected
 
 
-def fake_is_known_to_fail(request, name, reason):
-    if name == "fake":
-        request.applymarker(pytest.mark.xfail(reason=f"BUG fake.py: {reason}"))
-
-
 def home():
     return scene().state.reindexed(ARM).positions
 
@@ -117,17 +112,14 @@ def test_without_a_command_it_stays(driver):
 @pytest.mark.parametrize(
     ("names", "value", "error"), [(ARM[:1], np.nan, InputError), (("elbow",), 0.0, UnknownNameError)]
 )
-def test_a_wrong_command_is_refused_and_changes_nothing(driver, name, names, value, error, request):
-    if error is InputError:
-        fake_is_known_to_fail(request, name, "command stores NaN before it refuses it")
+def test_a_wrong_command_is_refused_and_changes_nothing(driver, names, value, error):
     with pytest.raises(error):
         driver.command(names, [value], [0.0])
     driver.advance(driver.period)
     np.testing.assert_allclose(driver.joint_state().positions, scene().positions, atol=1e-3)
 
 
-def test_an_unknown_gripper_is_refused_and_changes_nothing(driver, name, request):
-    fake_is_known_to_fail(request, name, "command_gripper stores the target of an unknown gripper")
+def test_an_unknown_gripper_is_refused_and_changes_nothing(driver):
     with pytest.raises(UnknownNameError, match=GRIPPER.name):
         driver.gripper("claw")
     with pytest.raises(UnknownNameError, match=GRIPPER.name):
@@ -200,8 +192,7 @@ def test_nothing_to_report_when_nothing_happened(driver):
     assert driver.welds() == []
 
 
-def test_time_scale_paces_the_clock_by_the_wall(name, request):
-    fake_is_known_to_fail(request, name, "options.time_scale is not used: --view shows nothing move")
+def test_time_scale_paces_the_clock_by_the_wall(name):
     with make(name, time_scale=2.0) as driver:
         driver.advance(driver.period)
         begin, then = time.monotonic(), driver.now

@@ -70,14 +70,6 @@ def test_fingers_reach_no_deeper_than_they_are_long(item, gripper):
         assert depth <= gripper.finger_depth + 1e-9, grasp.name
 
 
-FLAT = pytest.param(
-    solid(Box(0.04, 0.04, 0.01), STANDING),
-    id="flat",
-    marks=pytest.mark.xfail(reason="BUG candidates.py _tcp_position: tips go below a flat object's foot"),
-)
-
-
-@pytest.mark.parametrize("item", [*(pytest.param(s, id=n) for n, s in SOLIDS.items()), FLAT])
 def test_from_above_the_tips_stay_above_the_support(item, gripper):
     up, bottom = up_in(item), world_surface(item)[:, 2].min()
     grasps = grasp_candidates(item, gripper)[0]
@@ -96,13 +88,7 @@ def test_best_first_and_from_above_at_best(item, gripper):
     assert grasps[0].T_object_tcp.rotation.matrix[:, 2] @ up_in(item) == pytest.approx(-1.0)
 
 
-TWO_TOPS = "BUG candidates.py _direction: two approaches of a tilted object have one name"
-
-
-@pytest.mark.parametrize(
-    "tilt_deg",
-    [0, 20, pytest.param(45, marks=pytest.mark.xfail(reason=TWO_TOPS)), 70, 90],
-)
+@pytest.mark.parametrize("tilt_deg", [0, 20, 45, 70, 90])
 def test_names_tell_candidates_apart(tilt_deg, gripper):
     """A pick excludes a grasp that failed by its name."""
     tilted = SE3.from_xyz_rpy((0.5, 0.0, 0.1), (np.deg2rad(tilt_deg), 0.0, 0.3))
@@ -123,7 +109,6 @@ def test_round_objects_are_held_at_more_angles_than_boxes(gripper):
     assert len(can) > len(box)
 
 
-@pytest.mark.xfail(reason="BUG candidates.py _closings: the pose of a round shape in its object is ignored")
 def test_a_cylinder_turned_within_its_object_is_held_like_one_that_is_not(gripper):
     turned = solid(Cylinder(0.02, 0.07), STANDING, SE3.from_xyz_rpy((0, 0, 0), (0.0, np.pi / 2, 0.0)))
     for grasp in grasp_candidates(turned, gripper)[0]:
@@ -145,10 +130,18 @@ def test_one_narrow_side_is_enough(gripper):
     assert {round(g.width, 6) for g in grasps} == {0.02}
 
 
-@pytest.mark.parametrize("size", [0.01, 0.03, 0.06])
+@pytest.mark.parametrize("size", [0.03, 0.06])
 def test_what_fits_is_not_rejected(size, gripper):
     _, rejected = grasp_candidates(solid(Box(size, size, size)), gripper)
     assert not rejected
+
+
+def test_what_is_too_flat_to_be_held_above_its_support_says_so(gripper):
+    grasps, rejected = grasp_candidates(solid(Box(0.04, 0.04, 0.01), STANDING), gripper)
+    assert {r.reason for r in rejected if r.name.startswith("top")} == {
+        "10 mm is too flat for the finger tips"
+    }
+    assert not any(g.name.startswith("top") for g in grasps)
 
 
 def test_unknown_generator_names_the_known(gripper):

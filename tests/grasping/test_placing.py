@@ -142,7 +142,6 @@ def test_near_an_edge_only_what_stays_on_is_offered():
     assert xs == {0.07, 0.09}
 
 
-@pytest.mark.xfail(reason="BUG placing.py: the foot is taken as centred on the object's origin")
 def test_an_object_beside_its_origin_stays_inside_the_edges():
     beside = solid(Box(0.05, 0.05, 0.05), SE3.from_xyz(1, 1, 1), SE3.from_xyz(0.12, 0, 0))
     for placement in place_candidates(beside, TRAY):

@@ -60,8 +60,8 @@ def test_the_object_is_gone_for_good():
 
 
 def test_every_attempt_fails_and_each_had_another_grasp():
-    """Friction far below what the force was chosen for: the fingers slide off each time."""
-    with live("sim", with_cube(mass=1.0, material=Material(0.05))) as cell:
+    """Forces are chosen for a friction of 0.05 at least; below that the fingers slide off each time."""
+    with live("sim", with_cube(mass=0.5, material=Material(0.02))) as cell:
         outcome = cell.arm.pick("cube")
         assert outcome.code is ErrorCode.CONTROL_FAILED
         assert "lost cube" in outcome.message
@@ -72,7 +72,7 @@ def test_every_attempt_fails_and_each_had_another_grasp():
 
 @pytest.mark.parametrize("mode", ["weld", "hybrid"])
 def test_the_weld_modes_hold_what_slips_and_report_it(mode):
-    slippery = with_cube(mass=1.0, material=Material(0.05))
+    slippery = with_cube(mass=0.5, material=Material(0.02))
     with live("sim", slippery, grip_mode=mode) as cell:
         assert cell.arm.pick("cube").ok
         (weld,) = cell.driver.welds()
@@ -84,9 +84,6 @@ def test_the_weld_modes_hold_what_slips_and_report_it(mode):
 
 
 @pytest.mark.parametrize("mode", ["sim", "fake"])
-@pytest.mark.xfail(
-    reason="BUG recipes.py pick: the object counts as held after a lift that failed", strict=True
-)
 def test_a_joint_sticks_during_the_lift(mode):
     settings = replace(SETTINGS, execution=ExecutionSettings(path_tolerance=0.03))
     with live(mode, settings=settings) as cell:
@@ -123,7 +120,6 @@ def test_a_gripper_that_does_not_open_is_said():
         assert stages(cell) == ["open"]
 
 
-@pytest.mark.xfail(reason="BUG recipes.py place: nobody looks whether the object is still held", strict=True)
 def test_the_object_is_lost_on_the_way_to_its_place():
     with live("sim") as cell:
         assert cell.arm.pick("cube").ok

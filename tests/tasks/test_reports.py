@@ -60,7 +60,6 @@ def test_samples_come_evenly_to_the_end(watched):
     assert min(s.gripper_width["hand"] for s in watched.samples) == pytest.approx(0.05, abs=2e-3)
 
 
-@pytest.mark.xfail(reason="BUG finish.py clearance_along: 24 samples of a motion miss its narrowest place")
 def test_the_clearance_is_not_larger_than_it_was(watched):
     for (trajectory, scene), report in zip(watched.motions, watched.moves):
         if report.name not in ("move to pre-grasp", "move to pre-place", "move to home"):

@@ -90,7 +90,7 @@ def test_nothing_fits_collects_every_reason(planning, log):
     ]
     assert rejections.counts == {("b", "too hot"): 2, ("b", "too cold"): 2}
     text = rejections.summary()
-    assert "4 candidates rejected" in text
+    assert "4 rejected (" in text
     assert "2 x b: too hot" in text and "2 x b: too cold" in text and "too hot: a1" in text
 
 

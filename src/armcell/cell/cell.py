@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,6 +87,9 @@ class Cell:
             raise self._fail("robot", str(error)) from None
 
     def _settings(self, cls: type[T], values: dict[str, Any], element: str) -> T:
+        for field in fields(cls):  # type: ignore[arg-type]  # blocks within first: named by their own place
+            if is_dataclass(field.default) and field.name in values:
+                self._settings(type(field.default), values[field.name], f"{element}/{field.name}")
         try:
             return settings_from(cls, values, element)
         except InputError as error:

@@ -35,12 +35,13 @@ class Planning:
     seed: int = 0
     cancel: threading.Event = field(default_factory=threading.Event)
     rejections: Rejections = field(default_factory=Rejections)
-    failure: Outcome | None = None  # of the last planner that failed, with its code and evidence
+    failure: Outcome | None = None  # of the last move from the start that failed, with code and evidence
     began: float = field(default_factory=time.monotonic)
 
     def reject(self, stage: str, candidate: str, reason: str, outcome: Outcome | None = None) -> None:
         self.rejections.add(stage, candidate, reason)
-        self.failure = outcome or self.failure
+        if outcome is not None:  # not `outcome or ...`: a failed outcome is false
+            self.failure = outcome
 
     @property
     def time_left(self) -> float:

@@ -9,9 +9,12 @@ from functools import lru_cache
 import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.kinematics import NumericIK, kinematic_tree
 from armcell.model import load_robot
+from armcell.planning.finish import clearance_along
 from armcell.planning.native.planner import NativePlanner
 from armcell.scene import PlanningScene
+from armcell.timing import BlendedPath, parameterize
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +34,13 @@ def warm_up() -> float:
     checker.edge_is_free(a, b)
     checker.certify([a, b])
     NativePlanner(checker).plan(a, b[None], np.array([0.0]), np.array([0.05]))
+    path = BlendedPath(np.array([[0.01], [0.02], [0.04]]), 0.0)
+    parameterize(path, checker.joint_names, [0.1], [1.0])
+    clearance_along(checker.exact, parameterize(path, checker.joint_names, [0.1], [1.0]))
+    arm = load_robot("ur10")
+    home = arm.default_positions()
+    ik = NumericIK(arm, "arm")
+    ik.solve(kinematic_tree(arm).link_pose(home, ik.tip_link), home)
     seconds = time.monotonic() - began
     if seconds > 2.0:
         logger.info("compiled the planner in %.0f s; it is kept for later runs", seconds)

@@ -68,7 +68,8 @@ class Straight:
         target = shifted(scene.frame_pose(self.link), self.offset, self.in_tip_frame)
         result = straight(scene, self.group, self.link, target, self.speed)
         if not result.ok or result.trajectory is None:
-            planning.reject(self.name, draft.data.get("candidate", ""), result.message, result)
+            # Without the result: this start is the candidate's, in collision it is no reason to give up all.
+            planning.reject(self.name, draft.data.get("candidate", ""), result.message)
             return
         yield moved(draft, self.name, result)
 
