@@ -42,13 +42,15 @@ def with_cube(scene: PlanningScene | None = None, size: float = 0.05, at=None, *
 
 
 def prison() -> PlanningScene:
-    """The arm between two walls under a lid, the cube behind one: reachable, but there is no way."""
-    turned = [SE3.from_xyz_rpy((0.84, s * 0.84, 1.5), (0, 0, s * np.pi / 4)) for s in (1, -1)]
-    walls = [CollisionObject.single(f"wall{i}", Box(2.0, 0.02, 3.0), T) for i, T in enumerate(turned)]
+    """A ring around the flange, narrower than the hand: the arm and the grasps are free, there is no way."""
+    long, short = Box(0.17, 0.01, 0.01), Box(0.01, 0.15, 0.01)
+    bars = [(long, SE3.from_xyz(0, s * 0.08, 0)) for s in (-1, 1)]
+    bars += [(short, SE3.from_xyz(s * 0.08, 0, 0)) for s in (-1, 1)]
+    ring = CollisionObject("ring", tuple(bars), SE3.from_xyz(0.307, 0, 0.635))
     table = CollisionObject.single("table", Box(2.0, 2.0, 0.04), SE3.from_xyz(0, 0, -0.021))
-    lid = CollisionObject.single("lid", Box(4.0, 4.0, 0.02), SE3.from_xyz(0, 0, 0.85))
-    cube = CollisionObject.single("cube", Box(0.05, 0.05, 0.05), SE3.from_xyz(0, 0.5, 0.024), movable=True)
-    return PlanningScene.of(nominal().model, objects=[table, *walls, lid, cube])
+    cube = CollisionObject.single("cube", Box(0.05, 0.05, 0.05), SE3.from_xyz(0.5, 0, 0.024), movable=True)
+    scene = PlanningScene.of(nominal().model, objects=[table, ring, cube])
+    return scene.with_state(scene.model.named_state("arm", "home"))
 
 
 def live(

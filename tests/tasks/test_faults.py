@@ -172,5 +172,5 @@ def test_no_way_to_any_grasp_says_so():
     with live("fake", prison(), settings=replace(SETTINGS, planning_time=0.05)) as cell:
         outcome = cell.arm.pick("cube")
         assert outcome.code is ErrorCode.PLANNING_FAILED
-        assert "x move to pre-grasp: RRTConnect" in outcome.message
+        assert "x move to pre-grasp: RRTConnect" in outcome.message, outcome.message
         assert not stages(cell)
