@@ -8,14 +8,32 @@ import sys
 import threading
 from types import FrameType
 
-GRACE = 1.5  # [s] for an orderly end; compiled code and some imports swallow a KeyboardInterrupt
+GRACE = 1.5  # [s] for an orderly end; compiled code may swallow a KeyboardInterrupt
+
+
+def _end() -> None:
+    """Say it and end: not through libraries' exit handlers, which may wait."""
+    sys.stderr.write("armcell: interrupted\n")
+    sys.stderr.flush()
+    os._exit(130)
 
 
 def _interrupted(signum: int, frame: FrameType | None) -> None:
-    timer = threading.Timer(GRACE, os._exit, (130,))
+    if _importing(frame):  # libraries that try an import swallow whatever comes out of it
+        _end()
+    timer = threading.Timer(GRACE, _end)
     timer.daemon = True
     timer.start()
     raise KeyboardInterrupt
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether an import statement is among what is being executed."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def main() -> None:
@@ -28,9 +46,7 @@ def main() -> None:
     except KeyboardInterrupt:
         code = 130
     if code == 130:
-        sys.stderr.write("armcell: interrupted\n")
-        sys.stderr.flush()
-        os._exit(code)  # not through libraries' exit handlers, which may wait
+        _end()
     sys.exit(code)
 
 

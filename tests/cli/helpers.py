@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,12 +49,15 @@ def start(*arguments: object, **options) -> subprocess.Popen:
 
 
 def finished(process: subprocess.Popen, timeout: float = 60.0) -> Said:
-    """The end of a process; none of its group is left."""
+    """The end of a process; none of its group is left (helpers notice within a moment that it is gone)."""
     out, err = process.communicate(timeout=timeout)
-    try:
-        os.killpg(process.pid, 0)
-    except ProcessLookupError:
-        return Said(process.returncode, out, err)
+    end = time.monotonic() + 2.0
+    while time.monotonic() < end:
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            return Said(process.returncode, out, err)
+        time.sleep(0.02)
     raise AssertionError("a process of the group is still there")
 
 

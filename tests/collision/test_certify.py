@@ -129,12 +129,7 @@ def test_a_bead_is_found(prover):
     assert not checker.certify(ways).free
 
 
-VAGUE = pytest.mark.xfail(
-    reason="bug: the kernel tells the middle of the interval it was in, not the contact"
-)
-
-
-@pytest.mark.parametrize("prover", [ExactChecker, pytest.param(KernelChecker, marks=VAGUE)])
+@pytest.mark.parametrize("prover", [ExactChecker, KernelChecker])
 def test_the_fraction_and_the_contact_say_where(prover):
     """The cube on its slide goes from -1 to 1.5 by way of 0; the wall's face is at 1, contact at 0.9."""
     checker = prover(floating(box("wall", (0.2, 1, 1), (1.1, 0, 0))))

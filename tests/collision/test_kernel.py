@@ -6,6 +6,8 @@ contact a miss.
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from tests.collision.test_exact import AT_ONE, ell, scene_with
@@ -96,3 +98,15 @@ def test_edges_at_samples():
     kernel = KernelChecker(floating(CollisionObject.single("ball", Sphere(0.1), SE3.from_xyz(1, 0, 0))))
     assert not kernel.edge_is_free([0.0], [2.0]) and kernel.edge_is_free([0.0], [0.7])
     assert not kernel.edge_is_free([0.0], [0.81])  # the end counts
+
+
+@pytest.mark.slow
+def test_a_held_crate_is_ready_in_time(tmp_path, monkeypatch):
+    """A planner asked for an answer in 5 s has none to spare for covers."""
+    crate = box("crate", (0.3, 0.25, 0.2), (0.307, 0.0, 0.35))
+    held = panda(crate).with_attached("crate", "panda_hand", ["panda_leftfinger", "panda_rightfinger"])
+    KernelChecker(panda())  # compiled and with its links covered
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))  # as the first time that it is held
+    began = time.monotonic()
+    KernelChecker(held)
+    assert time.monotonic() - began < 20.0

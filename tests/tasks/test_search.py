@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from armcell.core import ErrorCode, Outcome
 from armcell.tasks import Draft, Planning, TaskSettings, search
 
 
@@ -123,3 +124,22 @@ def test_an_error_in_a_stage_is_not_taken_for_a_rejection(planning, log):
     with pytest.raises(ZeroDivisionError):
         search([Options("a", ["a1"], log, broken)], start(), planning)
     assert not planning.rejections.details
+
+
+@pytest.mark.parametrize(
+    ("code", "looked_at"),
+    [(ErrorCode.START_STATE_IN_COLLISION, ["a1"]), (ErrorCode.PLANNING_FAILED, ["a1", "a2"])],
+)
+def test_a_start_in_collision_ends_the_search(planning, log, code, looked_at):
+    """No other candidate changes where the robot stands."""
+
+    class Move:
+        name = "move"
+
+        def drafts(self, draft, planning):
+            planning.reject(self.name, "", "it failed", Outcome(code))
+            yield from ()
+
+    assert search([Options("a", ["a1", "a2"], log), Move()], start(), planning) is None
+    assert log == looked_at
+    assert planning.failure.code is code

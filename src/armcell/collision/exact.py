@@ -150,23 +150,38 @@ class ExactChecker:
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._request.security_margin = margin
         self._result.clear()
-        return bool(
-            coal.collide(
-                ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result
-            )
+        hit = coal.collide(
+            ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result
         )
+        return bool(hit) or self._one_inside(a, b)
+
+    def _one_inside(self, a: int, b: int) -> bool:
+        """Whether one of two geometries whose surfaces do not touch lies wholly inside the other."""
+        for outer, inner in ((a, b), (b, a)):
+            around, other = self.geometries[outer].solid, self.geometries[inner].solid
+            if around.hollow is None:
+                continue
+            point = other.hollow.vertices[0] if other.hollow is not None else other.centre
+            here, there = self._transform(inner), self._transform(outer)
+            world = here.getRotation() @ point + here.getTranslation()
+            if around.holds(there.getRotation().T @ (world - there.getTranslation())):
+                return True
+        return False
 
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
         """Signed distance [m] of two geometries by index; `outer` measures the convex outer shapes."""
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._distance_result.clear()
-        return float(
+        distance = float(
             coal.distance(
                 ga.outer if outer else ga.exact, self._transform(a),
                 gb.outer if outer else gb.exact, self._transform(b),
                 self._distance_request, self._distance_result,
             )
         )  # fmt: skip
+        if not outer and distance > 0 and self._one_inside(a, b):
+            return -distance  # as deep as the nearest surface is far
+        return distance
 
     def _contact(self, a: int, b: int) -> Contact:
         distance = self.pair_distance(a, b)

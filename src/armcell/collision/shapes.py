@@ -9,24 +9,38 @@ import coal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
+from armcell.collision.winding import winding_numbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.core.geometry import local_bounds
 
 Array = NDArray[np.float64]
 
 CONVEX_EXCESS = 1e-3
-"""A closed mesh whose convex hull has at most this much more volume is treated as its hull."""
+CONVEX_DENT = 2e-4
+"""A closed mesh is treated as its convex hull if that has at most `CONVEX_EXCESS` more volume (a share) and
+no vertex is deeper than `CONVEX_DENT` [m] inside it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape ready for coal. `outer` is a convex geometry around it (itself, if it is convex)."""
+    """A shape ready for coal. `outer` is a convex geometry around it (itself, if it is convex).
+
+    coal sees only the surface of a mesh that is not convex: `hollow` is that mesh, to ask what is inside.
+    """
 
     exact: coal.CollisionGeometry
     outer: coal.CollisionGeometry
     centre: Array  # (3,) of the box around it, in the shape's frame [m]
     half: Array  # (3,) half extents of that box [m]
+    hollow: Mesh | None = None
+
+    def holds(self, point: Array) -> bool:
+        """Whether a point (3,) of the shape's frame is inside a mesh that is not convex."""
+        if self.hollow is None or np.any(np.abs(point - self.centre) > self.half):
+            return False
+        return bool(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0] > 0.5)
 
 
 @lru_cache(maxsize=1024)
@@ -48,8 +62,11 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             exact = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         case Mesh():
             outer = _hull(shape.vertices * scale)
-            exact = outer if is_convex(shape) else triangle_model(shape.vertices * scale, shape.faces)
-            return Solid(exact, outer, centre * scale, half * scale)
+            if is_convex(shape):
+                return Solid(outer, outer, centre * scale, half * scale)
+            hollow = Mesh(shape.vertices * scale, shape.faces)
+            exact = triangle_model(hollow.vertices, hollow.faces)
+            return Solid(exact, outer, centre * scale, half * scale, hollow)
     return Solid(exact, exact, centre * scale, half * scale)
 
 
@@ -59,7 +76,12 @@ def is_convex(mesh: Mesh) -> bool:
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     if not surface.is_watertight or surface.volume <= 0:
         return False
-    return float(surface.convex_hull.volume) <= abs(float(surface.volume)) * (1 + CONVEX_EXCESS)
+    if float(surface.convex_hull.volume) > abs(float(surface.volume)) * (1 + CONVEX_EXCESS):
+        return False
+    planes = ConvexHull(mesh.vertices).equations
+    return all(
+        float(np.max(planes[:, :3] @ vertex + planes[:, 3])) >= -CONVEX_DENT for vertex in mesh.vertices
+    )
 
 
 def _points(vertices: Array) -> coal.StdVec_Vec3s:

@@ -61,7 +61,7 @@ class CartesianRequest:
     link: str | None = None
     start: JointState | None = None
     max_step: float = 0.005  # [m] between checked poses
-    jump_threshold: float = 0.2  # [rad] largest joint step between two of them
+    jump_threshold: float = 0.2  # [rad] largest joint step between two of them; 0: any
     avoid_collisions: bool = True
     velocity_scaling: float = 1.0
     acceleration_scaling: float = 1.0

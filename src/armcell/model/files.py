@@ -50,7 +50,10 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     try:
         if path.is_dir():
             raise InputError("is a folder, a file is needed", file=path)
-        if path.stat().st_size > limit:
+        size = path.stat().st_size
+        if not path.is_file():
+            raise InputError("is no regular file", file=path)
+        if size > limit:
             raise InputError(f"is larger than {limit} bytes", file=path)
         return path.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):

@@ -42,6 +42,11 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
     if request.start is not None:
         scene = replace(scene, positions=scene.state.updated(request.start).positions)
+    try:
+        scene.model.check_positions(scene.positions, margin=1e-3)
+    except InputError as error:
+        text = f"start: {error}"
+        return PlanResult(ErrorCode.START_STATE_INVALID, text, planner_id="cartesian", fraction=0.0)
     ik = NumericIK(scene.model, request.group, request.link)
     checker = ExactChecker(scene, ik.joint_names)
     checker.relax_margins(scene.positions[ik.columns])
@@ -127,7 +132,7 @@ def _follow(scene: PlanningScene, request: CartesianRequest, ik: NumericIK, chec
             text = f"stops {at}: {why} ({position * 1000:.1f} mm, {np.rad2deg(angle):.1f} deg short)"
             return np.array(path), total, (ErrorCode.NO_IK_SOLUTION, text, {"joints_at_limit": limits})
         step = np.abs(q[ik.columns] - path[-1])
-        if step.max() > request.jump_threshold:
+        if 0 < request.jump_threshold < step.max():  # 0 switches the test off, as in MoveIt
             joint = ik.joint_names[int(np.argmax(step))]
             text = (
                 f"stops {at}: {joint} would jump {step.max():.2f} rad (threshold {request.jump_threshold:g})"

@@ -60,11 +60,13 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return outcome
         excluded = (*excluded, draft.data["grasp"].name)
-        ctx.holding.pop(item, None)
+        held = ctx.holding.pop(item, None)
         ctx.driver.unwatch_object(item)
         ctx.emit("note", f"pick {item}: {outcome.message}; trying the next grasp")
         ctx.driver.command_gripper(gripper.name, gripper.max_width, gripper.max_force)
         ctx.advance(s.release_settle + 0.5)
+        if held is not None:
+            _back_off(ctx, item, gripper)
     return outcome
 
 
@@ -120,6 +122,18 @@ def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
     return Grip("open", gripper, gripper.max_width, gripper.max_force, ctx.settings.release_settle).perform(
         ctx
     )
+
+
+def _back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
+    """Straight back from an object the open hand stands around, which no planner finds its way out of.
+
+    As far as it goes: the next plan begins wherever the arm is then.
+    """
+    s = ctx.settings
+    back = Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.approach_distance),
+                    in_tip_frame=True, allow=((item, gripper.hand_links),))  # fmt: skip
+    for draft in back.drafts(Draft(ctx.scene()), Planning(s, ctx.seed, ctx.cancel)):
+        perform_all(ctx, draft.steps)
 
 
 def _planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:

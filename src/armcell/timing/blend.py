@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.core import InputError
+
 Array = NDArray[np.float64]
 
 MIN_EDGE = 1e-6  # [rad] shorter edges are dropped
@@ -46,6 +48,8 @@ class BlendedPath:
 
     def __init__(self, waypoints: ArrayLike, max_deviation: float | ArrayLike = 0.05):
         points = np.asarray(waypoints, dtype=float)
+        if not np.all(np.isfinite(points)):
+            raise InputError("a waypoint has a value that is not finite")
         deviation = np.broadcast_to(np.asarray(max_deviation, dtype=float), (max(len(points) - 2, 0),))
         keep = [0]
         for i in range(1, len(points)):

@@ -85,6 +85,10 @@ class KernelChecker:
         at = float(certify_points(*self.arrays, points, room, padded))
         if at < 0:
             return Certificate(True)
-        i, edges = int(at), len(points) - 1
-        q = points[i] + (at - i) * (points[min(i + 1, edges)] - points[i])
+        # Where and what: the exact checker says it more precisely, from the edge the kernel stopped at.
+        i, edges = min(int(at), len(points) - 2), len(points) - 1
+        found = self.exact.certify(points[i : i + 2], room)
+        if not found.free:
+            return Certificate(False, (i + found.at) / edges, found.contact)
+        q = points[i] + (at - i) * (points[i + 1] - points[i])
         return Certificate(False, at / edges, self.exact.nearest(q))

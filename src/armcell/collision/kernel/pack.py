@@ -24,7 +24,8 @@ I32 = NDArray[np.int32]
 
 FINGER_OVERSHOOT = 0.003  # [m]
 LINK_OVERSHOOT = 0.010
-OBJECT_OVERSHOOT = 0.005
+OBJECT_OVERSHOOT = 0.005  # of a held object, or this share of its largest extent, whichever is more:
+OBJECT_SHARE = 1 / 15  # a crate needs no finer cover than a cube, and fitting one would take a minute
 
 
 class Pack(NamedTuple):
@@ -174,7 +175,7 @@ class _Packer:
             bodies.append((held.object.name, frame))
             per_body.append(
                 [
-                    (s, T @ held.T_link_object.matrix @ t.matrix, OBJECT_OVERSHOOT)
+                    (s, T @ held.T_link_object.matrix @ t.matrix, _object_overshoot(s))
                     for s, t in held.object.shapes
                 ]
             )
@@ -359,6 +360,11 @@ def _scaled(shape: Shape, scale: float) -> Shape:
         case Cylinder() | Capsule() | Cone():
             return type(shape)(shape.radius * scale, shape.length * scale)
     return shape
+
+
+def _object_overshoot(shape: Shape) -> float:
+    low, high = _local_box(shape)
+    return max(OBJECT_OVERSHOOT, OBJECT_SHARE * float((high - low).max()))
 
 
 def _first_tier(shape: Shape) -> list[Shape]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import coal
 import numpy as np
 import trimesh
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from armcell.collision.shapes import triangle_model
+from armcell.collision.winding import winding_numbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 
 Array = NDArray[np.float64]
@@ -111,37 +111,6 @@ def depths(points: Array, skin: Array) -> Array:
         result.clear()
         out[i] = coal.distance(model, here, point, there, request, result) + radius
     return np.maximum(out, 0.0)
-
-
-@njit(cache=True)
-def winding_numbers(points, vertices, faces):
-    """Generalised winding number of each point (m,): 1 inside a closed mesh, 0 outside; robust to holes.
-
-    Van Oosterom and Strackee's solid angle (1983), summed over the triangles (Jacobson et al. 2013).
-    """
-    out = np.empty(len(points))
-    for p in range(len(points)):
-        total = 0.0
-        for f in range(len(faces)):
-            ax = vertices[faces[f, 0], 0] - points[p, 0]
-            ay = vertices[faces[f, 0], 1] - points[p, 1]
-            az = vertices[faces[f, 0], 2] - points[p, 2]
-            bx = vertices[faces[f, 1], 0] - points[p, 0]
-            by = vertices[faces[f, 1], 1] - points[p, 1]
-            bz = vertices[faces[f, 1], 2] - points[p, 2]
-            cx = vertices[faces[f, 2], 0] - points[p, 0]
-            cy = vertices[faces[f, 2], 1] - points[p, 1]
-            cz = vertices[faces[f, 2], 2] - points[p, 2]
-            la = np.sqrt(ax * ax + ay * ay + az * az)
-            lb = np.sqrt(bx * bx + by * by + bz * bz)
-            lc = np.sqrt(cx * cx + cy * cy + cz * cz)
-            det = ax * (by * cz - bz * cy) - ay * (bx * cz - bz * cx) + az * (bx * cy - by * cx)
-            dot_ab = ax * bx + ay * by + az * bz
-            dot_bc = bx * cx + by * cy + bz * cz
-            dot_ca = cx * ax + cy * ay + cz * az
-            total += np.arctan2(det, la * lb * lc + dot_ab * lc + dot_bc * la + dot_ca * lb)
-        out[p] = total / (2.0 * np.pi)
-    return out
 
 
 def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
