@@ -21,10 +21,6 @@ def thing(text: str) -> str:
     return HEAD + f"objects: {{a: {{{text}}}}}\n"
 
 
-def bug(*values, why: str):
-    return pytest.param(*values, marks=pytest.mark.xfail(reason=f"BUG {why}", strict=True))
-
-
 # text of the file, place named, reason named
 BAD = {
     "unknown key": ("robot: panda\nobjecs: {}\n", "objecs", "did you mean 'objects'"),
@@ -172,7 +168,6 @@ def test_a_huge_file_is_not_read(tmp_path):
         ("task: [{hold: .inf}]", "task/0"),
         ("randomize: {cube: {dx: [.inf, .inf]}}", "randomize/cube"),
         ("cameras: {c: {eye: [.nan, 0, 1], target: [0, 0, 0]}}", "cameras/c"),
-        bug("task: []\ntask: []", "task", why="files.py read_yaml: a key given twice, the first is lost"),
     ],
 )
 def test_values_are_checked_when_the_file_is_read(tmp_path, text, place):
@@ -185,3 +180,8 @@ def test_a_mesh_scaled_to_nothing(tmp_path):
 
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "part.stl")
     assert "objects/a" in failure(tmp_path, thing("mesh: part.stl, mesh_scale: 0"))
+
+
+def test_a_key_given_twice_is_said_with_its_line(tmp_path):
+    message = failure(tmp_path, HEAD + CUBE + "task: []\ntask: []\n")
+    assert "key 'task' is given twice" in message
