@@ -239,7 +239,8 @@ class RobotModel:
         """Zero, or the middle of the range where zero is out of limits."""
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)
-        middle = np.where(np.isfinite(low) & np.isfinite(high), (low + high) / 2, 0.0)
+        bounded = np.isfinite(low) & np.isfinite(high)
+        middle = np.where(bounded, (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)) / 2, 0.0)
         return np.where((low <= 0) & (high >= 0), 0.0, middle)
 
     def named_state(self, group: str, name: str) -> JointState:

@@ -70,6 +70,7 @@ class _Reader:
     def __init__(self, file: Path):
         self.file = file
         self.folder = file.resolve().parent
+        self.undrawn: list[str] = []  # visuals whose mesh is missing
 
     def fail(self, element: etree._Element, reason: str, cure: str | None = None) -> InputError:
         name = element.get("name")
@@ -119,6 +120,11 @@ class _Reader:
             links[link.name] = link
         if not links:
             raise self.fail(root, "has no <link>")
+        if self.undrawn:
+            logger.warning(
+                "%s: %d visual meshes are missing, those links are drawn by their collision shapes (%s)",
+                self.file, len(self.undrawn), self.undrawn[0],
+            )  # fmt: skip
         joints: dict[str, Joint] = {}
         for element in root.findall("joint"):
             for joint in self.joint(element, links):
@@ -261,7 +267,7 @@ class _Reader:
             try:
                 file, scale = self.mesh_file(geometry)
             except InputError as error:
-                logger.warning("%s; the link is drawn by its collision shapes", error)
+                self.undrawn.append(str(error))
                 return None
             return Visual(self.origin(element), file=file, scale=scale, color=color)
         return Visual(self.origin(element), shape=self.shape(element), color=color)
