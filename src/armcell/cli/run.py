@@ -171,7 +171,7 @@ class _Pictures:
 
     def on_event(self, event: Event) -> None:
         if event.kind == "stage" and event.data.get("phase") == "end":
-            from armcell.sim.camera import render_rgb
+            from armcell.sim import render_rgb
 
             camera = next(iter(self._driver.world.cameras.values()))
             self._recorder.add_picture(event.time, event.text, render_rgb(self._driver.world, camera))

@@ -8,12 +8,16 @@ Latombe, "Exact collision checking of robot paths", WAFR 2002).
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.certificate import Certificate
-from armcell.collision.exact import ExactChecker
+from armcell.core import Contact
+from armcell.kinematics import KinematicTree
 from armcell.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
+from armcell.model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -21,10 +25,26 @@ MIN_INTERVAL_RAD = 2e-4
 """Edges are not cut finer than this: closer than that to contact counts as touching."""
 
 
+class Measures(Protocol):
+    """What a proof needs of a checker: its bodies at one configuration, and their distances."""
+
+    model: RobotModel
+    tree: KinematicTree
+    joint_names: tuple[str, ...]
+    columns: NDArray[np.int64]
+    geometries: list[Any]
+    pairs: NDArray[np.int64]
+
+    def place(self, q: ArrayLike) -> None: ...
+    def pair_gaps(self, pairs: NDArray[np.int64]) -> Array: ...
+    def pair_distance(self, a: int, b: int, outer: bool = False) -> float: ...
+    def contact_of(self, a: int, b: int) -> Contact: ...
+
+
 class MotionBound:
     """How far a pair's surfaces can move against each other per unit of each group joint [m/rad]."""
 
-    def __init__(self, checker: ExactChecker):
+    def __init__(self, checker: Measures):
         self.checker = checker
         tree = checker.tree
         column_of = {int(c): k for k, c in enumerate(checker.columns)}
@@ -60,7 +80,7 @@ class MotionBound:
         return self.per_joint[:, moving] @ np.abs(dq)[moving]
 
 
-def certify_path(checker: ExactChecker, waypoints: ArrayLike, slack: ArrayLike | None = None,
+def certify_path(checker: Measures, waypoints: ArrayLike, slack: ArrayLike | None = None,
                  bound: MotionBound | None = None) -> Certificate:  # fmt: skip
     """Prove a piecewise linear motion (k, n) free of contact.
 
@@ -83,9 +103,7 @@ def certify_path(checker: ExactChecker, waypoints: ArrayLike, slack: ArrayLike |
     return Certificate(True, 1.0, None, clearance)
 
 
-def _certify_edge(
-    checker: ExactChecker, bound: MotionBound, q0: Array, q1: Array, slack: Array
-) -> Certificate:
+def _certify_edge(checker: Measures, bound: MotionBound, q0: Array, q1: Array, slack: Array) -> Certificate:
     dq = q1 - q0
     motion = bound.along(dq)
     length = float(np.max(np.abs(dq), initial=0.0))
@@ -105,7 +123,7 @@ def _certify_edge(
             distance = checker.pair_distance(a, b)
             clearance = min(clearance, distance)
             if distance <= 0.0 or (distance <= need[k] and length * half < MIN_INTERVAL_RAD):
-                return Certificate(False, s, checker._contact(a, b), clearance)
+                return Certificate(False, s, checker.contact_of(a, b), clearance)
             if distance <= need[k]:
                 unproven.append(left[k])
         if unproven:

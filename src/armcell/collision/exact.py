@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.broad import box_gaps, world_boxes
 from armcell.collision.certificate import Certificate
+from armcell.collision.certify import certify_path
 from armcell.collision.shapes import Solid, solid
 from armcell.core import SE3, Contact
 from armcell.kinematics import kinematic_tree
@@ -183,7 +184,8 @@ class ExactChecker:
             return -distance  # as deep as the nearest surface is far
         return distance
 
-    def _contact(self, a: int, b: int) -> Contact:
+    def contact_of(self, a: int, b: int) -> Contact:
+        """Two geometries by index as a contact, with its distance and place."""
         distance = self.pair_distance(a, b)
         p = (self._distance_result.getNearestPoint1() + self._distance_result.getNearestPoint2()) / 2
         if not np.all(np.isfinite(p)):
@@ -223,8 +225,6 @@ class ExactChecker:
 
     def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None) -> Certificate:
         """Prove a piecewise linear motion (k, n) free of contact (see `certify_path`)."""
-        from armcell.collision.certify import certify_path
-
         return certify_path(self, waypoints, slack)
 
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
@@ -237,7 +237,7 @@ class ExactChecker:
                 a, b = int(pairs[p, 0]), int(pairs[p, 1])
                 if not self._touch(a, b, float(limits[p])):
                     continue
-                contact = self._contact(a, b)
+                contact = self.contact_of(a, b)
                 key = frozenset((contact.body_a, contact.body_b))
                 if key not in worst or contact.distance < worst[key].distance:
                     worst[key] = contact
@@ -261,7 +261,7 @@ class ExactChecker:
             distance = self.pair_distance(a, b)
             if distance < best:
                 best, best_pair = distance, (a, b)
-        return None if best_pair is None else self._contact(*best_pair)
+        return None if best_pair is None else self.contact_of(*best_pair)
 
 
 def _geometries(scene: PlanningScene) -> list[Geometry]:

@@ -2,10 +2,11 @@
 
 from armcell.collision.convex import convex_pieces
 from armcell.sim.build import BuiltModel, GripperIndex, build
-from armcell.sim.camera import Camera, has_gl, render_depth, render_rgb
+from armcell.sim.camera import Camera
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.grip import GripperState, WeldEvent
 from armcell.sim.pace import Pacer
+from armcell.sim.render import has_gl, render_depth, render_rgb
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.world import SimWorld, WorldSnapshot
 

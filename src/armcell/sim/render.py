@@ -1,0 +1,173 @@
+"""Pictures and depth of a world, with OpenGL where it works and by casting rays where not."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, InputError
+from armcell.sim.build import COLLISION_GROUP, OBJECT_GROUP, RENDER_CAMERA, VISUAL_GROUP, BuiltModel, build
+from armcell.sim.camera import Camera
+from armcell.sim.gl import GLRenderer, gl_backend
+from armcell.sim.world import SimWorld
+
+_MAX_DEPTH = 50.0  # [m], nothing further is seen
+_SKY_TOP, _SKY_LOW = np.array([[0.62, 0.74, 0.88], [0.93, 0.95, 0.98]], dtype=np.float32)
+_SUN = (np.array([0.3, -0.45, 0.85]) / np.linalg.norm([0.3, -0.45, 0.85])).astype(np.float32)  # towards it
+_AMBIENT, _HEAD, _SUNLIGHT = 0.38, 0.32, 0.38
+_TILE = 160  # [px]
+_CHECKER = 0.5  # [m] squares on an infinite plane
+
+
+def has_gl() -> bool:
+    """Whether pictures can be drawn with OpenGL here, without a display (found out once)."""
+    return gl_backend() is not None
+
+
+def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
+    """Depth (height, width) [m] along the optical axis, 0 where there is nothing. Never needs OpenGL.
+
+    Links are their collision shapes, which hold the visual ones.
+    """
+    rays = _rays(camera)
+    distance, _, _ = _cast(world.mj_model, world.mj_data, camera, rays, (OBJECT_GROUP, COLLISION_GROUP))
+    depth = np.where(distance >= 0, distance * rays[:, 2], 0.0)
+    return depth.astype(np.float32).reshape(camera.height, camera.width)
+
+
+def render_rgb(world: SimWorld, camera: Camera, gl: bool | None = None) -> NDArray[np.uint8]:
+    """A picture (height, width, 3).
+
+    Args:
+        gl: True uses OpenGL, False casts rays; by default OpenGL if it works here.
+    """
+    scene = _drawn(world)
+    if has_gl() if gl is None else gl:
+        return scene.render_gl(camera)
+    return scene.render_rays(camera)
+
+
+# --- the drawn twin of a world ---
+class _DrawnScene:
+    """The same scene with its visual meshes. Apart from the physics, so that looking changes nothing."""
+
+    def __init__(self, world: SimWorld):
+        self.source = world.built.mj
+        self.built: BuiltModel = build(world.built.scene, world.settings, visuals=True)
+        self.data = mujoco.MjData(self.built.mj)
+        model = self.built.mj
+        self._camera = model.camera(RENDER_CAMERA).id
+        self._renderer: GLRenderer | None = None
+
+    def follow(self, world: SimWorld) -> None:
+        self.data.qpos[:] = world.mj_data.qpos
+        mujoco.mj_kinematics(self.built.mj, self.data)
+        mujoco.mj_comPos(self.built.mj, self.data)
+        mujoco.mj_camlight(self.built.mj, self.data)
+
+    def render_gl(self, camera: Camera) -> NDArray[np.uint8]:
+        model, backend = self.built.mj, gl_backend()
+        if backend is None:
+            raise InputError("OpenGL does not work here", cure="leave gl to its default, or cast rays")
+        if self._renderer is None or self._renderer.size != (camera.width, camera.height):
+            if self._renderer is not None:
+                self._renderer.close()
+            self._renderer = GLRenderer(model, camera.width, camera.height, backend)
+        # MuJoCo's camera looks along its -z with y up
+        T = camera.T_world_camera @ SE3(SO3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
+        model.cam_pos[self._camera], model.cam_quat[self._camera] = T.translation, T.quat_wxyz
+        model.cam_fovy[self._camera] = camera.fovy_deg
+        mujoco.mj_kinematics(model, self.data)
+        mujoco.mj_camlight(model, self.data)
+        return self._renderer.render(self.data, self._camera)
+
+    def render_rays(self, camera: Camera) -> NDArray[np.uint8]:
+        model = self.built.mj
+        rays = _rays(camera)
+        distance, geom, normal = _cast(model, self.data, camera, rays, (OBJECT_GROUP, VISUAL_GROUP))
+        R = camera.T_world_camera.rotation.matrix.astype(np.float32)
+        seen, n = rays.astype(np.float32) @ R.T, normal.astype(np.float32)
+        facing = seen[:, 0] * n[:, 0] + seen[:, 1] * n[:, 1] + seen[:, 2] * n[:, 2]
+        sun = n @ _SUN
+        sun = np.where(facing > 0, -sun, sun)  # open visual meshes are seen from inside too
+        light = _AMBIENT + _HEAD * np.abs(facing) + _SUNLIGHT * np.maximum(sun, 0.0)
+        for plane in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
+            rows = np.flatnonzero(geom == plane)
+            light[rows] *= self._checker(camera, distance[rows], seen[rows], int(plane))
+        palette = np.vstack([model.geom_rgba[:, :3], [0.0, 0.0, 0.0]]).astype(np.float32)
+        color = palette[geom] * light[:, None]  # geom -1, nothing hit, takes the last row
+        sky = np.flatnonzero(geom < 0)
+        height = np.clip(seen[sky, 2:3] * 1.5 + 0.2, 0.0, 1.0)
+        color[sky] = _SKY_LOW + height * (_SKY_TOP - _SKY_LOW)
+        np.clip(color, 0.0, 1.0, out=color)
+        return (color * 255).astype(np.uint8).reshape(camera.height, camera.width, 3)
+
+    def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
+        """Brightness of points on an infinite plane: squares that fade out in the distance."""
+        axes = self.data.geom_xmat[plane].reshape(3, 3)[:, :2].astype(np.float32)
+        start = ((camera.T_world_camera.translation - self.data.geom_xpos[plane]) @ axes).astype(np.float32)
+        distance = distance.astype(np.float32)
+        local = start + distance[:, None] * (seen @ axes)
+        odd = np.floor(local / _CHECKER).astype(np.int32).sum(1) & 1
+        return 1.0 - 0.14 * odd * np.clip(1.0 - distance / 12.0, 0.0, 1.0)
+
+
+def _drawn(world: SimWorld) -> _DrawnScene:
+    scene = world.render_cache
+    if scene is None or scene.source is not world.built.mj:
+        scene = world.render_cache = _DrawnScene(world)
+    scene.follow(world)
+    return scene
+
+
+# --- rays ---
+def _rays(camera: Camera) -> NDArray[np.float64]:
+    """Unit directions (height * width, 3) through the pixel centres, camera frame."""
+    x = (np.arange(camera.width) - (camera.width - 1) / 2) / camera.focal
+    y = (np.arange(camera.height) - (camera.height - 1) / 2) / camera.focal
+    rays = np.empty((camera.height, camera.width, 3))
+    rays[..., 0], rays[..., 1], rays[..., 2] = x[None, :], y[:, None], 1.0
+    rays = rays.reshape(-1, 3)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+@lru_cache(maxsize=8)
+def _tiles(width: int, height: int) -> tuple[NDArray[np.int64], ...]:
+    """Pixel numbers by tile. Most geoms are out of a tile's sight, which halves the work of one big cast."""
+    pixels = np.arange(width * height).reshape(height, width)
+    return tuple(
+        pixels[y : y + _TILE, x : x + _TILE].ravel()
+        for y in range(0, height, _TILE)
+        for x in range(0, width, _TILE)
+    )
+
+
+def _cast(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    camera: Camera,
+    rays: NDArray[np.float64],
+    groups: tuple[int, ...],
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    """Distance (n,) [m] along each ray (-1: nothing), geom (n,) or -1, surface normal (n, 3) in the world."""
+    T = camera.T_world_camera
+    n = len(rays)
+    directions = np.ascontiguousarray(rays @ T.rotation.matrix.T)
+    shown = np.zeros(6, dtype=np.uint8)
+    shown[list(groups)] = 1
+    geom = np.full(n, -1, dtype=np.int32)
+    distance = np.full(n, -1.0)
+    normal = np.zeros((n, 3))
+    eye = T.translation.reshape(3, 1)
+    for tile in _tiles(camera.width, camera.height):
+        k = len(tile)
+        g, d, m = np.full(k, -1, dtype=np.int32), np.full(k, -1.0), np.zeros(3 * k)
+        toward = directions[tile].reshape(-1, 1)
+        mujoco.mj_multiRay(model, data, eye, toward, shown, True, -1, g, d, m, k, _MAX_DEPTH)
+        geom[tile], distance[tile], normal[tile] = g, d, m.reshape(k, 3)
+    beyond = distance > _MAX_DEPTH  # infinite planes are cut off by nobody else
+    distance[beyond], geom[beyond] = -1.0, -1
+    return distance, geom, normal
