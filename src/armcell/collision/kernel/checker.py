@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
-from armcell.collision.kernel.block import EXACT, PADDED, check, workspace
+from armcell.collision.kernel.block import EXACT, PADDED, check
+from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.layout import flatten
-from armcell.collision.kernel.motion import certify_points, free_edge
+from armcell.collision.kernel.motion import free_edge, prove_points
 from armcell.collision.kernel.pack import pack
 from armcell.scene import PlanningScene
 
@@ -35,9 +36,9 @@ class KernelChecker:
         self.columns = np.array(scene.model.columns(names), dtype=np.int64)
         self.pack, self.names = pack(scene, names)
         self.flat = flatten(self.pack)
-        self.lanes, self.stamps, self.scratch = workspace(self.flat)
-        self.extra = np.zeros(max(len(self.pack.frame), 1), np.float32)
-        self.extra_pair = np.zeros(max(len(self.pack.pairs), 1), np.float32)
+        self.lanes, self.state, self.scratch = workspace(self.flat)
+        self.slack = np.zeros(max(len(self.pack.frame), 1), np.float32)
+        self.slack_pair = np.zeros(max(len(self.pack.pairs), 1), np.float32)
         self._exact: ExactChecker | None = None
 
     @property
@@ -48,8 +49,8 @@ class KernelChecker:
 
     @property
     def arrays(self) -> tuple:
-        """What every kernel function takes first: pack, workspace, margins."""
-        return (*self.flat, self.lanes, self.stamps, self.scratch, self.extra, self.extra_pair)
+        """What every kernel function takes first: pack, workspace, slack."""
+        return (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
 
     def relax_margins(self, q: ArrayLike) -> None:
         """Lower the padding of pairs that are closer than it at q, but do not touch (see the exact one)."""
@@ -58,21 +59,18 @@ class KernelChecker:
             return
         for (body, item), margin in near.items():
             for k, b in enumerate(self.names.bodies):
-                for o, name in enumerate(self.names.shapes):
+                for o, name in enumerate(self.names.objects):
                     if b == body and name == item and self.pack.margin[k, o] >= 0:
                         self.pack.margin[k, o] = min(self.pack.margin[k, o], margin)
         self.flat = flatten(self.pack)
 
     def is_free(self, q: ArrayLike) -> bool:
         """Whether nothing that the group can move touches anything (padding included)."""
-        self.extra[:] = 0
-        self.extra_pair[:] = 0
         return not check(*self.arrays, EXACT | PADDED, np.ascontiguousarray(q, dtype=float))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
         """Whether a straight motion is free at samples at most `step` [rad] apart."""
-        a, b = np.ascontiguousarray(a, dtype=float), np.ascontiguousarray(b, dtype=float)
-        return bool(free_edge(*self.arrays, a, b, step))
+        return bool(free_edge(*self.arrays, np.array([a, b], dtype=float), step))
 
     def certify(
         self, waypoints: ArrayLike, slack: ArrayLike | None = None, padded: bool = False
@@ -82,7 +80,7 @@ class KernelChecker:
         if len(points) == 1:
             points = np.vstack([points, points])
         room = np.zeros(len(self.joint_names)) if slack is None else np.ascontiguousarray(slack, dtype=float)
-        at = float(certify_points(*self.arrays, points, room, padded))
+        at = float(prove_points(*self.arrays, points, room, PADDED if padded else 0))
         if at < 0:
             return Certificate(True)
         # Where and what: the exact checker says it more precisely, from the edge the kernel stopped at.

@@ -8,19 +8,14 @@ contact the solid is; where the inner ball (depth d) is hit the solid certainly 
 
 from __future__ import annotations
 
-import hashlib
-import logging
-import os
-import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
-from zipfile import BadZipFile
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell._cache import cache_root
+from armcell.collision.kernel.store import keep, key_of, recall
 from armcell.collision.kernel.surface import depths, interior_points, outer_skin, triangulated
 from armcell.core import Shape
 
@@ -28,8 +23,6 @@ Array = NDArray[np.float64]
 
 GROUP = 8  # spheres that share a bounding sphere
 FIT_VERSION = 1  # to be raised when `fit` gives other spheres
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,20 +91,12 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
 
     Kept on disk by the shape's content: a robot's covers are fitted once per machine.
     """
-    file = cache_root() / "covers" / f"{shape_key(shape, overshoot)}.npz"
-    try:
-        with np.load(file) as stored:
-            return _grouped(stored["centres"], stored["outer"], stored["inner"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        pass  # not there, or cut off: fit it
+    key = shape_key(shape, overshoot)
+    stored = recall("covers", key)
+    if stored is not None and {"centres", "outer", "inner"} <= stored.keys():
+        return _grouped(stored["centres"], stored["outer"], stored["inner"])
     found = fit(shape, overshoot)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".npz", delete=False) as temporary:
-            np.savez(temporary, centres=found.centres, outer=found.outer, inner=found.inner)
-        os.replace(temporary.name, file)
-    except OSError as error:
-        logger.info("cannot keep the sphere cover in %s: %s", file, error)
+    keep("covers", key, centres=found.centres, outer=found.outer, inner=found.inner)
     return found
 
 
@@ -178,11 +163,8 @@ def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
 
 def shape_key(shape: Shape, overshoot: float) -> str:
     """A name for the cover of a shape, the same in every process; another one when the fitting changes."""
-    digest = hashlib.sha256(f"{FIT_VERSION} {overshoot:.6f}".encode())
+    version = f"{FIT_VERSION} {overshoot:.6f}"
     vertices = getattr(shape, "vertices", None)
-    if vertices is not None:
-        digest.update(vertices.tobytes())
-        digest.update(shape.faces.tobytes())  # type: ignore[union-attr]
-    else:
-        digest.update(repr(shape).encode())
-    return digest.hexdigest()[:32]
+    if vertices is None:
+        return key_of(version, repr(shape))
+    return key_of(version, vertices, shape.faces)  # type: ignore[union-attr]

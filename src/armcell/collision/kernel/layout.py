@@ -16,7 +16,7 @@ from armcell.collision.kernel.pack import Pack
 Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
 
 # counts
-DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, BLOCKS, SHAPES = range(8)
+DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
 # where each table of integers begins in I
 (
     PARENT,
@@ -27,12 +27,18 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, BLOCKS, SHAPES = range(8)
     GROUP_SPHERES,
     BODY_PIECES,
     PAIR,
+    NEAR,
+    NEAR_GROUPS,
+    MEET,
+    MEET_GROUPS,
     SHAPE_KIND,
+    SHAPE_OBJECT,
     SHAPE_PLANES,
     SHAPE_PIECES,
+    CHILD,
     PIECE_KIND,
     PIECE_POINTS,
-) = range(8, 21)
+) = range(7, 26)
 # of floats in F
 (
     FIXED,
@@ -43,14 +49,23 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, BLOCKS, SHAPES = range(8)
     MARGIN,
     GROUP_SPHERE,
     SPHERE,
+    RATE,
+    PAIR_RATE,
     SHAPE_POSE,
     SHAPE_SIZE,
     PLANES,
     BOXES,
-) = range(21, 33)
+) = range(26, 40)
 # of doubles in D
-PIECE_SIZE, PIECE_POSE, PIECE_BALL, POINTS, REACH, PAIR_REACH = range(33, 39)
-HEADER = 40
+(
+    PIECE_SIZE,
+    PIECE_POSE,
+    PIECE_BALL,
+    POINTS,
+    REACH,
+    PAIR_REACH,
+) = range(40, 46)
+HEADER = 48
 
 _INTS = (
     "parent",
@@ -61,9 +76,15 @@ _INTS = (
     "group_spheres",
     "body_pieces",
     "pairs",
+    "near",
+    "near_groups",
+    "meet",
+    "meet_groups",
     "shape_kind",
+    "shape_object",
     "shape_planes",
     "shape_pieces",
+    "child",
     "piece_kind",
     "piece_points",
 )
@@ -76,19 +97,28 @@ _FLOATS = (
     "margin",
     "group_sphere",
     "sphere",
+    "rate",
+    "pair_rate",
     "shape_pose",
     "shape_size",
     "planes",
     "boxes",
 )
-_DOUBLES = ("piece_size", "piece_pose", "piece_ball", "points", "reach", "pair_reach")
+_DOUBLES = (
+    "piece_size",
+    "piece_pose",
+    "piece_ball",
+    "points",
+    "reach",
+    "pair_reach",
+)
 
 
 def flatten(p: Pack) -> Flat:
     """The three arrays of a pack."""
     counts = [
-        p.dof, len(p.parent), len(p.frame), len(p.group_sphere), len(p.sphere), len(p.pairs), len(p.boxes),
-        len(p.shape_kind),
+        p.dof, len(p.parent), len(p.frame), len(p.group_sphere), len(p.sphere), len(p.pairs),
+        p.margin.shape[1],
     ]  # fmt: skip
     header = np.zeros(HEADER, np.int32)
     header[: len(counts)] = counts

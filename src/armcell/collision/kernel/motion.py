@@ -7,110 +7,163 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.collision.kernel.block import EXACT, PADDED, check_block
+from armcell.collision.kernel.block import EVERY, EXACT, FIRST, PADDED, PROVE, check_block
+from armcell.collision.kernel.frames import TOUCHING, half_at, rate_at
 from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REACH
 from armcell.collision.kernel.simd import L, fma, iota, pointer, splat, store
 
-MIN_MARGIN = 2e-4
-"""[m] Intervals whose motion is below this are not cut further: closer than that counts as touching."""
+FINEST = 1e-4
+"""[rad] Half intervals shorter than this are not cut further: closer than their motion counts as touching."""
 
-MAX_DEPTH = 24
+WIDEST = 0.12
+"""[rad] Length of the intervals that a proof begins with, where 16 of them are enough for the edge."""
+
+CERTAIN = np.float32(1e-5)
+"""[m] Room for rounding in float32 in every proof."""
+
+PROVEN = 2.0
+ROOM = 2048  # intervals that may wait in a proof
 
 
 @njit(cache=True, forceinline=True)
-def spread(I, w, a, b, at, step):
-    """16 configurations on the way from a to b (pointers), at fractions at, at + step, ..."""
+def spread(I, w, p, a, b, at, step):
+    """16 configurations between those at p[a:] and p[b:], at fractions at, at + step, ..."""
     t = fma(iota(), splat(step), splat(at))
     for j in range(I[DOF]):
-        store(w, j * L, fma(t, splat(b[j] - a[j]), splat(a[j])))
+        store(w, j * L, fma(t, splat(p[b + j] - p[a + j]), splat(p[a + j])))
 
 
 @njit(cache=True)
-def edge_free(I, F, D, w, stamps, s, none, none_pair, a, b, step):
-    """Whether the straight motion from a to b is free at samples at most `step` [rad] apart, b included.
+def edge_free(I, F, D, w, state, s, slack, slack_pair, p, a, b, step):
+    """Whether the motion from p[a:] to p[b:] is free at samples at most `step` [rad] apart, b included.
 
     The first 16 samples are spread over the whole edge, so a blocked one is mostly found at once.
     """
     length = 0.0
     for j in range(I[DOF]):
-        length += (b[j] - a[j]) ** 2
+        length += (p[b + j] - p[a + j]) ** 2
     blocks = max(int(np.ceil(np.sqrt(length) / (L * step))), 1)
     for k in range(blocks):
-        spread(I, w, a, b, (1.0 - k / blocks) / L, 1.0 / L)
-        if check_block(I, F, D, w, stamps, s, none, none_pair, EXACT | PADDED):
+        spread(I, w, p, a, b, (1.0 - k / blocks) / L, 1.0 / L)
+        if check_block(I, F, D, w, state, s, slack, slack_pair, EVERY, EXACT | PADDED) != 0:
             return False
     return True
 
 
 @njit(cache=True)
-def certify_edge(I, F, D, w, stamps, s, extra, extra_pair, a, b, slack, padded):
-    """Fraction of the motion from a to b that is proven free: 2.0 if all of it is, else where it is not.
+def prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, count, at, mode, finest, all_of_them):
+    """Prove straight motions free, several at once; returns how many are not.
 
-    Around each of 16 configurations every body is grown by the most that its points can move until halfway
-    to the next one; what is free then is free in between. Where that cannot be shown the interval is halved.
+    Each edge is cut into intervals. Around the middle of each every body is grown by the most that its
+    points can move in half of it; what is free then is free in between. Where that cannot be shown the
+    interval is halved. Sixteen intervals, of whatever edges, are looked at together.
 
     Args:
-        extra, extra_pair: room for (bodies,) and (pairs,) float32 margins.
-        slack: (dof,) how far each joint may be off the straight line [rad].
-        padded: keep the bodies' padding as well, not only clear of contact.
+        p: configurations; edge e goes from p[first[e]:] to p[last[e]:].
+        at: out, (count,) PROVEN, or the fraction of the edge where the proof failed.
+        finest: [rad], see FINEST. all_of_them: False to stop at the first edge that fails.
     """
-    dof, depth = I[DOF], 0
-    mode = EXACT | PADDED if padded else EXACT
-    left = np.empty(MAX_DEPTH + 2)
-    width = np.empty(MAX_DEPTH + 2)
-    left[0], width[0] = 0.0, 1.0
-    while depth >= 0:
-        t, size = left[depth], width[depth]
-        depth -= 1
-        half, largest = size / (2 * L), 0.0
-        for k in range(I[BODIES]):
-            m = 1e-5
+    dof, bad, edge, waiting = I[DOF], 0, 0, 0
+    which, middle, half = np.empty(ROOM, np.int64), np.empty(ROOM), np.empty(ROOM)
+    for e in range(count):
+        at[e] = PROVEN
+    mode |= EXACT | PROVE if all_of_them else EXACT | PROVE | FIRST
+    while True:
+        while waiting < L and edge < count:
+            length = 0.0
             for j in range(dof):
-                m += D[I[REACH] + dof * k + j] * (abs(b[j] - a[j]) * half + slack[j])
-            largest = max(largest, m)
-            extra[k] = np.float32(m)
-        for k in range(I[PAIRS]):
-            m = 1e-5
-            for j in range(dof):
-                m += D[I[PAIR_REACH] + dof * k + j] * (abs(b[j] - a[j]) * half + slack[j])
-            extra_pair[k] = np.float32(m)
-        spread(I, w, a, b, np.float32(t + half), np.float32(2 * half))
-        if not check_block(I, F, D, w, stamps, s, extra, extra_pair, mode):
+                length += (p[last[edge] + j] - p[first[edge] + j]) ** 2
+            n = min(max(int(np.ceil(np.sqrt(length) / WIDEST)), 1), L)
+            for k in range(n):
+                which[waiting], middle[waiting], half[waiting] = edge, (k + 0.5) / n, 0.5 / n
+                waiting += 1
+            edge += 1
+        n = 0
+        begin = waiting
+        while n < L and begin > 0:  # take the newest, and drop those of edges that have failed
+            begin -= 1
+            if at[which[begin]] != PROVEN:
+                continue
+            # Those taken are kept behind one another from the end of the room on.
+            slot = ROOM - 1 - n
+            which[slot], middle[slot], half[slot] = which[begin], middle[begin], half[begin]
+            n += 1
+        waiting = begin
+        if n == 0:
+            if edge >= count:
+                return bad
             continue
-        # Is it the margin, or does it touch?
-        for k in range(I[BODIES]):
-            extra[k] = np.float32(0.0)
-        for k in range(I[PAIRS]):
-            extra_pair[k] = np.float32(0.0)
-        spread(I, w, a, b, np.float32(t + half), np.float32(2 * half))
-        touching = check_block(I, F, D, w, stamps, s, extra, extra_pair, mode)
-        if touching or largest < MIN_MARGIN or depth + 2 > MAX_DEPTH:
-            return t + size / 2
-        left[depth + 1], width[depth + 1] = t + size / 2, size / 2
-        left[depth + 2], width[depth + 2] = t, size / 2
-        depth += 2
-    return 2.0
+        for lane in range(L):
+            slot = ROOM - 1 - (lane if lane < n else 0)
+            a, b, t = first[which[slot]], last[which[slot]], middle[slot]
+            for j in range(dof):
+                rate = p[b + j] - p[a + j]
+                w[j * L + lane] = np.float32(p[a + j] + t * rate)
+                w[rate_at(I, j) + lane] = np.float32(rate)
+            w[half_at(I) + lane] = np.float32(half[slot])
+        lanes = (np.int64(1) << n) - 1
+        left = check_block(I, F, D, w, state, s, slack, slack_pair, lanes, mode)
+        if left == 0:
+            continue
+        for lane in range(n):
+            if left & (np.int64(1) << lane) == 0:
+                continue
+            slot = ROOM - 1 - lane
+            e = which[slot]
+            if at[e] != PROVEN:
+                continue
+            length = 0.0
+            for j in range(dof):
+                length = max(length, abs(p[last[e] + j] - p[first[e] + j]))
+            t, h = middle[slot], half[slot] / 2
+            if state[TOUCHING] & (np.int64(1) << lane) or h * length < finest or waiting + 2 * L > ROOM - L:
+                at[e] = t
+                bad += 1
+                if not all_of_them:
+                    return bad
+                continue
+            which[waiting], middle[waiting], half[waiting] = e, t + h, h
+            which[waiting + 1], middle[waiting + 1], half[waiting + 1] = e, t - h, h
+            waiting += 2
+
+
+@njit(cache=True)
+def loosen(I, D, room, slack, slack_pair):
+    """Fill the slack of bodies and pairs [m] from how far each joint may be off the edge, room (dof,)."""
+    dof = I[DOF]
+    for k in range(I[BODIES]):
+        m = 0.0
+        for j in range(dof):
+            m += D[I[REACH] + dof * k + j] * room[j]
+        slack[k] = np.float32(m) + CERTAIN
+    for k in range(I[PAIRS]):
+        m = 0.0
+        for j in range(dof):
+            m += D[I[PAIR_REACH] + dof * k + j] * room[j]
+        slack_pair[k] = np.float32(m) + CERTAIN
 
 
 @njit(cache=True, nogil=True)
-def free_edge(I, F, D, w, stamps, s, extra, extra_pair, a, b, step):
-    """`edge_free` on arrays."""
-    extra[:] = 0
-    extra_pair[:] = 0
+def free_edge(I, F, D, w, state, s, slack, slack_pair, ends, step):
+    """`edge_free` on arrays: ends (2, dof)."""
     return edge_free(
-        pointer(I), pointer(F), pointer(D), pointer(w), pointer(stamps), pointer(s), pointer(extra),
-        pointer(extra_pair), pointer(a), pointer(b), step,
+        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
+        pointer(slack_pair), pointer(ends), 0, ends.shape[1], step,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def certify_points(I, F, D, w, stamps, s, extra, extra_pair, points, slack, padded):
+def prove_points(I, F, D, w, state, s, slack, slack_pair, points, room, mode):
     """Where on a piecewise linear motion (k, dof) the proof fails, counted in edges; -1.0 if nowhere."""
-    for i in range(len(points) - 1):
-        t = certify_edge(
-            pointer(I), pointer(F), pointer(D), pointer(w), pointer(stamps), pointer(s), pointer(extra),
-            pointer(extra_pair), pointer(points[i]), pointer(points[i + 1]), pointer(slack), padded,
-        )  # fmt: skip
-        if t <= 1.0:
-            return i + t
+    k, dof = points.shape
+    rows, at = np.arange(k) * dof, np.empty(k)  # both are used after the call: pointers do not keep them
+    loosen(pointer(I), pointer(D), pointer(room), pointer(slack), pointer(slack_pair))
+    prove(
+        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
+        pointer(slack_pair), pointer(points), pointer(rows), pointer(rows[1:]), k - 1, pointer(at), mode,
+        FINEST, False,
+    )  # fmt: skip
+    for e in range(k - 1):
+        if at[e] != PROVEN:
+            return rows[e] / dof + at[e]
     return -1.0

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel.block import PADDED
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.simd import L
 from armcell.planning.native.rrt_connect import rrt_connect
-from armcell.planning.native.smooth import certify_path, smooth
-from armcell.planning.native.tree import new_tree
+from armcell.planning.native.smooth import simplify
+from armcell.planning.native.tree import new_trees
 
 Array = NDArray[np.float64]
 
@@ -49,11 +50,13 @@ class NativePlanner:
     def __init__(self, checker: KernelChecker, settings: NativeSettings = NativeSettings()):
         self.checker, self.settings = checker, settings
         dof = len(checker.joint_names)
-        self.tree_a, self.tree_b = new_tree(dof, settings.max_nodes), new_tree(dof, settings.max_nodes)
+        self.trees = new_trees(dof, settings.max_nodes)
         self.path = np.zeros((settings.max_waypoints, dof))
         self.room = np.zeros(4 * L, np.float32)
-        self.none = np.zeros_like(checker.extra)
-        self.none_pair = np.zeros_like(checker.extra_pair)
+        self.space = np.zeros(6 * self.path.size + 2 * len(self.path))
+        self.index = np.zeros(4 * len(self.path), np.int64)
+        self.ends = np.zeros(5 * dof)
+        self.found = np.zeros(4, np.int64)
         self.slack = np.zeros(dof)
 
     def search(
@@ -68,9 +71,7 @@ class NativePlanner:
     ) -> tuple[int, int, int]:
         """One search; fills `path` and returns waypoints, iterations, nodes."""
         c, s = self.checker, self.settings
-        c.extra[:] = 0
-        c.extra_pair[:] = 0
-        shift = np.random.default_rng(seed).random(len(start)) if seed else np.zeros(len(start))
+        shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
         return rrt_connect(
             *c.arrays,
             start,
@@ -80,9 +81,10 @@ class NativePlanner:
             shift,
             s.reach,
             step,
-            *self.tree_a,
-            *self.tree_b,
+            *self.trees,
             self.room,
+            self.ends,
+            self.found,
             stop,
             s.max_iterations,
             self.path,
@@ -96,7 +98,6 @@ class NativePlanner:
         upper: Array,
         seed: int = 0,
         stop: NDArray[np.int64] | None = None,
-        simplify: bool = True,
         rounds: int = 5,
     ) -> NativeAnswer:
         """A path whose every edge is proven free, or None.
@@ -117,25 +118,11 @@ class NativePlanner:
             plan_s += t1 - t0
             if count == 0:
                 break
-            proven = certify_path(*c.arrays, self.path, count, self.slack, False)
-            t2 = time.thread_time()
-            certify_s += t2 - t1
-            if not proven:
-                continue
             raw = self.path[:count].copy()
-            if simplify:
-                count = smooth(
-                    *c.arrays,
-                    self.none,
-                    self.none_pair,
-                    self.path,
-                    count,
-                    self.slack,
-                    False,
-                    self.settings.step,
-                    seed + 1,
-                )
-                simplify_s = time.thread_time() - t2
+            count = simplify(*c.arrays, self.path, count, self.space, self.index, self.slack, PADDED)
+            simplify_s += time.thread_time() - t1
+            if count == 0:
+                continue
             return NativeAnswer(
                 self.path[:count].copy(), raw, plan_s, simplify_s, certify_s, iterations, nodes
             )

@@ -1,5 +1,5 @@
-"""RRT-Connect (Kuffner and LaValle, ICRA 2000) on the kernel, with a dynamic domain (Yershova et al. 2005)
-and Halton samples; the choices follow VAMP (Thomason, Kingston and Kavraki, ICRA 2024).
+"""RRT-Connect (Kuffner and LaValle, ICRA 2000) on the kernel, with a dynamic domain (Yershova et al. 2005);
+the choices follow VAMP (Thomason, Kingston and Kavraki, ICRA 2024).
 """
 
 # pyright: reportCallIssue=false
@@ -9,27 +9,102 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
 from armcell.planning.native.tree import get, nearest, put
 
-PRIMES = np.array(
-    [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89]
-)
 DOMAIN = 4.0  # [rad] radius of a node's domain after its first failure
 DOMAIN_MIN = 1.0
 DOMAIN_STEP = 1e-4
+UNLIMITED = 1e9
 
 
 @njit(cache=True)
-def halton(index, base):
-    """Van der Corput number of an index in a base."""
-    result, f = 0.0, 1.0
-    while index > 0:
-        f /= base
-        result += f * (index % base)
-        index //= base
-    return result
+def kronecker_steps(dof, out):
+    """Steps of Roberts' R sequence in `dof` dimensions: powers of the root of 1/x^(d+1) = 1/x + 1.
+
+    u + k * step modulo 1 is as even as Halton's points, at the cost of an addition.
+    """
+    x = 2.0
+    for _ in range(40):
+        x = (1.0 + x) ** (1.0 / (dof + 1))
+    value = 1.0
+    for j in range(dof):
+        value /= x
+        out[j] = value
+
+
+@njit(cache=True)
+def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample, edge, reach, step, nodes,
+            parents, radii, capacity, goals, room, stop, max_iterations, found):  # fmt: skip
+    """`rrt_connect` on pointers. Tree 0 grows from the start, tree 1 from the goals; node i of tree t is
+    node t * capacity + i. Writes into found: node of tree 0, node of tree 1, iterations, nodes.
+    """
+    dof, q = I[DOF], 2 * I[DOF]  # edge: its two ends, then the sample
+    n0, n1, tree = 1, goals, 1
+    for iteration in range(1, max_iterations + 1):
+        if stop[0] != 0 or n0 + 64 > capacity or n1 + 64 > capacity:
+            break
+        found[2], found[3] = iteration, n0 + n1
+        mine, other = (n1, n0) if tree == 1 else (n0, n1)
+        if abs(mine - other) < mine:  # take turns, unless the other tree is twice as large
+            tree = 1 - tree
+            mine, other = other, mine
+        first, first_other = tree * capacity, (1 - tree) * capacity
+        for j in range(dof):
+            u = sample[j] + steps[j]
+            sample[j] = u - 1.0 if u >= 1.0 else u
+            edge[q + j] = lower[j] + (upper[j] - lower[j]) * sample[j]
+        i = nearest(nodes, dof, first, mine, edge, q, room)
+        get(nodes, dof, first + i, edge, 0)
+        distance = 0.0
+        for j in range(dof):
+            distance += (edge[q + j] - edge[j]) ** 2
+        distance, radius = np.sqrt(distance), radii[first + i]
+        if distance > radius:
+            continue
+        # Where long edges have failed, every other one is half as long: narrow places are left by those.
+        longest = reach if radius == UNLIMITED or iteration % 2 == 0 else 0.5 * reach
+        f = min(1.0, longest / max(distance, 1e-9))
+        for j in range(dof):
+            edge[dof + j] = edge[j] + f * (edge[q + j] - edge[j])
+        if not edge_free(I, F, D, w, state, s, slack, slack_pair, edge, 0, dof, step):
+            shrunk = max(radius * (1 - DOMAIN_STEP), DOMAIN_MIN)
+            radii[first + i] = DOMAIN if radius == UNLIMITED else shrunk
+            continue
+        if radius != UNLIMITED:
+            radii[first + i] = radius * (1 + DOMAIN_STEP)
+        put(nodes, dof, first + mine, edge, dof)
+        parents[first + mine], radii[first + mine] = i, UNLIMITED
+        mine += 1
+        # On towards the nearest node of the other tree, as far as it is free.
+        k = nearest(nodes, dof, first_other, other, edge, dof, room)
+        get(nodes, dof, first_other + k, edge, q)
+        distance = 0.0
+        for j in range(dof):
+            edge[j] = edge[dof + j]
+            edge[q + j] -= edge[j]
+            distance += edge[q + j] ** 2
+        count = max(int(np.ceil(np.sqrt(distance) / reach)), 1)
+        reached = True
+        for c in range(count):
+            for j in range(dof):
+                edge[dof + j] = edge[j] + edge[q + j] / count
+            if not edge_free(I, F, D, w, state, s, slack, slack_pair, edge, 0, dof, step):
+                reached = False
+                break
+            if c < count - 1:
+                put(nodes, dof, first + mine, edge, dof)
+                parents[first + mine], radii[first + mine] = mine - 1, UNLIMITED
+                mine += 1
+            for j in range(dof):
+                edge[j] = edge[dof + j]
+        n0, n1 = (mine, other) if tree == 0 else (other, mine)
+        if reached:
+            found[0], found[1] = (mine - 1, k) if tree == 0 else (k, mine - 1)
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
@@ -38,10 +113,10 @@ def rrt_connect(
     F,
     D,
     w,
-    stamps,
+    state,
     s,
-    extra,
-    extra_pair,
+    slack,
+    slack_pair,
     start,
     goals,
     lower,
@@ -49,13 +124,12 @@ def rrt_connect(
     shift,
     reach,
     step,
-    nodes_a,
-    parents_a,
-    radii_a,
-    nodes_b,
-    parents_b,
-    radii_b,
+    nodes,
+    parents,
+    radii,
     room,
+    space,
+    found,
     stop,
     max_iterations,
     path,
@@ -63,108 +137,50 @@ def rrt_connect(
     """Waypoints from the start to one of the goals, into path (m, dof).
 
     Args:
-        goals: (g, dof). shift: (dof,) in [0, 1), moves the Halton points (the seed).
+        goals: (g, dof). shift: (dof,) in [0, 1), where the samples begin (the seed).
         reach: longest edge [rad]. step: between validity checks [rad].
-        nodes, parents, radii: trees from the start and from the goals. room: float32 scratch.
+        nodes, parents, radii: room for both trees (see tree.new_trees). room: float32 scratch.
+        space: float64 scratch, 5 dof. found: int64 scratch, 4.
         stop: stop[0] != 0 ends the search at once; set by another thread.
     Returns:
         Number of waypoints (0: none found), iterations, nodes.
-    """  # fmt: skip
-    dof = len(start)
-    Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(stamps), pointer(s)
-    none, none_pair, spare = pointer(extra), pointer(extra_pair), pointer(room)
-    q, near, new = np.empty(dof), np.empty(dof), np.empty(dof)
-    qp, np_, newp = pointer(q), pointer(near), pointer(new)
-    capacity = len(parents_a)
-    a, pa, ra = nodes_a, parents_a, radii_a
-    b, pb, rb = nodes_b, parents_b, radii_b
-    put(pointer(a), dof, 0, pointer(start))
-    pa[0], ra[0] = -1, 1e9
+    """
+    dof, capacity = len(start), len(parents) // 2
+    found[:] = 0
+    n, p, c = pointer(nodes), pointer(parents), pointer(radii)
+    put(n, dof, 0, pointer(start), 0)
+    parents[0], radii[0] = -1, UNLIMITED
     for g in range(len(goals)):
-        put(pointer(b), dof, g, pointer(goals[g]))
-        pb[g], rb[g] = -1, 1e9
-    na, nb, from_start = 1, len(goals), True
-    iteration = 0
-    while iteration < max_iterations and stop[0] == 0 and na + 64 < capacity and nb + 64 < capacity:
-        iteration += 1
-        if na > nb:  # grow the smaller tree
-            a, b, pa, pb, ra, rb = b, a, pb, pa, rb, ra
-            na, nb = nb, na
-            from_start = not from_start
-        ap, bp = pointer(a), pointer(b)
-        for j in range(dof):
-            u = halton(iteration, PRIMES[j]) + shift[j]
-            q[j] = lower[j] + (upper[j] - lower[j]) * (u - np.floor(u))
-        i = nearest(ap, dof, na, qp, spare)
-        get(ap, dof, i, np_)
-        distance = 0.0
-        for j in range(dof):
-            distance += (q[j] - near[j]) ** 2
-        distance = np.sqrt(distance)
-        if distance > ra[i]:
-            continue
-        f = min(1.0, reach / max(distance, 1e-9))
-        for j in range(dof):
-            new[j] = near[j] + f * (q[j] - near[j])
-        if not edge_free(Ip, Fp, Dp, wp, tp, sp, none, none_pair, np_, newp, step):
-            ra[i] = DOMAIN if ra[i] > 1e8 else max(ra[i] * (1 - DOMAIN_STEP), DOMAIN_MIN)
-            continue
-        if ra[i] < 1e8:
-            ra[i] *= 1 + DOMAIN_STEP
-        put(ap, dof, na, newp)
-        pa[na], ra[na] = i, 1e9
-        na += 1
-        # Connect the other tree to the new node, step by step.
-        k = nearest(bp, dof, nb, newp, spare)
-        get(bp, dof, k, np_)
-        distance = 0.0
-        for j in range(dof):
-            distance += (new[j] - near[j]) ** 2
-        count = max(int(np.ceil(np.sqrt(distance) / reach)), 1)
-        last, reached = k, True
-        for j in range(dof):
-            q[j] = (new[j] - near[j]) / count
-        for c in range(count):
-            for j in range(dof):
-                new[j] = near[j] + q[j]
-            if not edge_free(Ip, Fp, Dp, wp, tp, sp, none, none_pair, np_, newp, step):
-                reached = False
-                break
-            if c < count - 1:
-                put(bp, dof, nb, newp)
-                pb[nb], rb[nb] = last, 1e9
-                last = nb
-                nb += 1
-            for j in range(dof):
-                near[j] = new[j]
-        if not reached:
-            continue
-        # Join: from the new node of a to its root, and from `last` of b to its root.
-        return _join(dof, a, pa, na - 1, b, pb, last, from_start, path), iteration, na + nb
-    return 0, iteration, na + nb
-
-
-@njit(cache=True)
-def _join(dof, a, pa, i, b, pb, k, a_from_start, path):
-    first, pf, f0, second, ps, s0 = a, pa, i, b, pb, k
-    if not a_from_start:
-        first, pf, f0, second, ps, s0 = b, pb, k, a, pa, i
-    m, node = 0, f0
-    while node >= 0:
-        m += 1
-        node = pf[node]
-    total, node = m, s0
-    while node >= 0:
-        total += 1
-        node = ps[node]
-    if total > len(path):
-        return 0
-    node, row = f0, m - 1
-    while node >= 0:
-        get(pointer(first), dof, node, pointer(path[row]))
-        node, row = pf[node], row - 1
-    node, row = s0, m
-    while node >= 0:
-        get(pointer(second), dof, node, pointer(path[row]))
-        node, row = ps[node], row + 1
-    return total
+        put(n, dof, capacity + g, pointer(goals), g * dof)
+        parents[capacity + g], radii[capacity + g] = -1, UNLIMITED
+    kronecker_steps(dof, space[3 * dof :])
+    space[4 * dof : 5 * dof] = shift
+    if not _search(
+        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
+        pointer(slack_pair), pointer(lower), pointer(upper), pointer(space[3 * dof :]),
+        pointer(space[4 * dof :]), pointer(space), reach, step, n, p, c, capacity, len(goals), pointer(room),
+        pointer(stop), max_iterations, pointer(found),
+    ):  # fmt: skip
+        return 0, found[2], found[3]
+    before, after = 0, 0
+    i, k = found[0], found[1]
+    while i >= 0:
+        before += 1
+        i = parents[i]
+    while k >= 0:
+        after += 1
+        k = parents[capacity + k]
+    if before + after > len(path):
+        return 0, found[2], found[3]
+    i, k = found[0], found[1]
+    for row in range(before - 1, -1, -1):
+        get(n, dof, i, pointer(path), row * dof)
+        i = parents[i]
+    for row in range(before, before + after):
+        get(n, dof, capacity + k, pointer(path), row * dof)
+        if row < before + after - 1:
+            k = parents[capacity + k]
+    # The trees are kept in float32; the ends are the caller's own.
+    path[0] = start
+    path[before + after - 1] = goals[k]
+    return before + after, found[2], found[3]

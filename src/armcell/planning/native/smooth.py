@@ -1,4 +1,7 @@
-"""Shorter, smoother paths on the kernel; only edges that are proven free are accepted."""
+"""Shorter, smoother paths on the kernel; only edges that are proven free are accepted.
+
+Paths are rows of a flat float64 buffer `p`, behind bare pointers; `k` stands for the kernel's eight arrays.
+"""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -7,70 +10,46 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.collision.kernel.motion import certify_edge, edge_free
+from armcell.collision.kernel.layout import DOF
+from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
 from armcell.collision.kernel.simd import pointer
 
+COARSE = 4e-3
+"""[rad] Proofs of what is only meant to be shorter stop at intervals of this half width: a shortcut that
+needs finer ones passes within a few millimetres of something and is not worth its proof."""
 
-@njit(cache=True, nogil=True)
-def certify_path(I, F, D, w, stamps, s, extra, extra_pair, path, count, slack, padded):
-    """Whether all edges of path[:count] are proven free."""
-    Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(stamps), pointer(s)
-    for i in range(count - 1):
-        if certify_edge(Ip, Fp, Dp, wp, tp, sp, pointer(extra), pointer(extra_pair), pointer(path[i]),
-                        pointer(path[i + 1]), pointer(slack), padded) <= 1.0:  # fmt: skip
-            return False
-    return True
+MIN_CHANGE = 0.01  # [rad] smaller moves of a corner are not tried
+ROUNDS = 6
 
 
 @njit(cache=True)
-def _proven(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, a, b, slack, padded, step):
-    """First the cheap test that finds most contacts, then the proof."""
-    Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(stamps), pointer(s)
-    ap, bp = pointer(a), pointer(b)
-    if not edge_free(Ip, Fp, Dp, wp, tp, sp, pointer(none), pointer(none_pair), ap, bp, step):
-        return False
-    return (
-        certify_edge(
-            Ip, Fp, Dp, wp, tp, sp, pointer(extra), pointer(extra_pair), ap, bp, pointer(slack), padded
-        )
-        > 1.0
-    )
-
-
-@njit(cache=True)
-def _length(path, i, j):
+def _distance(p, dof, a, b):
     total = 0.0
-    for k in range(i, j):
-        total += np.sqrt(np.sum((path[k + 1] - path[k]) ** 2))
-    return total
+    for j in range(dof):
+        total += (p[b + j] - p[a + j]) ** 2
+    return np.sqrt(total)
 
 
 @njit(cache=True)
-def _shortcut(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step):
+def _copy(p, dof, src, dst):
+    for j in range(dof):
+        p[dst + j] = p[src + j]
+
+
+@njit(cache=True)
+def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at, mode):
     """Join each vertex with the farthest later one that a proven straight line reaches."""
-    i = 0
+    dof, i = I[DOF], 0
     while i < count - 2:
         for j in range(count - 1, i + 1, -1):
-            if _proven(
-                I,
-                F,
-                D,
-                w,
-                stamps,
-                s,
-                extra,
-                extra_pair,
-                none,
-                none_pair,
-                path[i],
-                path[j],
-                slack,
-                padded,
-                step,
+            first[0], last[0] = i * dof, j * dof
+            if (
+                prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 1, at, mode, COARSE, False)
+                == 0
             ):
                 gone = j - i - 1
                 for k in range(j, count):
-                    path[k - gone] = path[k]
+                    _copy(p, dof, k * dof, (k - gone) * dof)
                 count -= gone
                 break
         i += 1
@@ -78,136 +57,91 @@ def _shortcut(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, c
 
 
 @njit(cache=True)
-def _cut_corners(
-    I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step, rng
-):
-    """Random points on the path joined by proven straight lines."""
-    dof = path.shape[1]
-    a, b = np.empty(dof), np.empty(dof)
-    failures, tries = 0, 0
-    while failures < 6 and tries < 24 and count > 2 and count + 2 < len(path):
-        tries += 1
-        total = _length(path, 0, count - 1)
-        rng[0] = (rng[0] * 1103515245 + 12345) % 2147483648
-        u = rng[0] / 2147483648.0 * total
-        rng[0] = (rng[0] * 1103515245 + 12345) % 2147483648
-        v = rng[0] / 2147483648.0 * total
-        u, v = min(u, v), max(u, v)
-        i, at = 0, 0.0
-        while i < count - 2 and at + _length(path, i, i + 1) < u:
-            at += _length(path, i, i + 1)
-            i += 1
-        j, bt = i, at
-        while j < count - 2 and bt + _length(path, j, j + 1) < v:
-            bt += _length(path, j, j + 1)
-            j += 1
-        if i == j:
-            failures += 1
-            continue
-        fa = (u - at) / max(_length(path, i, i + 1), 1e-12)
-        fb = (v - bt) / max(_length(path, j, j + 1), 1e-12)
-        for k in range(dof):
-            a[k] = path[i, k] + fa * (path[i + 1, k] - path[i, k])
-            b[k] = path[j, k] + fb * (path[j + 1, k] - path[j, k])
-        gain = (v - u) - np.sqrt(np.sum((b - a) ** 2))
-        if gain < 5e-3 * total or not _proven(
-            I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, a, b, slack, padded, step
-        ):
-            failures += 1
-            continue
-        failures = 0
-        # path[i + 1 .. j] is replaced by a, b: pieces of edges that are proven already.
-        move = 2 - (j - i)
-        if move > 0:
-            for k in range(count - 1, j, -1):
-                path[k + move] = path[k]
-        elif move < 0:
-            for k in range(j + 1, count):
-                path[k + move] = path[k]
-        path[i + 1] = a
-        path[i + 2] = b
-        count += move
-    return count
+def _round_corners(I, F, D, w, state, s, slack, slack_pair, p, count, room, first, last, at, mode):
+    """Move corners towards the middle between the midpoints of their edges, where that is proven free.
 
-
-@njit(cache=True)
-def _spline(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step):
-    """One round of B-spline smoothing: midpoints are added, corners move between their neighbours."""
-    dof = path.shape[1]
-    if 2 * count - 1 > len(path):
+    p: rows, count of them, and as many again as `room` behind them for what is tried. Returns count, changed.
+    """
+    dof, tried = I[DOF], 0
+    base = room * dof  # triples: midpoint before, corner moved, midpoint after
+    for i in range(1, count - 1):
+        a, b, c = (i - 1) * dof, i * dof, (i + 1) * dof
+        t, change = base + 3 * i * dof, 0.0
+        for j in range(dof):
+            before, after = 0.5 * (p[a + j] + p[b + j]), 0.5 * (p[b + j] + p[c + j])
+            corner = 0.5 * p[b + j] + 0.25 * (before + after)
+            p[t + j], p[t + dof + j], p[t + 2 * dof + j] = before, corner, after
+            change += (corner - p[b + j]) ** 2
+        at[2 * i] = -1.0
+        if change > MIN_CHANGE * MIN_CHANGE:
+            first[2 * tried], last[2 * tried] = t, t + dof
+            first[2 * tried + 1], last[2 * tried + 1] = t + dof, t + 2 * dof
+            tried += 1
+    if tried == 0:
         return count, False
-    for i in range(count - 1, 0, -1):
-        path[2 * i] = path[i]
-    count = 2 * count - 1
-    for i in range(1, count - 1, 2):
-        path[i] = 0.5 * (path[i - 1] + path[i + 1])
-    changed, corner = False, np.empty(dof)
-    for i in range(2, count - 2, 2):
-        corner[:] = 0.25 * path[i - 1] + 0.5 * path[i] + 0.25 * path[i + 1]
-        if np.sqrt(np.sum((corner - path[i]) ** 2)) < 5e-3:
-            continue
-        if _proven(
-            I,
-            F,
-            D,
-            w,
-            stamps,
-            s,
-            extra,
-            extra_pair,
-            none,
-            none_pair,
-            path[i - 1],
-            corner,
-            slack,
-            padded,
-            step,
-        ) and _proven(
-            I,
-            F,
-            D,
-            w,
-            stamps,
-            s,
-            extra,
-            extra_pair,
-            none,
-            none_pair,
-            corner,
-            path[i + 1],
-            slack,
-            padded,
-            step,
-        ):
-            path[i] = corner
-            changed = True
-    return count, changed
+    prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 2 * tried, at, mode, COARSE, True)
+    # Write the new path behind the triples, then over the old one.
+    out, n, k, changed = base + 3 * count * dof, 0, 0, False
+    _copy(p, dof, 0, out)
+    n = 1
+    for i in range(1, count - 1):
+        t = base + 3 * i * dof
+        moved = k < tried and first[2 * k] == t
+        if moved:
+            good = at[2 * k] == PROVEN and at[2 * k + 1] == PROVEN
+            k += 1
+            if good and n + 4 < room:
+                changed = True
+                if _distance(p, dof, out + (n - 1) * dof, t) > 1e-9:
+                    _copy(p, dof, t, out + n * dof)
+                    n += 1
+                _copy(p, dof, t + dof, out + n * dof)
+                _copy(p, dof, t + 2 * dof, out + (n + 1) * dof)
+                n += 2
+                continue
+        _copy(p, dof, i * dof, out + n * dof)
+        n += 1
+    if not changed or n + 1 > room:
+        return count, False
+    if _distance(p, dof, out + (n - 1) * dof, (count - 1) * dof) > 1e-9:
+        _copy(p, dof, (count - 1) * dof, out + n * dof)
+        n += 1
+    for i in range(n):
+        _copy(p, dof, out + i * dof, i * dof)
+    return n, True
 
 
 @njit(cache=True, nogil=True)
-def smooth(I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step, seed):
-    """Shorten path[:count] in place; returns the new count. Every edge it makes is proven free.
+def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index, room, mode):
+    """Prove path[:count], then shorten it in place; every edge it returns is proven free.
 
     Args:
-        extra, extra_pair: room for margins. none, none_pair: zeros.
+        path: (m, dof). space: float64 scratch of 6 m dof + 2 m numbers. index: int64 scratch
+            of 4 m. room: (dof,) how far each joint may be off
+            the edges [rad].
+    Returns:
+        The new count; 0 if the path as given cannot be proven.
     """
-    rng = np.empty(1, np.int64)
-    rng[0] = seed
-    if count > 2:
-        count = _shortcut(
-            I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step
-        )
-    if count <= 2:
-        return count
-    count = _cut_corners(
-        I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step, rng
-    )
-    for _ in range(4):
-        count, changed = _spline(
-            I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step
-        )
+    Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s)
+    lp, lq = pointer(slack), pointer(slack_pair)
+    m, dof = path.shape
+    p, a, f, t = pointer(space), pointer(space[6 * m * dof :]), pointer(index), pointer(index[2 * m :])
+    for i in range(count):
+        for j in range(dof):
+            p[i * dof + j] = path[i, j]
+    loosen(Ip, Dp, pointer(room), lp, lq)
+    for i in range(count - 1):
+        f[i], t[i] = i * dof, (i + 1) * dof
+    if prove(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, f, t, count - 1, a, 0, FINEST, False) != 0:
+        return 0
+    for _ in range(ROUNDS):
+        count = _shortcut(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, f, t, a, mode)
+        if count <= 2:
+            break
+        count, changed = _round_corners(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, m, f, t, a, mode)
         if not changed:
             break
-    return _shortcut(
-        I, F, D, w, stamps, s, extra, extra_pair, none, none_pair, path, count, slack, padded, step
-    )
+    for i in range(count):
+        for j in range(dof):
+            path[i, j] = p[i * dof + j]
+    return count

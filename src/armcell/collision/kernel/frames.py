@@ -1,0 +1,241 @@
+"""Sixteen configurations at once: frames, centres, and how fast points move along an edge.
+
+Everywhere in the kernel `I`, `F`, `D` are the flat pack (see layout), `w` the lanes' workspace, `state` its
+integers (see `workspace`), `s` float64 scratch; all are bare pointers (see simd).
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel import gjk
+from armcell.collision.kernel.layout import (
+    BODIES,
+    COLUMN,
+    DOF,
+    FIXED,
+    FRAMES,
+    GROUPS,
+    KIND,
+    MULTIPLIER,
+    OFFSET,
+    PARENT,
+    SPHERES,
+    Flat,
+)
+from armcell.collision.kernel.simd import L, fma, load, select_lt, splat, store, vabs, vround, vsqrt
+
+REVOLUTE = 1
+
+# What `state` holds: the block's number, the lanes still to be decided (bits), whether one of them certainly
+# touches, and the pairs that wait for the exact tier (three numbers each); then the blocks in which the
+# centres were computed, and the stack of the walk through the world's boxes.
+NOW, ALIVE, TOUCHING, WAITING, ENTRIES = 0, 1, 2, 3, 4
+MAX_WAITING = 64
+STACK = ENTRIES + 3 * MAX_WAITING
+MAX_STACK = 256
+STAMPS = STACK + MAX_STACK
+
+# Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
+AT_A, AT_B, AT_RELATIVE, SCRATCH = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24, gjk.SCRATCH + 36
+
+Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def workspace(flat: Flat) -> Workspace:
+    """Scratch for one thread: lanes (float32, 64-byte aligned), integers (int64), exact tests (float64).
+
+    The lanes hold, in this order: positions (dof), what each joint moves by per unit of the edge (dof), half
+    the width of each lane's interval in that unit, the turning of all joints in it, frames (12 each), their
+    twists (6 each: angular velocity, velocity of the origin), centres (3 each), margins that wait.
+    """
+    I = flat[0]
+    centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
+    size = int(2 * I[DOF] + 2 + 18 * I[FRAMES] + 3 * centres + MAX_WAITING) * L
+    raw = np.zeros(size + 16, np.float32)
+    start = (-raw.ctypes.data % 64) // 4
+    return raw[start : start + size], np.zeros(STAMPS + centres, np.int64), np.zeros(SCRATCH, np.float64)
+
+
+@njit(cache=True, forceinline=True)
+def rate_at(I, j):
+    """Where in w joint j's motion per unit of the edge is."""
+    return (I[DOF] + j) * L
+
+
+@njit(cache=True, forceinline=True)
+def half_at(I):
+    """Where half the width of each lane's interval is; the turning follows."""
+    return 2 * I[DOF] * L
+
+
+@njit(cache=True, forceinline=True)
+def frame_at(I, f):
+    """Where frame f's 12 vectors are (rows of 3x4)."""
+    return (2 * I[DOF] + 2 + 12 * f) * L
+
+
+@njit(cache=True, forceinline=True)
+def twist_at(I, f):
+    return (2 * I[DOF] + 2 + 12 * I[FRAMES] + 6 * f) * L
+
+
+@njit(cache=True, forceinline=True)
+def centre_at(I, i):
+    """Where the centre of body i, group (bodies + i) or sphere (bodies + groups + i) is kept."""
+    return (2 * I[DOF] + 2 + 18 * I[FRAMES] + 3 * i) * L
+
+
+@njit(cache=True, forceinline=True)
+def margin_at(I, k):
+    """Where the margins of waiting pair k are."""
+    return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + k * L
+
+
+@njit(cache=True, forceinline=True)
+def _sincos(x):
+    """Sine and cosine (Cephes polynomials, below 1e-6 for |x| < 1000)."""
+    n = vround(x * splat(np.float32(0.6366197723675814)))
+    y = fma(n, splat(np.float32(-1.5703125)), x)
+    y = fma(n, splat(np.float32(-4.837512969970703e-4)), y)
+    y = fma(n, splat(np.float32(-7.549789948768648e-8)), y)
+    z = y * y
+    s = fma(z, splat(np.float32(-1.9515295891e-4)), splat(np.float32(8.3321608736e-3)))
+    s = fma(s, z, splat(np.float32(-1.6666654611e-1)))
+    s = fma(s * z, y, y)
+    c = fma(z, splat(np.float32(2.443315711809948e-5)), splat(np.float32(-1.388731625493765e-3)))
+    c = fma(c, z, splat(np.float32(4.166664568298827e-2)))
+    c = fma(c * z, z, fma(z, splat(np.float32(-0.5)), splat(np.float32(1.0))))
+    quarter = splat(np.float32(0.25))
+    half = splat(np.float32(0.5))
+    two = splat(np.float32(2.0))
+    one = splat(np.float32(1.0))
+    f = vround(n * half - quarter)  # floor(n / 2)
+    odd = n - two * f  # 0 or 1: swap sine and cosine
+    g = f - two * vround(f * half - quarter)  # 0 or 1: turn both round
+    sign = one - two * g
+    sine = select_lt(half, odd, c, s) * sign
+    cosine = select_lt(half, odd, splat(np.float32(0.0)) - s, c) * sign
+    return sine, cosine
+
+
+@njit(cache=True)
+def fk_block(I, F, w):
+    """Frames of 16 configurations whose positions lie at w[j * L:] per joint j."""
+    zero, one = splat(np.float32(0.0)), splat(np.float32(1.0))
+    base = frame_at(I, 0)
+    for i in range(12):
+        store(w, base + i * L, one if i % 5 == 0 else zero)
+    for f in range(1, I[FRAMES]):
+        src, dst, m = frame_at(I, I[I[PARENT] + f]), frame_at(I, f), I[FIXED] + 12 * f
+        value = load(w, I[I[COLUMN] + f] * L) * splat(F[I[MULTIPLIER] + f]) + splat(F[I[OFFSET] + f])
+        turns = I[I[KIND] + f] == REVOLUTE
+        sine, cosine = _sincos(value)
+        for i in range(3):
+            row = src + 4 * i * L
+            a, b, c, t = load(w, row), load(w, row + L), load(w, row + 2 * L), load(w, row + 3 * L)
+            x = fma(a, splat(F[m]), fma(b, splat(F[m + 4]), c * splat(F[m + 8])))
+            y = fma(a, splat(F[m + 1]), fma(b, splat(F[m + 5]), c * splat(F[m + 9])))
+            z = fma(a, splat(F[m + 2]), fma(b, splat(F[m + 6]), c * splat(F[m + 10])))
+            o = fma(a, splat(F[m + 3]), fma(b, splat(F[m + 7]), fma(c, splat(F[m + 11]), t)))
+            row = dst + 4 * i * L
+            store(w, row, fma(x, cosine, y * sine) if turns else x)
+            store(w, row + L, y * cosine - x * sine if turns else y)
+            store(w, row + 2 * L, z)
+            store(w, row + 3 * L, o if turns else fma(z, value, o))
+
+
+@njit(cache=True)
+def twist_block(I, F, w):
+    """Angular velocity and velocity of the origin of every frame, per unit of the edge (after fk_block).
+
+    Also the turning: how much all revolute joints turn together, which bounds how the velocities change.
+    """
+    zero, turning = splat(np.float32(0.0)), splat(np.float32(0.0))
+    base = twist_at(I, 0)
+    for i in range(6):
+        store(w, base + i * L, zero)
+    for f in range(1, I[FRAMES]):
+        p = I[I[PARENT] + f]
+        src, dst, frame, parent = twist_at(I, p), twist_at(I, f), frame_at(I, f), frame_at(I, p)
+        wx, wy, wz = load(w, src), load(w, src + L), load(w, src + 2 * L)
+        rx = load(w, frame + 3 * L) - load(w, parent + 3 * L)
+        ry = load(w, frame + 7 * L) - load(w, parent + 7 * L)
+        rz = load(w, frame + 11 * L) - load(w, parent + 11 * L)
+        vx = load(w, src + 3 * L) + wy * rz - wz * ry
+        vy = load(w, src + 4 * L) + wz * rx - wx * rz
+        vz = load(w, src + 5 * L) + wx * ry - wy * rx
+        rate = load(w, rate_at(I, I[I[COLUMN] + f])) * splat(F[I[MULTIPLIER] + f])
+        ax, ay, az = (
+            load(w, frame + 2 * L) * rate,
+            load(w, frame + 6 * L) * rate,
+            load(w, frame + 10 * L) * rate,
+        )
+        turns = I[I[KIND] + f] == REVOLUTE
+        store(w, dst, wx + ax if turns else wx)
+        store(w, dst + L, wy + ay if turns else wy)
+        store(w, dst + 2 * L, wz + az if turns else wz)
+        store(w, dst + 3 * L, vx if turns else vx + ax)
+        store(w, dst + 4 * L, vy if turns else vy + ay)
+        store(w, dst + 5 * L, vz if turns else vz + az)
+        # A slide counts twice in the Coriolis term of what turns below it.
+        turning = turning + (vabs(rate) if turns else zero)
+    store(w, half_at(I) + L, turning)
+
+
+@njit(cache=True, forceinline=True)
+def centre(I, F, w, state, i, frame, sphere):
+    """Where centre i is kept; computed on its first use in this block from F[sphere:] in its frame."""
+    at = centre_at(I, i)
+    if state[STAMPS + i] != state[NOW]:
+        state[STAMPS + i] = state[NOW]
+        x, y, z = splat(F[sphere]), splat(F[sphere + 1]), splat(F[sphere + 2])
+        for k in range(3):
+            row = frame + 4 * k * L
+            value = fma(
+                load(w, row), x, fma(load(w, row + L), y, fma(load(w, row + 2 * L), z, load(w, row + 3 * L)))
+            )
+            store(w, at + k * L, value)
+    return at
+
+
+@njit(cache=True)
+def speed(I, w, at, radius, f, g):
+    """Bound on how fast any point of the ball at w[at:] that moves with frame f goes, seen from frame g.
+
+    |v(centre)| + |angular velocity| * radius, both of f relative to g (0: seen from the world).
+    """
+    a, b, fa, fb = twist_at(I, f), twist_at(I, g), frame_at(I, f), frame_at(I, g)
+    x, y, z = load(w, at), load(w, at + L), load(w, at + 2 * L)
+    rx, ry, rz = x - load(w, fa + 3 * L), y - load(w, fa + 7 * L), z - load(w, fa + 11 * L)
+    wx, wy, wz = load(w, a), load(w, a + L), load(w, a + 2 * L)
+    vx = load(w, a + 3 * L) + wy * rz - wz * ry
+    vy = load(w, a + 4 * L) + wz * rx - wx * rz
+    vz = load(w, a + 5 * L) + wx * ry - wy * rx
+    if g > 0:
+        rx, ry, rz = x - load(w, fb + 3 * L), y - load(w, fb + 7 * L), z - load(w, fb + 11 * L)
+        ux, uy, uz = load(w, b), load(w, b + L), load(w, b + 2 * L)
+        vx = vx - load(w, b + 3 * L) - uy * rz + uz * ry
+        vy = vy - load(w, b + 4 * L) - uz * rx + ux * rz
+        vz = vz - load(w, b + 5 * L) - ux * ry + uy * rx
+        wx, wy, wz = wx - ux, wy - uy, wz - uz
+    turn = vsqrt(fma(wx, wx, fma(wy, wy, wz * wz)))
+    return vsqrt(fma(vx, vx, fma(vy, vy, vz * vz))) + turn * splat(radius)
+
+
+@njit(cache=True)
+def bend(I, F, w, reach, slack):
+    """What is to be added to half width times speed: how speeds change within the interval, and slack.
+
+    The points' accelerations are at most the turning times `reach` (where in F: metres per unit of each
+    joint), doubled for slides; half the interval's square of it is what the speed in its middle misses.
+    """
+    at = half_at(I)
+    total = splat(np.float32(0.0))
+    for j in range(I[DOF]):
+        total = fma(vabs(load(w, rate_at(I, j))), splat(F[reach + j]), total)
+    half = load(w, at)
+    return fma(half * half, load(w, at + L) * total, splat(slack))

@@ -1,0 +1,128 @@
+"""Exact pieces: the convex solids of the kernel's second tier, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.convex import convex_pieces
+from armcell.collision.kernel import gjk
+from armcell.collision.shapes import is_convex
+from armcell.core import Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+from armcell.core.geometry import local_bounds
+
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Convex solids in one frame: kinds (e,), sizes (e, 3), poses (e, 12) as rows of 3x4, bounding balls
+    (e, 4), and the corners of those that are hulls: how many each has (e,), and all of them (n, 3)."""
+
+    kind: I32
+    size: F64
+    pose: F64
+    ball: F64
+    count: I32
+    points: F64
+
+    def moved(self, T: F64) -> Pieces:
+        """Placed in another frame by T (4, 4)."""
+        pose = np.empty((len(self.kind), 3, 4))
+        own = self.pose.reshape(-1, 3, 4)
+        pose[:, :, :3] = T[:3, :3] @ own[:, :, :3]
+        pose[:, :, 3] = own[:, :, 3] @ T[:3, :3].T + T[:3, 3]
+        return replace(self, pose=pose.reshape(-1, 12))
+
+
+def pieces_of(shapes: Sequence[tuple[Shape, F64]]) -> Pieces:
+    """The pieces of shapes with their poses (4, 4); a mesh that is not convex is several."""
+    every = [(_piece(part), T) for shape, T in shapes for part in convex_parts(shape)]
+    return Pieces(
+        np.array([p[0] for p, _ in every], np.int32),
+        np.array([p[1] for p, _ in every], np.float64).reshape(-1, 3),
+        np.array([T[:3].ravel() for _, T in every], np.float64).reshape(-1, 12),
+        np.array([p[2] for p, _ in every], np.float64).reshape(-1, 4),
+        np.array([len(p[3]) for p, _ in every], np.int32),
+        np.concatenate([np.zeros((0, 3)), *(p[3] for p, _ in every)]),
+    )
+
+
+def concatenate(parts: Iterable[Pieces]) -> Pieces:
+    columns = zip(
+        *((p.kind, p.size, p.pose, p.ball, p.count, p.points) for p in (NO_PIECES, *parts)), strict=True
+    )
+    return Pieces(*(np.concatenate(c) for c in columns))
+
+
+def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
+    """All pieces one after another, as the pack names them."""
+    every = concatenate(parts)
+    first = np.concatenate([[0], np.cumsum(every.count)[:-1]]) if len(every.count) else np.zeros(0)
+    return {
+        "piece_kind": every.kind,
+        "piece_size": every.size,
+        "piece_pose": every.pose,
+        "piece_points": np.column_stack([first, every.count]).astype(np.int32),
+        "piece_ball": every.ball,
+        "points": every.points,
+    }
+
+
+def convex_parts(shape: Shape) -> tuple[Shape, ...]:
+    """Convex shapes whose union holds a shape."""
+    return convex_pieces(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
+
+
+def solid(shape: Shape) -> tuple[int, list[float]]:
+    """Kind and three numbers of a convex shape, as gjk wants them."""
+    match shape:
+        case Mesh():
+            return gjk.POINTS, [0.0, 0.0, 0.0]
+        case Sphere():
+            return gjk.SPHERE, [shape.radius, 0.0, 0.0]
+        case Box():
+            return gjk.BOX, [shape.x / 2, shape.y / 2, shape.z / 2]
+        case Capsule():
+            return gjk.CAPSULE, [shape.radius, shape.length / 2, 0.0]
+        case Cylinder():
+            return gjk.CYLINDER, [shape.radius, shape.length / 2, 0.0]
+        case Cone():
+            return gjk.CONE, [shape.radius, shape.length / 2, 0.0]
+        case Plane():
+            return gjk.HALFSPACE, [0.0, 0.0, 0.0]
+    raise InputError(f"the kernel does not know {type(shape).__name__}")
+
+
+def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
+    """Kind, size, bounding ball (4,) in the shape's own frame, corners (n, 3)."""
+    kind, size = solid(shape)
+    points = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
+    if isinstance(shape, Plane):
+        return kind, size, np.array([0.0, 0.0, 0.0, 1e9]), points
+    centre, half = local_bounds(shape)
+    radius = np.linalg.norm(points - centre, axis=1).max() if len(points) else np.linalg.norm(half)
+    return kind, size, np.append(centre, radius), points
+
+
+@lru_cache(maxsize=1024)
+def hull_points(mesh: Mesh) -> F64:
+    """Corners (n, 3) of a mesh's convex hull."""
+    from scipy.spatial import ConvexHull
+
+    return mesh.vertices[ConvexHull(mesh.vertices).vertices]
+
+
+NO_PIECES = Pieces(
+    np.zeros(0, np.int32),
+    np.zeros((0, 3)),
+    np.zeros((0, 12)),
+    np.zeros((0, 4)),
+    np.zeros(0, np.int32),
+    np.zeros((0, 3)),
+)

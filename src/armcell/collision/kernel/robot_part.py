@@ -1,0 +1,371 @@
+"""What the group's joints move, as the kernel wants it: frames, bodies with their spheres, pairs, reach."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel import near
+from armcell.collision.kernel.cover import GROUP, Cover, bounding_sphere, cover
+from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of
+from armcell.core import SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
+from armcell.core.geometry import local_bounds
+from armcell.kinematics import kinematic_tree
+from armcell.kinematics.tree import REVOLUTE
+from armcell.scene import PlanningScene
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+FINGER_OVERSHOOT = 0.003  # [m]
+LINK_OVERSHOOT = 0.010
+OBJECT_OVERSHOOT = 0.005  # of a held object, or this share of its largest extent, whichever is more:
+OBJECT_SHARE = 1 / 15  # a crate needs no finer cover than a cube, and fitting one would take a minute
+
+REVOLUTE_KIND = 1  # as in frames
+
+KEPT = 8  # robot parts, and bodies per model
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPart:
+    """The pack's arrays that do not depend on the world, the names of the bodies, their exact pieces."""
+
+    bodies: tuple[str, ...]
+    arrays: dict[str, Any]
+    pieces: Pieces
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A link or held object: spheres (s, 5), their groups (g, 4) with sizes (g,), pieces; in its frame."""
+
+    spheres: F64
+    groups: F64
+    sizes: list[int]
+    pieces: Pieces
+
+
+_parts: OrderedDict[tuple, RobotPart] = OrderedDict()
+_bodies: OrderedDict[tuple, _Body] = OrderedDict()
+
+
+def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
+    """Kept for the last few robots and states of the joints that the group does not move."""
+    model = scene.model
+    rest = np.delete(scene.positions, model.columns(joint_names))
+    key = (
+        model,
+        joint_names,
+        rest.tobytes(),
+        tuple((h.object.shapes, h.link, h.T_link_object.matrix.tobytes(), h.touch_links, name)
+              for name, h in scene.attached.items()),
+        tuple(sorted(scene.link_scale.items())),
+        tuple(sorted(scene.link_padding.items())),
+        scene.padding,
+        frozenset((k, v) for k, v in scene.allowed.items() if not any(n in scene.objects for n in k)),
+    )  # fmt: skip
+    return _kept(_parts, key, lambda: _Builder(scene, joint_names).build())
+
+
+def _kept(store: OrderedDict, key: tuple, make: Any) -> Any:
+    if key in store:
+        store.move_to_end(key)
+        return store[key]
+    value = store[key] = make()
+    while len(store) > (KEPT if store is _parts else 64 * KEPT):
+        store.popitem(last=False)
+    return value
+
+
+class _Builder:
+    def __init__(self, scene: PlanningScene, joint_names: tuple[str, ...]):
+        self.scene, self.model = scene, scene.model
+        self.tree = kinematic_tree(scene.model)
+        self.columns = {int(c): i for i, c in enumerate(scene.model.columns(joint_names))}
+        self.dof, self.joint_names = len(joint_names), joint_names
+
+    def build(self) -> RobotPart:
+        self._frames()
+        bodies, arrays, pieces = self._bodies()
+        pairs = self._pairs(bodies)
+        reach = self._reach(bodies, arrays["body_sphere"])
+        pair_reach = self._pair_reach(bodies, pairs, reach)
+        meeting = self._near(bodies, arrays, pairs)
+        # Pairs that cannot meet need no checking; nor do groups of the first body that meet nothing.
+        kept = [p for p, rows in enumerate(meeting) if any(len(row) for row in rows)]
+        pairs, pair_reach = pairs[kept], pair_reach[kept]
+        up = np.float32(1 + 1e-6)
+        arrays |= {
+            "dof": self.dof,
+            "parent": np.array(self.parent, np.int32),
+            "fixed": np.array(self.fixed, np.float32).reshape(-1, 12),
+            "kind": np.array(self.kind, np.int32),
+            "column": np.array(self.column, np.int32),
+            "multiplier": np.array(self.multiplier, np.float32),
+            "offset": np.array(self.offset, np.float32),
+            "pairs": pairs,
+            **_near_tables(arrays["body_groups"], pairs, [meeting[p] for p in kept]),
+            "reach": reach,
+            "pair_reach": pair_reach,
+            "rate": reach.astype(np.float32) * up,
+            "pair_rate": pair_reach.astype(np.float32) * up,
+        }
+        return RobotPart(tuple(b for b, _ in bodies), arrays, pieces)
+
+    # --- kinematics: only the group's joints are left, everything else is merged ---
+    def _frames(self) -> None:
+        tree, q = self.tree, self.scene.positions
+        self.parent, self.fixed, self.kind, self.column = [0], [np.eye(4)[:3].ravel()], [0], [0]
+        self.multiplier, self.offset = [1.0], [0.0]
+        self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
+        rest = tree.link_transforms(q)
+        for j in range(len(tree.parent)):
+            frame, T = self.of_link[int(tree.parent[j])]
+            T = T @ tree.T_parent_joint[j]
+            column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
+            if column is None:  # not moved by the group: where it is now
+                relative = np.linalg.inv(rest[tree.parent[j]] @ tree.T_parent_joint[j]) @ rest[j + 1]
+                self.of_link[j + 1] = (frame, T @ relative)
+                continue
+            A = np.eye(4)
+            A[:3, :3] = SO3.between((0.0, 0.0, 1.0), tree.axis[j]).matrix
+            self.parent.append(frame)
+            self.fixed.append((T @ A)[:3].ravel())
+            self.kind.append(REVOLUTE_KIND if tree.kind[j] == REVOLUTE else 2)
+            self.column.append(column)
+            self.multiplier.append(float(tree.multiplier[j]))
+            self.offset.append(float(tree.offset[j]))
+            self.of_link[j + 1] = (len(self.parent) - 1, A.T)
+
+    # --- bodies ---
+    def _bodies(self) -> tuple[list[tuple[str, int]], dict[str, Any], Pieces]:
+        scene, tree = self.scene, self.tree
+        fingers = {f for g in self.model.grippers.values() for f in g.finger_links}
+        bodies: list[tuple[str, int]] = []  # name, frame
+        placed: list[tuple[_Body, F64]] = []  # and T_frame_body
+        padding: list[float] = []
+        for link in self.model.links.values():
+            if not link.collisions:
+                continue
+            frame, T = self.of_link[tree.link_index[link.name]]
+            overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
+            scale = scene.link_scale.get(link.name, 1.0)
+            shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix, overshoot) for c in link.collisions]
+            body = _kept(_bodies, (self.model, link.name, scale, overshoot), lambda s=shapes: _body(s))
+            bodies.append((link.name, frame))
+            placed.append((body, T))
+            padding.append(scene.link_padding.get(link.name, scene.padding))
+        for held in scene.attached.values():
+            frame, T = self.of_link[tree.link_index[held.link]]
+            shapes = [(s, t.matrix, _object_overshoot(s)) for s, t in held.object.shapes]
+            body = _kept(_bodies, (held.object.shapes,), lambda s=shapes: _body(s))
+            bodies.append((held.object.name, frame))
+            placed.append((body, T @ held.T_link_object.matrix))
+            padding.append(scene.link_padding.get(held.link, scene.padding))
+        spheres, groups, sizes, pieces, body_sphere = [np.zeros((0, 5))], [np.zeros((0, 4))], [], [], []
+        body_groups, body_pieces = [0], [0]
+        for body, T in placed:
+            mine = body.groups.copy()
+            mine[:, :3] = mine[:, :3] @ T[:3, :3].T + T[:3, 3]
+            every = body.spheres.copy()
+            every[:, :3] = every[:, :3] @ T[:3, :3].T + T[:3, 3]
+            groups.append(mine)
+            spheres.append(every)
+            sizes += body.sizes
+            c, r = bounding_sphere(mine[:, :3], mine[:, 3])
+            body_sphere.append([*c, r])
+            pieces.append(body.pieces.moved(T))
+            body_groups.append(body_groups[-1] + len(mine))
+            body_pieces.append(body_pieces[-1] + len(body.pieces.kind))
+        up = np.float32(1 + 1e-6)  # rounding to float32 may not shrink a cover
+        group = np.vstack(groups).astype(np.float32)
+        around = np.array(body_sphere, np.float32).reshape(-1, 4)
+        sphere = np.vstack(spheres).astype(np.float32)
+        group[:, 3] *= up
+        around[:, 3] *= up
+        sphere[:, 3] = sphere[:, 3] * up + np.float32(1e-6)
+        sphere[:, 4] = np.maximum(sphere[:, 4] * np.float32(1 - 1e-5) - np.float32(2e-6), 0)
+        return (
+            bodies,
+            {
+                "frame": np.array([f for _, f in bodies], np.int32),
+                "body_sphere": around,
+                "body_groups": np.array(body_groups, np.int32),
+                "padding": np.array(padding, np.float32),
+                "group_sphere": group,
+                "group_spheres": np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+                "sphere": sphere,
+                "body_pieces": np.array(body_pieces, np.int32),
+            },
+            concatenate(pieces),
+        )
+
+    def _pairs(self, bodies: list[tuple[str, int]]) -> I32:
+        pairs = [
+            (i, j)
+            for i, (a, fa) in enumerate(bodies)
+            for j, (b, fb) in enumerate(bodies[:i])
+            if fa != fb and not self.scene.is_allowed(a, b)
+        ]
+        return np.array(pairs, np.int32).reshape(-1, 2)
+
+    def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32) -> list[list[I32]]:
+        """Per pair, for each group of the first body the groups of the second that it can meet."""
+        found = []
+        for i, j in pairs:
+            branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
+            columns = sorted({self.column[f] for f in (*branch_i, *branch_j)})
+            first_i, end_i = arrays["body_groups"][i : i + 2]
+            first_j, end_j = arrays["body_groups"][j : j + 2]
+            if len(columns) > near.MAX_JOINTS:
+                found.append([np.arange(first_j, end_j, dtype=np.int32)] * int(end_i - first_i))
+                continue
+            meeting = self._meeting(branch_i, branch_j, columns, arrays, i, j)
+            found.append([(first_j + np.flatnonzero(row)).astype(np.int32) for row in meeting])
+        return found
+
+    def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
+        """The frames below the nearest common one, down to each of two frames."""
+        up = [[], []]
+        for k, frame in enumerate((f, e)):
+            while frame > 0:
+                up[k].insert(0, frame)
+                frame = self.parent[frame]
+        while up[0] and up[1] and up[0][0] == up[1][0]:
+            up[0].pop(0)
+            up[1].pop(0)
+        return up[0], up[1]
+
+    def _meeting(self, branch_i, branch_j, columns, arrays, i, j) -> NDArray[np.bool_]:
+        lower, upper = [], []
+        for c in columns:
+            joint = self.model.joints[self.joint_names[c]]
+            low, high = joint.limits.lower, joint.limits.upper
+            turns = not np.isfinite(high - low) or (high - low > 2 * np.pi and joint.type != "prismatic")
+            lower.append(-np.pi if turns else low)
+            upper.append(np.pi if turns else high)
+        place = {c: k for k, c in enumerate(columns)}
+        spheres, groups, starts = [], [], []
+        for k in (i, j):
+            first, end = arrays["body_groups"][k : k + 2]
+            ends = arrays["group_spheres"][first : end + 1]
+            groups.append(arrays["group_sphere"][first:end].astype(float))
+            spheres.append(arrays["sphere"][ends[0] : ends[-1]].astype(float))
+            starts.append(ends - ends[0])
+        arguments = (
+            np.array(branch_i, np.int64), np.array(branch_j, np.int64), np.array(self.fixed),
+            np.array(self.kind), np.array(self.multiplier), np.array(self.offset),
+            np.array([place.get(c, 0) for c in self.column]), np.array(lower) - near.BEYOND,
+            np.array(upper) + near.BEYOND, self._group_reach(branch_i, columns, groups[0]),
+            self._group_reach(branch_j, columns, groups[1]),
+            groups[0], starts[0], spheres[0], groups[1], starts[1], spheres[1],
+        )  # fmt: skip
+        return near.which_meet(*arguments)
+
+    def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
+        """(groups, columns) as `_reach`, for groups (g, 4) in the frame at the end of a branch."""
+        radius = np.linalg.norm(groups[:, :3], axis=1) + groups[:, 3]
+        reach = np.zeros((len(groups), len(columns)))
+        for frame in reversed(branch):
+            m, c = abs(self.multiplier[frame]), columns.index(self.column[frame])
+            if self.kind[frame] == REVOLUTE_KIND:
+                reach[:, c] += m * radius
+            else:
+                reach[:, c] += m
+                radius = radius + m * self._span(frame) + abs(self.offset[frame])
+            radius = radius + np.linalg.norm(np.array(self.fixed[frame]).reshape(3, 4)[:, 3])
+        return reach
+
+    # --- motion bounds ---
+    def _reach(self, bodies: list[tuple[str, int]], body_sphere: F32) -> F64:
+        """Joint by joint, the largest distance a body's point can be from the joint's axis."""
+        reach = np.zeros((len(bodies), self.dof))
+        for k, (_, frame) in enumerate(bodies):
+            radius = float(np.linalg.norm(body_sphere[k, :3]) + body_sphere[k, 3])
+            while frame > 0:
+                m, c = abs(self.multiplier[frame]), self.column[frame]
+                if self.kind[frame] == REVOLUTE_KIND:
+                    reach[k, c] += m * radius
+                else:
+                    reach[k, c] += m
+                    radius += m * self._span(frame) + abs(self.offset[frame])
+                radius += float(np.linalg.norm(np.array(self.fixed[frame]).reshape(3, 4)[:, 3]))
+                frame = self.parent[frame]
+        return reach * (1 + 1e-6)
+
+    def _span(self, frame: int) -> float:
+        """Largest absolute value of a frame's joint."""
+        limits = self.model.joints[self.joint_names[self.column[frame]]].limits
+        return max(abs(limits.lower), abs(limits.upper))
+
+    def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
+        """Only joints above exactly one of the two bodies move them against each other."""
+        above = []
+        for _, frame in bodies:
+            joints = set()
+            while frame > 0:
+                joints.add(frame)
+                frame = self.parent[frame]
+            above.append(joints)
+        out = np.zeros((len(pairs), self.dof))
+        for p, (i, j) in enumerate(pairs):
+            for c in {self.column[f] for f in above[i] ^ above[j]}:
+                out[p, c] = reach[i, c] + reach[j, c]
+        return out
+
+
+def _near_tables(body_groups: I32, pairs: I32, meeting: list[list[I32]]) -> dict[str, I32]:
+    """The groups that meet as the pack wants them (see there)."""
+    first, groups, first_other, others = [0], [], [0], []
+    for (i, _), rows in zip(pairs, meeting, strict=True):
+        for g, row in enumerate(rows, start=int(body_groups[i])):
+            if len(row):
+                groups.append(g)
+                others.append(row)
+                first_other.append(first_other[-1] + len(row))
+        first.append(len(groups))
+    return {
+        "near": np.array(first, np.int32),
+        "near_groups": np.array(groups, np.int32),
+        "meet": np.array(first_other, np.int32),
+        "meet_groups": np.concatenate([np.zeros(0, np.int32), *others]).astype(np.int32),
+    }
+
+
+def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
+    """Covers and pieces of shapes with poses (4, 4) and overshoots [m]."""
+    spheres, groups, sizes = [], [], []
+    for shape, T, overshoot in shapes:
+        found: Cover = cover(shape, overshoot)
+        centres = found.centres @ T[:3, :3].T + T[:3, 3]
+        spheres.append(np.column_stack([centres, found.outer, found.inner]))
+        groups.append(np.column_stack([found.groups[:, :3] @ T[:3, :3].T + T[:3, 3], found.groups[:, 3]]))
+        n = len(centres)
+        sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
+    return _Body(np.vstack(spheres), np.vstack(groups), sizes, pieces_of([(s, T) for s, T, _ in shapes]))
+
+
+def _scaled(shape: Shape, scale: float) -> Shape:
+    if scale == 1.0:
+        return shape
+    match shape:
+        case Mesh():
+            return Mesh(shape.vertices * scale, shape.faces, shape.file)
+        case Box():
+            return Box(shape.x * scale, shape.y * scale, shape.z * scale)
+        case Sphere():
+            return Sphere(shape.radius * scale)
+        case Cylinder() | Capsule() | Cone():
+            return type(shape)(shape.radius * scale, shape.length * scale)
+    return shape
+
+
+def _object_overshoot(shape: Shape) -> float:
+    _, half = local_bounds(shape)
+    return max(OBJECT_OVERSHOOT, OBJECT_SHARE * 2 * float(half.max()))
