@@ -13,10 +13,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.collision.kernel.frames import ALIVE, NOW, TOUCHING, WAITING, fk_block, twist_block
+from armcell.collision.kernel.frames import (
+    ALIVE,
+    EXACT,
+    FIRST,
+    NOW,
+    PADDED,
+    PROVE,
+    TOUCHING,
+    WAITING,
+    fk_block,
+    twist_block,
+)
 from armcell.collision.kernel.pairs import pairs_block
 from armcell.collision.kernel.simd import L, pointer
-from armcell.collision.kernel.undecided import EXACT, FIRST, PADDED, PROVE, decide
+from armcell.collision.kernel.undecided import decide
 from armcell.collision.kernel.world import world_block
 
 EVERY = np.int64((1 << L) - 1)  # all lanes
@@ -40,11 +51,11 @@ def check_block(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
     fk_block(I, F, w)
     if mode & PROVE:
         twist_block(I, F, w)
-    done = world_block(I, F, D, w, state, s, slack, mode) or pairs_block(
-        I, F, D, w, state, s, slack_pair, mode
+    done = world_block(I, F, D, w, state, s, slack, slack_pair, mode) or pairs_block(
+        I, F, D, w, state, s, slack, slack_pair, mode
     )
     if not done and state[WAITING] != 0:
-        decide(I, D, w, state, s, mode)
+        decide(I, F, D, w, state, s, slack, slack_pair, mode)
     return lanes & ~state[ALIVE]
 
 

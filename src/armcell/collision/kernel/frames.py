@@ -30,6 +30,8 @@ from armcell.collision.kernel.simd import L, fma, load, select_lt, splat, store,
 
 REVOLUTE = 1
 
+EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `check_block`
+
 # What `state` holds: the block's number, the lanes still to be decided (bits), whether one of them certainly
 # touches, and the pairs that wait for the exact tier (three numbers each); then the blocks in which the
 # centres were computed, and the stack of the walk through the world's boxes.
@@ -49,12 +51,13 @@ def workspace(flat: Flat) -> Workspace:
     """Scratch for one thread: lanes (float32, 64-byte aligned), integers (int64), exact tests (float64).
 
     The lanes hold, in this order: positions (dof), what each joint moves by per unit of the edge (dof), half
-    the width of each lane's interval in that unit, the turning of all joints in it, frames (12 each), their
-    twists (6 each: angular velocity, velocity of the origin), centres (3 each), margins that wait.
+    the width of each lane's interval in that unit, the turning of all joints in it, the exact tier's 8,
+    frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centres (3 each), and
+    in a proof the centres' velocities and speeds (4 each).
     """
     I = flat[0]
     centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
-    size = int(2 * I[DOF] + 2 + 18 * I[FRAMES] + 3 * centres + MAX_WAITING) * L
+    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centres) * L
     raw = np.zeros(size + 16, np.float32)
     start = (-raw.ctypes.data % 64) // 4
     return raw[start : start + size], np.zeros(STAMPS + centres, np.int64), np.zeros(SCRATCH, np.float64)
@@ -73,26 +76,32 @@ def half_at(I):
 
 
 @njit(cache=True, forceinline=True)
+def need_at(I):
+    """Where the exact tier keeps what it needs of a pair: 8 vectors."""
+    return (2 * I[DOF] + 2) * L
+
+
+@njit(cache=True, forceinline=True)
 def frame_at(I, f):
     """Where frame f's 12 vectors are (rows of 3x4)."""
-    return (2 * I[DOF] + 2 + 12 * f) * L
+    return (2 * I[DOF] + 10 + 12 * f) * L
 
 
 @njit(cache=True, forceinline=True)
 def twist_at(I, f):
-    return (2 * I[DOF] + 2 + 12 * I[FRAMES] + 6 * f) * L
+    return (2 * I[DOF] + 10 + 12 * I[FRAMES] + 6 * f) * L
 
 
 @njit(cache=True, forceinline=True)
 def centre_at(I, i):
     """Where the centre of body i, group (bodies + i) or sphere (bodies + groups + i) is kept."""
-    return (2 * I[DOF] + 2 + 18 * I[FRAMES] + 3 * i) * L
+    return (2 * I[DOF] + 10 + 18 * I[FRAMES] + 3 * i) * L
 
 
 @njit(cache=True, forceinline=True)
-def margin_at(I, k):
-    """Where the margins of waiting pair k are."""
-    return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + k * L
+def velocity_at(I, i):
+    """Where the velocity of centre i and then its speed are kept, per unit of the edge."""
+    return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
 
 
 @njit(cache=True, forceinline=True)
@@ -181,17 +190,20 @@ def twist_block(I, F, w):
         store(w, dst + 3 * L, vx if turns else vx + ax)
         store(w, dst + 4 * L, vy if turns else vy + ay)
         store(w, dst + 5 * L, vz if turns else vz + az)
-        # A slide counts twice in the Coriolis term of what turns below it.
         turning = turning + (vabs(rate) if turns else zero)
     store(w, half_at(I) + L, turning)
 
 
 @njit(cache=True, forceinline=True)
-def centre(I, F, w, state, i, frame, sphere):
-    """Where centre i is kept; computed on its first use in this block from F[sphere:] in its frame."""
+def centre(I, F, w, state, i, f, sphere, mode):
+    """Where centre i is kept; computed on its first use in this block from F[sphere:] in frame f.
+
+    In a proof its velocity and speed are computed as well.
+    """
     at = centre_at(I, i)
     if state[STAMPS + i] != state[NOW]:
         state[STAMPS + i] = state[NOW]
+        frame = frame_at(I, f)
         x, y, z = splat(F[sphere]), splat(F[sphere + 1]), splat(F[sphere + 2])
         for k in range(3):
             row = frame + 4 * k * L
@@ -199,39 +211,28 @@ def centre(I, F, w, state, i, frame, sphere):
                 load(w, row), x, fma(load(w, row + L), y, fma(load(w, row + 2 * L), z, load(w, row + 3 * L)))
             )
             store(w, at + k * L, value)
+        if mode & PROVE:
+            out, twist = velocity_at(I, i), twist_at(I, f)
+            rx = load(w, at) - load(w, frame + 3 * L)
+            ry = load(w, at + L) - load(w, frame + 7 * L)
+            rz = load(w, at + 2 * L) - load(w, frame + 11 * L)
+            wx, wy, wz = load(w, twist), load(w, twist + L), load(w, twist + 2 * L)
+            vx = load(w, twist + 3 * L) + wy * rz - wz * ry
+            vy = load(w, twist + 4 * L) + wz * rx - wx * rz
+            vz = load(w, twist + 5 * L) + wx * ry - wy * rx
+            store(w, out, vx)
+            store(w, out + L, vy)
+            store(w, out + 2 * L, vz)
+            store(w, out + 3 * L, vsqrt(fma(vx, vx, fma(vy, vy, vz * vz))))
     return at
 
 
 @njit(cache=True)
-def speed(I, w, at, radius, f, g):
-    """Bound on how fast any point of the ball at w[at:] that moves with frame f goes, seen from frame g.
-
-    |v(centre)| + |angular velocity| * radius, both of f relative to g (0: seen from the world).
-    """
-    a, b, fa, fb = twist_at(I, f), twist_at(I, g), frame_at(I, f), frame_at(I, g)
-    x, y, z = load(w, at), load(w, at + L), load(w, at + 2 * L)
-    rx, ry, rz = x - load(w, fa + 3 * L), y - load(w, fa + 7 * L), z - load(w, fa + 11 * L)
-    wx, wy, wz = load(w, a), load(w, a + L), load(w, a + 2 * L)
-    vx = load(w, a + 3 * L) + wy * rz - wz * ry
-    vy = load(w, a + 4 * L) + wz * rx - wx * rz
-    vz = load(w, a + 5 * L) + wx * ry - wy * rx
-    if g > 0:
-        rx, ry, rz = x - load(w, fb + 3 * L), y - load(w, fb + 7 * L), z - load(w, fb + 11 * L)
-        ux, uy, uz = load(w, b), load(w, b + L), load(w, b + 2 * L)
-        vx = vx - load(w, b + 3 * L) - uy * rz + uz * ry
-        vy = vy - load(w, b + 4 * L) - uz * rx + ux * rz
-        vz = vz - load(w, b + 5 * L) - ux * ry + uy * rx
-        wx, wy, wz = wx - ux, wy - uy, wz - uz
-    turn = vsqrt(fma(wx, wx, fma(wy, wy, wz * wz)))
-    return vsqrt(fma(vx, vx, fma(vy, vy, vz * vz))) + turn * splat(radius)
-
-
-@njit(cache=True)
 def bend(I, F, w, reach, slack):
-    """What is to be added to half width times speed: how speeds change within the interval, and slack.
+    """What a margin needs beside half width times speed: how velocities change in the interval, and slack.
 
     The points' accelerations are at most the turning times `reach` (where in F: metres per unit of each
-    joint), doubled for slides; half the interval's square of it is what the speed in its middle misses.
+    joint), doubled for slides; half the interval's square of it is what the velocity in its middle misses.
     """
     at = half_at(I)
     total = splat(np.float32(0.0))

@@ -5,29 +5,58 @@ Solids are a type with numbers: 0 points (hull of vertices), 1 sphere, 2 box, 3 
 ("Real-Time Collision Detection", 5.1 and 9.5); checked against coal in the tests.
 """
 
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel.simd import (
+    L,
+    fma,
+    hmax,
+    load,
+    mask_lt,
+    pick,
+    select_lt,
+    splat,
+    trailing_zeros,
+    vmax,
+)
+
 POINTS, SPHERE, BOX, CAPSULE, CYLINDER, CONE, HALFSPACE = range(7)
 MAX_ITERATIONS = 64
 SCRATCH = 64  # float64 numbers that `distance` needs
+NORMAL = 54
+TOLERANCE = 1e-6  # [m] of the distance
+TOUCHING = 1e-7  # [m] solids closer than this touch: points are chosen in float32
 
 
 @njit(cache=True)
-def support(D, kind, size, first, count, dx, dy, dz, s, out):
+def _farthest(F, first, count, dx, dy, dz):
+    """Which of some points is farthest along a direction; they lie in F in blocks of L (x, y, z)."""
+    x, y, z = splat(np.float32(dx)), splat(np.float32(dy)), splat(np.float32(dz))
+    best, where = splat(np.float32(-1e30)), splat(np.float32(0.0))
+    for block in range((count + L - 1) // L):
+        at = first + 3 * L * block
+        d = fma(load(F, at), x, fma(load(F, at + L), y, load(F, at + 2 * L) * z))
+        where = select_lt(best, d, splat(np.float32(block)), where)
+        best = vmax(best, d)
+    top = hmax(best)
+    lane = trailing_zeros(mask_lt(splat(top - abs(top) * np.float32(1e-6) - np.float32(1e-30)), best))
+    return int(pick(where, lane)) * L + lane
+
+
+@njit(cache=True)
+def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
     """Farthest point of a solid, in its own frame, along (dx, dy, dz); into s[out : out + 3].
 
-    `size` is where its three numbers are in D, `first` where its points are.
+    `size` is where its three numbers are in D, `first` where its points are, `first32` where they are in F.
     """
     a, b = D[size], D[size + 1]
     if kind == POINTS:
-        best, value = first, -1e300
-        for i in range(first, first + 3 * count, 3):
-            d = D[i] * dx + D[i + 1] * dy + D[i + 2] * dz
-            if d > value:
-                best, value = i, d
+        best = first + 3 * _farthest(F, first32, count, dx, dy, dz)
         s[out], s[out + 1], s[out + 2] = D[best], D[best + 1], D[best + 2]
     elif kind == BOX:
         c = D[size + 2]
@@ -49,14 +78,14 @@ def support(D, kind, size, first, count, dx, dy, dz, s, out):
 
 
 @njit(cache=True)
-def _minkowski(D, T, ka, sa, fa, na, kb, sb, fb, nb, dx, dy, dz, s, at):
+def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
     """Support of A minus B along d in B's frame, where s[T : T + 12] maps A's frame to B's; into s[at:]."""
     ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
     ay = s[T + 1] * dx + s[T + 5] * dy + s[T + 9] * dz
     az = s[T + 2] * dx + s[T + 6] * dy + s[T + 10] * dz
-    support(D, ka, sa, fa, na, ax, ay, az, s, 48)
+    support(F, D, ka, sa, fa, ga, na, ax, ay, az, s, 48)
     x, y, z = s[48], s[49], s[50]
-    support(D, kb, sb, fb, nb, -dx, -dy, -dz, s, 51)
+    support(F, D, kb, sb, fb, gb, nb, -dx, -dy, -dz, s, 51)
     s[at] = s[T] * x + s[T + 1] * y + s[T + 2] * z + s[T + 3] - s[51]
     s[at + 1] = s[T + 4] * x + s[T + 5] * y + s[T + 6] * z + s[T + 7] - s[52]
     s[at + 2] = s[T + 8] * x + s[T + 9] * y + s[T + 10] * z + s[T + 11] - s[53]
@@ -183,18 +212,24 @@ def _tetrahedron(s, v):
 
 
 @njit(cache=True)
-def distance(D, T, ka, sa, fa, na, kb, sb, fb, nb, enough, s):
-    """Distance of convex solid A to convex solid B [m], 0 when they touch.
+def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
+    """Distance of convex solid A to convex solid B [m], 0 when they touch; never more than the true one.
 
     Args:
-        D: numbers and points of solids.
+        F, D: numbers and points of solids.
         T: where in `s` the 12 numbers (rows, 3x4) of the transform from A's frame to B's are.
-        ka, sa, fa, na: A's kind, where its three numbers and its points are in D, how many points; B alike.
+        ka, sa, fa, ga, na: A's kind, where its three numbers and its points are in D and in F, how many
+            points; B alike.
         enough: a lower bound above this ends the search early (the bound is returned).
-        s: scratch, the first `SCRATCH` numbers are overwritten.
+        warm: begin with the normal that is in s[NORMAL:].
+        s: scratch, the first `SCRATCH` numbers are overwritten. s[NORMAL : NORMAL + 3] is set to the unit
+            vector in B's frame along which the distance returned separates A from B.
     """
     v = 30
-    s[v], s[v + 1], s[v + 2] = s[T + 3], s[T + 7], s[T + 11]
+    if warm:
+        _copy(s, NORMAL, v)
+    else:
+        s[v], s[v + 1], s[v + 2] = s[T + 3], s[T + 7], s[T + 11]
     if s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2] < 1e-20:
         s[v] = 1.0
     n, bound = 0, 0.0
@@ -202,18 +237,19 @@ def distance(D, T, ka, sa, fa, na, kb, sb, fb, nb, enough, s):
         length2 = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if n > 0 and length2 < 1e-18:
             return 0.0
-        _minkowski(D, T, ka, sa, fa, na, kb, sb, fb, nb, -s[v], -s[v + 1], -s[v + 2], s, 36)
+        _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, -s[v], -s[v + 1], -s[v + 2], s, 36)
         dot = s[v] * s[36] + s[v + 1] * s[37] + s[v + 2] * s[38]
         length = np.sqrt(length2)
-        if dot > 0.0:
-            bound = max(bound, dot / length)
+        if dot > bound * length:
+            bound = dot / length
+            s[NORMAL], s[NORMAL + 1], s[NORMAL + 2] = s[v] / length, s[v + 1] / length, s[v + 2] / length
             if bound > enough:
                 return bound
-        if n > 0 and length2 - dot <= 1e-10 * length2:
-            return length
+        if n > 0 and length - bound <= TOLERANCE:
+            return bound if bound > TOUCHING else 0.0
         for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
             if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:
-                return length
+                return bound if bound > TOUCHING else 0.0
         _copy(s, 36, 3 * n)
         n += 1
         if n == 1:
@@ -225,8 +261,8 @@ def distance(D, T, ka, sa, fa, na, kb, sb, fb, nb, enough, s):
         else:
             n = _tetrahedron(s, v)
             if n == 4:  # around the origin; a separation proven before is the better witness
-                return bound if bound > 1e-7 else 0.0
+                return bound if bound > TOUCHING else 0.0
         now = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if now > length2 * (1 - 1e-14) and n > 1 and bound > 0:
-            return np.sqrt(now)
+            return bound
     return bound

@@ -55,7 +55,8 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     SHAPE_SIZE,
     PLANES,
     BOXES,
-) = range(26, 40)
+    POINTS32,
+) = range(26, 41)
 # of doubles in D
 (
     PIECE_SIZE,
@@ -64,7 +65,7 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     POINTS,
     REACH,
     PAIR_REACH,
-) = range(40, 46)
+) = range(41, 47)
 HEADER = 48
 
 _INTS = (
@@ -103,6 +104,7 @@ _FLOATS = (
     "shape_size",
     "planes",
     "boxes",
+    "points32",
 )
 _DOUBLES = (
     "piece_size",

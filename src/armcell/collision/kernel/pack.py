@@ -59,9 +59,10 @@ class Pack(NamedTuple):
     piece_kind: I32  # (e,)
     piece_size: F64  # (e, 3)
     piece_pose: F64  # (e, 12) rows of T_frame_piece, or T_world_piece
-    piece_points: I32  # (e, 2) first point and count
+    piece_points: I32  # (e, 2) first point (a multiple of L) and count
     piece_ball: F64  # (e, 4) bounding ball in the frame (bodies) or world (shapes)
     points: F64  # (n, 3)
+    points32: F32  # (n / L, 3, L) the same
     # motion
     reach: F64  # (k, dof) how far a body's points move per unit of each joint, at most
     pair_reach: F64  # (p, dof) the same for the relative motion of a pair

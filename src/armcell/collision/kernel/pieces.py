@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.convex import convex_pieces
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.simd import L
 from armcell.collision.shapes import is_convex
 from armcell.core import Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
 from armcell.core.geometry import local_bounds
@@ -63,14 +64,20 @@ def concatenate(parts: Iterable[Pieces]) -> Pieces:
 def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
     """All pieces one after another, as the pack names them."""
     every = concatenate(parts)
-    first = np.concatenate([[0], np.cumsum(every.count)[:-1]]) if len(every.count) else np.zeros(0)
+    padded = -(-every.count // L) * L  # the kernel reads L points at a time
+    first = np.concatenate([[0], np.cumsum(padded)[:-1]]) if len(padded) else np.zeros(0)
+    begin = np.concatenate([[0], np.cumsum(every.count)[:-1]]) if len(padded) else np.zeros(0)
+    index = np.repeat(begin - first, padded) + np.arange(padded.sum())
+    index = np.minimum(index, np.repeat(begin + every.count - 1, padded)).astype(np.int64)
+    points = every.points[index]
     return {
         "piece_kind": every.kind,
         "piece_size": every.size,
         "piece_pose": every.pose,
         "piece_points": np.column_stack([first, every.count]).astype(np.int32),
         "piece_ball": every.ball,
-        "points": every.points,
+        "points": points,
+        "points32": points.reshape(-1, L, 3).transpose(0, 2, 1).astype(np.float32),
     }
 
 

@@ -3,7 +3,7 @@
 LLVM's auto-vectoriser makes 3-6 times slower code of loops over lanes, and drops reductions
 altogether; here each operator on `Vec` values is one vector instruction (or two, or four).
 Inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`,
-`vsqrt`, `fma`, `vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`.
+`vsqrt`, `fma`, `vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`, `pick`.
 """
 
 # pyright: reportCallIssue=false
@@ -290,6 +290,16 @@ def _reduction(name):
 
 
 hmin, hmax = _reduction("fmin"), _reduction("fmax")
+
+
+@intrinsic
+def pick(typingctx, a, lane):
+    """The number in a lane."""
+
+    def codegen(context, builder, signature, args):
+        return builder.extract_element(args[0], builder.trunc(args[1], ir.IntType(32)))
+
+    return types.float32(vec, types.int64), codegen
 
 
 @intrinsic

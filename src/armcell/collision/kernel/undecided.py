@@ -17,31 +17,43 @@ from armcell.collision.kernel.frames import (
     AT_B,
     AT_RELATIVE,
     ENTRIES,
+    FIRST,
     MAX_WAITING,
+    PADDED,
+    PROVE,
     TOUCHING,
     WAITING,
+    bend,
+    centre_at,
     frame_at,
-    margin_at,
+    half_at,
+    need_at,
+    twist_at,
+    velocity_at,
 )
 from armcell.collision.kernel.layout import (
     BODY_PIECES,
+    BODY_SPHERE,
     DOF,
     FRAME,
+    MARGIN,
+    OBJECTS,
     PAIR,
-    PAIR_REACH,
+    PAIR_RATE,
     PIECE_BALL,
     PIECE_KIND,
     PIECE_POINTS,
     PIECE_POSE,
     PIECE_SIZE,
     POINTS,
-    REACH,
+    POINTS32,
+    RATE,
+    SHAPE_OBJECT,
     SHAPE_PIECES,
 )
-from armcell.collision.kernel.simd import L, store, trailing_zeros
+from armcell.collision.kernel.simd import L, fma, load, splat, store, trailing_zeros, vsqrt
 
-EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `check_block`
-SHARE = 0.03  # [m] how far beyond the margin distances are computed: what is known serves other lanes
+FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 
 @njit(cache=True)
@@ -59,28 +71,80 @@ def touch(state, lanes, mode):
 
 
 @njit(cache=True)
-def wait(I, D, w, state, s, body, other, lanes, margin, mode):
+def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
     """Have the exact tier decide these lanes of a body against world shape `other` (or pair -1 - `other`)."""
-    if state[WAITING] == MAX_WAITING and decide(I, D, w, state, s, mode):
+    if state[WAITING] == MAX_WAITING and decide(I, F, D, w, state, s, slack, slack_pair, mode):
         return True
-    at = state[WAITING]
-    state[WAITING] = at + 1
-    state[ENTRIES + 3 * at], state[ENTRIES + 3 * at + 1], state[ENTRIES + 3 * at + 2] = body, other, lanes
-    store(w, margin_at(I, at), margin)
+    entry = ENTRIES + 3 * state[WAITING]
+    state[WAITING] += 1
+    state[entry], state[entry + 1], state[entry + 2] = body, other, lanes
     return False
 
 
 @njit(cache=True)
-def decide(I, D, w, state, s, mode):
+def decide(I, F, D, w, state, s, slack, slack_pair, mode):
     """Decide all that waits; True where nothing is left to find out."""
     waiting = state[WAITING]
     state[WAITING] = 0
     for k in range(waiting):
-        entry = ENTRIES + 3 * k
-        if _exact_lanes(I, D, w, state, s, state[entry], state[entry + 1], state[entry + 2],
-                        margin_at(I, k), mode):  # fmt: skip
-            return True
+        body, other = state[ENTRIES + 3 * k], state[ENTRIES + 3 * k + 1]
+        lanes = state[ENTRIES + 3 * k + 2] & state[ALIVE]
+        if lanes == 0:
+            continue
+        _needs(I, F, w, slack, slack_pair, body, other, mode)
+        warm = False
+        while lanes != 0:
+            lane = trailing_zeros(lanes)
+            lanes &= lanes - 1
+            answer = _exact_lane(I, F, D, w, s, body, other, lane, warm, mode)
+            warm = True
+            bit = np.int64(1) << lane
+            if answer != FREE and (touch(state, bit, mode) if answer == CONTACT else fail(state, bit, mode)):
+                return True
     return False
+
+
+@njit(cache=True)
+def _needs(I, F, w, slack, slack_pair, body, other, mode):
+    """For every lane what a distance must exceed in any case, and the part of it beside the speed."""
+    at, pair = need_at(I), -1 - other
+    more = splat(np.float32(0.0))
+    if other >= 0 and mode & PADDED:
+        more = splat(max(F[I[MARGIN] + I[OBJECTS] * body + I[I[SHAPE_OBJECT] + other]], np.float32(0.0)))
+    if mode & PROVE == 0:
+        store(w, at, more)
+        return
+    f, g = I[I[FRAME] + body], 0
+    if other >= 0:
+        more = more + bend(I, F, w, I[RATE] + I[DOF] * body, slack[body])
+    else:
+        g = I[I[FRAME] + I[I[PAIR] + 2 * pair + 1]]
+        more = more + bend(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
+    # The relative twist at the body's centre: angular velocity and velocity.
+    c, v, a, b, o = centre_at(I, body), velocity_at(I, body), twist_at(I, f), twist_at(I, g), frame_at(I, g)
+    ux, uy, uz = load(w, b), load(w, b + L), load(w, b + 2 * L)
+    rx, ry, rz = (
+        load(w, c) - load(w, o + 3 * L),
+        load(w, c + L) - load(w, o + 7 * L),
+        load(w, c + 2 * L) - load(w, o + 11 * L),
+    )
+    vx = load(w, v) - load(w, b + 3 * L) - uy * rz + uz * ry
+    vy = load(w, v + L) - load(w, b + 4 * L) - uz * rx + ux * rz
+    vz = load(w, v + 2 * L) - load(w, b + 5 * L) - ux * ry + uy * rx
+    wx, wy, wz = load(w, a) - ux, load(w, a + L) - uy, load(w, a + 2 * L) - uz
+    speed = fma(
+        vsqrt(fma(wx, wx, fma(wy, wy, wz * wz))),
+        splat(F[I[BODY_SPHERE] + 4 * body + 3]),
+        vsqrt(fma(vx, vx, fma(vy, vy, vz * vz))),
+    )
+    store(w, at, fma(load(w, half_at(I)), speed, more))
+    store(w, at + L, more)
+    store(w, at + 2 * L, wx)
+    store(w, at + 3 * L, wy)
+    store(w, at + 4 * L, wz)
+    store(w, at + 5 * L, vx)
+    store(w, at + 6 * L, vy)
+    store(w, at + 7 * L, vz)
 
 
 @njit(cache=True)
@@ -96,7 +160,7 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 
 @njit(cache=True)
-def _piece_distance(I, D, a, b, enough, s):
+def _piece_distance(I, F, D, a, b, enough, warm, s):
     """Distance of piece a at s[AT_A:] to piece b at s[AT_B:] [m]; above `enough` a lower bound."""
     A, B, R = AT_A, AT_B, AT_RELATIVE
     ball_a, ball_b, gap2 = I[PIECE_BALL] + 4 * a, I[PIECE_BALL] + 4 * b, 0.0
@@ -117,71 +181,66 @@ def _piece_distance(I, D, a, b, enough, s):
     sa, sb = I[PIECE_SIZE] + 3 * a, I[PIECE_SIZE] + 3 * b
     pa, pb = I[PIECE_POINTS] + 2 * a, I[PIECE_POINTS] + 2 * b
     fa, fb = I[POINTS] + 3 * I[pa], I[POINTS] + 3 * I[pb]
+    ga, gb = I[POINTS32] + 3 * I[pa], I[POINTS32] + 3 * I[pb]
     if kb == gjk.HALFSPACE:  # the lowest point of a along the plane's normal
         nx, ny, nz = s[R + 8], s[R + 9], s[R + 10]
-        gjk.support(D, ka, sa, fa, I[pa + 1], -nx, -ny, -nz, s, 48)
+        gjk.support(F, D, ka, sa, fa, ga, I[pa + 1], -nx, -ny, -nz, s, 48)
+        s[gjk.NORMAL], s[gjk.NORMAL + 1], s[gjk.NORMAL + 2] = 0.0, 0.0, 1.0
         return max(nx * s[48] + ny * s[49] + nz * s[50] + s[R + 11], 0.0)
-    return gjk.distance(D, R, ka, sa, fa, I[pa + 1], kb, sb, fb, I[pb + 1], enough, s)
+    return gjk.distance(F, D, R, ka, sa, fa, ga, I[pa + 1], kb, sb, fb, gb, I[pb + 1], enough, warm, s)
 
 
 @njit(cache=True)
-def exact_to_shape(I, D, w, s, body, o, lane, enough):
-    """Distance [m] of a body's exact pieces to world shape o in a lane; above `enough` a lower bound."""
-    frame, best = frame_at(I, I[I[FRAME] + body]), 1e9
-    for a in range(I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]):
-        _world_piece(I, D, w, a, frame, lane, s, AT_A)
-        for b in range(I[I[SHAPE_PIECES] + o], I[I[SHAPE_PIECES] + o + 1]):
-            for k in range(12):
-                s[AT_B + k] = D[I[PIECE_POSE] + 12 * b + k]
-            best = min(best, _piece_distance(I, D, a, b, min(best, enough), s))
-            if best <= 0.0:
-                return 0.0
-    return best
+def _directed_need(I, D, w, s, body, a, lane):
+    """What a distance along the normal in s[NORMAL:] must exceed in a lane.
 
-
-@njit(cache=True)
-def exact_pair(I, D, w, s, i, j, lane, enough):
-    """Distance [m] of two bodies in a lane by their exact pieces; above `enough` a lower bound."""
-    fi, fj, best = frame_at(I, I[I[FRAME] + i]), frame_at(I, I[I[FRAME] + j]), 1e9
-    for a in range(I[I[BODY_PIECES] + i], I[I[BODY_PIECES] + i + 1]):
-        _world_piece(I, D, w, a, fi, lane, s, AT_A)
-        for b in range(I[I[BODY_PIECES] + j], I[I[BODY_PIECES] + j + 1]):
-            _world_piece(I, D, w, b, fj, lane, s, AT_B)
-            best = min(best, _piece_distance(I, D, a, b, min(best, enough), s))
-            if best <= 0.0:
-                return 0.0
-    return best
-
-
-@njit(cache=True)
-def _exact_lanes(I, D, w, state, s, body, other, lanes, margin, mode):
-    """Decide some lanes of one waiting pair; True where nothing is left to find out.
-
-    What is found d apart in one lane is free in every lane that cannot have moved by more than d - margin.
+    Along a fixed direction n the nearest point of piece a comes closer by |n . velocity| times half the
+    interval, the velocity being that of the piece's middle plus what its turning adds, |n x angular| radius.
     """
-    dof, pair = I[DOF], -1 - other
-    reach = I[REACH] + dof * body if other >= 0 else I[PAIR_REACH] + dof * pair
-    lanes &= state[ALIVE]
-    while lanes != 0:
-        lane = trailing_zeros(lanes)
-        lanes &= lanes - 1
-        need = float(w[margin + lane])
-        if other >= 0:
-            d = exact_to_shape(I, D, w, s, body, other, lane, need + SHARE)
-        else:
-            d = exact_pair(I, D, w, s, I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1], lane, need + SHARE)
-        if d <= need:
-            bit = np.int64(1) << lane
-            if touch(state, bit, mode) if d <= 0.0 else fail(state, bit, mode):
-                return True
-            continue
-        rest = lanes
-        while rest != 0:
-            other_lane = trailing_zeros(rest)
-            rest &= rest - 1
-            moved = 1e-6
-            for c in range(dof):
-                moved += abs(w[c * L + other_lane] - w[c * L + lane]) * D[reach + c]
-            if moved < d - w[margin + other_lane]:
-                lanes &= ~(np.int64(1) << other_lane)
-    return False
+    nx = ny = nz = 0.0
+    for j in range(3):
+        nx += s[AT_B + j] * s[gjk.NORMAL + j]
+        ny += s[AT_B + 4 + j] * s[gjk.NORMAL + j]
+        nz += s[AT_B + 8 + j] * s[gjk.NORMAL + j]
+    ball, at, c = I[PIECE_BALL] + 4 * a, need_at(I) + lane, centre_at(I, body) + lane
+    rx, ry, rz = s[AT_A + 3] - w[c], s[AT_A + 7] - w[c + L], s[AT_A + 11] - w[c + 2 * L]
+    for j in range(3):
+        rx += s[AT_A + j] * D[ball + j]
+        ry += s[AT_A + 4 + j] * D[ball + j]
+        rz += s[AT_A + 8 + j] * D[ball + j]
+    wx, wy, wz = w[at + 2 * L], w[at + 3 * L], w[at + 4 * L]
+    vx = w[at + 5 * L] + wy * rz - wz * ry
+    vy = w[at + 6 * L] + wz * rx - wx * rz
+    vz = w[at + 7 * L] + wx * ry - wy * rx
+    tx, ty, tz = ny * wz - nz * wy, nz * wx - nx * wz, nx * wy - ny * wx
+    speed = abs(nx * vx + ny * vy + nz * vz) + np.sqrt(tx * tx + ty * ty + tz * tz) * D[ball + 3]
+    return w[half_at(I) + lane] * speed + w[at + L]
+
+
+@njit(cache=True)
+def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
+    """FREE, UNPROVEN or CONTACT: a body's exact pieces against a world shape's or another body's."""
+    need, frame, pair = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), -1 - other
+    second = frame
+    if other >= 0:
+        first, end = I[I[SHAPE_PIECES] + other], I[I[SHAPE_PIECES] + other + 1]
+    else:
+        j = I[I[PAIR] + 2 * pair + 1]
+        first, end = I[I[BODY_PIECES] + j], I[I[BODY_PIECES] + j + 1]
+        second = frame_at(I, I[I[FRAME] + j])
+    mine, mine_end = I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]
+    warm = warm and mine_end - mine == 1 and end - first == 1  # else the normal is of another pair of pieces
+    for a in range(mine, mine_end):
+        _world_piece(I, D, w, a, frame, lane, s, AT_A)
+        for b in range(first, end):
+            if other >= 0:
+                for k in range(12):
+                    s[AT_B + k] = D[I[PIECE_POSE] + 12 * b + k]
+            else:
+                _world_piece(I, D, w, b, second, lane, s, AT_B)
+            d = _piece_distance(I, F, D, a, b, need, warm, s)
+            if d <= 0.0:
+                return CONTACT
+            if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
+                return UNPROVEN
+    return FREE

@@ -10,13 +10,15 @@ from numba import njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.frames import (
     ALIVE,
+    EXACT,
     MAX_STACK,
+    PADDED,
+    PROVE,
     STACK,
     bend,
     centre,
-    frame_at,
     half_at,
-    speed,
+    velocity_at,
 )
 from armcell.collision.kernel.layout import (
     BODIES,
@@ -48,16 +50,15 @@ from armcell.collision.kernel.simd import (
     hmin,
     load,
     mask_lt,
+    select_lt,
     splat,
     trailing_zeros,
     vabs,
     vmax,
+    vmin,
     vsqrt,
 )
-from armcell.collision.kernel.undecided import EXACT, PADDED, PROVE, fail, touch, wait
-
-EXACT_BELOW = np.float32(0.008)
-"""[m] In a proof, lanes with larger margins than this are cut in halves before the exact tier is asked."""
+from armcell.collision.kernel.undecided import fail, touch, wait
 
 
 @njit(cache=True)
@@ -98,6 +99,55 @@ def shape_gap(I, F, o, w, at):
     return vmax(mantle, zero - z - b)
 
 
+@njit(cache=True)
+def shape_rate(I, F, o, w, at, velocity):
+    """How fast the gap of `shape_gap` changes, at most, for points that move at w[velocity:].
+
+    All these gaps are convex functions of the point, so that along a straight motion the gap lies above its
+    tangent: only the velocity's part along the gap's gradient brings the point closer.
+    """
+    kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
+    cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
+    ux, uy, uz = load(w, velocity), load(w, velocity + L), load(w, velocity + 2 * L)
+    zero, tiny = splat(np.float32(0.0)), splat(np.float32(1e-12))
+    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
+    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
+    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
+    vx = fma(ux, splat(F[m]), fma(uy, splat(F[m + 1]), uz * splat(F[m + 2])))
+    vy = fma(ux, splat(F[m + 4]), fma(uy, splat(F[m + 5]), uz * splat(F[m + 6])))
+    vz = fma(ux, splat(F[m + 8]), fma(uy, splat(F[m + 9]), uz * splat(F[m + 10])))
+    a, b = splat(F[size]), splat(F[size + 1])
+    if kind == gjk.HALFSPACE:
+        return vabs(vz)
+    if kind == gjk.POINTS:
+        gap, rate = splat(np.float32(-1e9)), zero
+        for k in range(I[I[SHAPE_PLANES] + o], I[I[SHAPE_PLANES] + o + 1]):
+            n = I[PLANES] + 4 * k
+            d = fma(x, splat(F[n]), fma(y, splat(F[n + 1]), z * splat(F[n + 2]))) - splat(F[n + 3])
+            along = fma(vx, splat(F[n]), fma(vy, splat(F[n + 1]), vz * splat(F[n + 2])))
+            rate = select_lt(gap, d, along, rate)
+            gap = vmax(gap, d)
+        return vabs(rate)
+    if kind == gjk.BOX:  # the vector from the nearest point: what is beyond the faces
+        x = x - vmax(vmin(x, a), zero - a)
+        y = y - vmax(vmin(y, b), zero - b)
+        c = splat(F[size + 2])
+        z = z - vmax(vmin(z, c), zero - c)
+    elif kind == gjk.CAPSULE:
+        z = z - vmax(vmin(z, b), zero - b)
+    elif kind == gjk.CYLINDER or kind == gjk.CONE:
+        r = vsqrt(fma(x, x, fma(y, y, tiny)))
+        out = fma(x, vx, y * vy) / r  # velocity away from the axis
+        if kind == gjk.CYLINDER:
+            dr, dz = vmax(r - a, zero), z - vmax(vmin(z, b), zero - b)
+            return vabs(fma(dr, out, dz * vz)) / vsqrt(fma(dr, dr, fma(dz, dz, tiny)))
+        height = b + b
+        slope = vsqrt(fma(a, a, height * height))
+        mantle = (r * height + (z - b) * a) / slope
+        return vabs(select_lt(zero - z - b, mantle, (out * height + vz * a) / slope, vz))
+    return vabs(fma(x, vx, fma(y, vy, z * vz))) / vsqrt(fma(x, x, fma(y, y, fma(z, z, tiny))))
+
+
 @njit(cache=True, forceinline=True)
 def _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz):
     """Bits of the boxes of a block that meet the box given."""
@@ -107,35 +157,41 @@ def _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz):
     return mask & mask_lt(splat(ly), load(F, at + 4 * L)) & mask_lt(splat(lz), load(F, at + 5 * L))
 
 
-@njit(cache=True)
-def _body_to_shape(I, F, D, w, state, s, body, o, room, more, mode):
-    """A body against one world shape, from its groups down; True where nothing is left to find out.
+@njit(cache=True, forceinline=True)
+def _near(I, F, w, state, o, i, at, radius, more, mode):
+    """Lanes (bits) where the ball around centre i is not clear of world shape o, and the gap there.
 
-    Args:
-        room: margins (a vector) of the body's fastest point. more: what a margin has beside the speed.
+    In a proof the ball is cleared if its gap, falling at its rate, lasts for half the interval; a ball does
+    not turn, so that only its centre's velocity counts.
     """
+    gap = shape_gap(I, F, o, w, at)
+    if mode & PROVE == 0:
+        return mask_lt(gap, splat(radius) + more) & state[ALIVE], gap
+    half, velocity = load(w, half_at(I)), velocity_at(I, i)
+    lanes = mask_lt(gap, fma(half, load(w, velocity + 3 * L), splat(radius) + more)) & state[ALIVE]
+    if lanes != 0:
+        lanes &= mask_lt(gap, fma(half, shape_rate(I, F, o, w, at, velocity), splat(radius) + more))
+    return lanes, gap
+
+
+@njit(cache=True)
+def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
+    """A body against one world shape, from its groups down; True where nothing is left to find out."""
     f, bodies = I[I[FRAME] + body], I[BODIES]
-    frame, first_sphere = frame_at(I, f), bodies + I[GROUPS]
+    first_sphere = bodies + I[GROUPS]
     # The inner ball proves contact only where the gap is no mere lower bound.
     certain = I[I[SHAPE_KIND] + o] != gjk.CONE and I[I[SHAPE_KIND] + o] != gjk.POINTS
-    open_lanes, worst = np.int64(0), splat(np.float32(0.0))
+    open_lanes = np.int64(0)
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
         sphere = I[GROUP_SPHERE] + 4 * g
-        at = centre(I, F, w, state, bodies + g, frame, sphere)
-        gap, radius = shape_gap(I, F, o, w, at), F[sphere + 3]
-        if mask_lt(gap, splat(radius) + room) & state[ALIVE] == 0:
+        at = centre(I, F, w, state, bodies + g, f, sphere, mode)
+        lanes, gap = _near(I, F, w, state, o, bodies + g, at, F[sphere + 3], more, mode)
+        if lanes == 0:
             continue
-        margin = room
-        if mode & PROVE:
-            margin = fma(load(w, half_at(I)), speed(I, w, at, radius, f, 0), more)
-            if mask_lt(gap, splat(radius) + margin) & state[ALIVE] == 0:
-                continue
-        near = np.int64(0)
         for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
             sphere = I[SPHERE] + 5 * k
-            at = centre(I, F, w, state, first_sphere + k, frame, sphere)
-            gap = shape_gap(I, F, o, w, at)
-            lanes = mask_lt(gap, splat(F[sphere + 3]) + margin) & state[ALIVE]
+            at = centre(I, F, w, state, first_sphere + k, f, sphere, mode)
+            lanes, gap = _near(I, F, w, state, o, first_sphere + k, at, F[sphere + 3], more, mode)
             if lanes == 0:
                 continue
             if mode & EXACT == 0:
@@ -146,41 +202,32 @@ def _body_to_shape(I, F, D, w, state, s, body, o, room, more, mode):
                 surely = mask_lt(gap, splat(F[sphere + 4])) & lanes
                 if surely != 0 and touch(state, surely, mode):
                     return True
-                surely = mask_lt(gap, splat(F[sphere + 4]) + margin) & lanes
+                # The ball inside the solid comes nearer than the margin: no exact test can help.
+                if mode & PROVE:
+                    surely = mask_lt(gap, splat(F[sphere + 4]) + more) & lanes
                 if surely != 0 and fail(state, surely, mode):
                     return True
-            near |= lanes
-        if near != 0:
-            if mode & PROVE:
-                early = near & mask_lt(splat(EXACT_BELOW), margin)
-                if early != 0 and fail(state, early, mode):
-                    return True
-            open_lanes |= near
-            worst = vmax(worst, margin)
+            open_lanes |= lanes
     open_lanes &= state[ALIVE]
-    return open_lanes != 0 and wait(I, D, w, state, s, body, o, open_lanes, worst, mode)
+    return open_lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o, open_lanes, mode)
 
 
 @njit(cache=True)
-def world_block(I, F, D, w, state, s, slack, mode):
-    """Bodies against the world; True where nothing is left to find out. See `check_block`.
-
-    Args:
-        slack: (bodies,) float32 [m], added to the margins of a proof.
-    """
+def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
+    """Bodies against the world; True where nothing is left to find out. See `check_block`."""
     for body in range(I[BODIES] - 1, -1, -1):  # the tip's bodies first: they touch most often
         f = I[I[FRAME] + body]
         if f == 0:
             continue
         sphere = I[BODY_SPHERE] + 4 * body
-        at, radius = centre(I, F, w, state, body, frame_at(I, f), sphere), F[sphere + 3]
+        at, radius = centre(I, F, w, state, body, f, sphere, mode), F[sphere + 3]
+        pad = F[I[PADDING] + body] if mode & PADDED else np.float32(0.0)
         more = splat(np.float32(0.0))
-        room = more
+        r = splat(radius + pad)
         if mode & PROVE:
             more = bend(I, F, w, I[RATE] + I[DOF] * body, slack[body])
-            room = fma(load(w, half_at(I)), speed(I, w, at, radius, f, 0), more)
+            r = fma(load(w, half_at(I)), load(w, velocity_at(I, body) + 3 * L), r + more)
         x, y, z = load(w, at), load(w, at + L), load(w, at + 2 * L)
-        r = room + splat(radius + (F[I[PADDING] + body] if mode & PADDED else np.float32(0.0)))
         lx, ly, lz, hx, hy, hz = hmin(x - r), hmin(y - r), hmin(z - r), hmax(x + r), hmax(y + r), hmax(z + r)
         top = 1
         state[STACK] = 0
@@ -197,9 +244,12 @@ def world_block(I, F, D, w, state, s, slack, mode):
                         top += 1
                     continue
                 pad = F[I[MARGIN] + I[OBJECTS] * body + I[I[SHAPE_OBJECT] + o]]
-                if pad < 0.0 or mask_lt(shape_gap(I, F, o, w, at), r) & state[ALIVE] == 0:
+                if pad < 0.0:
                     continue
-                extra = splat(pad if mode & PADDED else np.float32(0.0))
-                if _body_to_shape(I, F, D, w, state, s, body, o, room + extra, more + extra, mode):
+                extra = more + splat(pad) if mode & PADDED else more
+                lanes, _gap = _near(I, F, w, state, o, body, at, radius, extra, mode)
+                if lanes != 0 and _body_to_shape(
+                    I, F, D, w, state, s, slack, slack_pair, body, o, extra, mode
+                ):
                     return True
     return False
