@@ -159,19 +159,21 @@ def _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz):
 
 @njit(cache=True, forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Lanes (bits) where the ball around centre i is not clear of world shape o, and the gap there.
+    """Lanes (bits) where the ball around centre i is not clear of world shape o; the gap; what it must exceed.
 
     In a proof the ball is cleared if its gap, falling at its rate, lasts for half the interval; a ball does
     not turn, so that only its centre's velocity counts.
     """
     gap = shape_gap(I, F, o, w, at)
     if mode & PROVE == 0:
-        return mask_lt(gap, splat(radius) + more) & state[ALIVE], gap
+        return mask_lt(gap, splat(radius) + more) & state[ALIVE], gap, more
     half, velocity = load(w, half_at(I)), velocity_at(I, i)
-    lanes = mask_lt(gap, fma(half, load(w, velocity + 3 * L), splat(radius) + more)) & state[ALIVE]
+    need = fma(half, load(w, velocity + 3 * L), more)
+    lanes = mask_lt(gap, splat(radius) + need) & state[ALIVE]
     if lanes != 0:
-        lanes &= mask_lt(gap, fma(half, shape_rate(I, F, o, w, at, velocity), splat(radius) + more))
-    return lanes, gap
+        need = fma(half, shape_rate(I, F, o, w, at, velocity), more)
+        lanes &= mask_lt(gap, splat(radius) + need)
+    return lanes, gap, need
 
 
 @njit(cache=True)
@@ -185,13 +187,13 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
         sphere = I[GROUP_SPHERE] + 4 * g
         at = centre(I, F, w, state, bodies + g, f, sphere, mode)
-        lanes, gap = _near(I, F, w, state, o, bodies + g, at, F[sphere + 3], more, mode)
+        lanes, gap, need = _near(I, F, w, state, o, bodies + g, at, F[sphere + 3], more, mode)
         if lanes == 0:
             continue
         for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
             sphere = I[SPHERE] + 5 * k
             at = centre(I, F, w, state, first_sphere + k, f, sphere, mode)
-            lanes, gap = _near(I, F, w, state, o, first_sphere + k, at, F[sphere + 3], more, mode)
+            lanes, gap, need = _near(I, F, w, state, o, first_sphere + k, at, F[sphere + 3], more, mode)
             if lanes == 0:
                 continue
             if mode & EXACT == 0:
@@ -202,12 +204,11 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
                 surely = mask_lt(gap, splat(F[sphere + 4])) & lanes
                 if surely != 0 and touch(state, surely, mode):
                     return True
-                # The ball inside the solid comes nearer than the margin: no exact test can help.
-                if mode & PROVE:
-                    surely = mask_lt(gap, splat(F[sphere + 4]) + more) & lanes
+                # Where the ball inside the solid is too near, no exact test can help.
+                surely = mask_lt(gap, splat(F[sphere + 4]) + need) & lanes
                 if surely != 0 and fail(state, surely, mode):
                     return True
-            open_lanes |= lanes
+            open_lanes |= lanes & state[ALIVE]
     open_lanes &= state[ALIVE]
     return open_lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o, open_lanes, mode)
 
@@ -247,7 +248,7 @@ def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
                 if pad < 0.0:
                     continue
                 extra = more + splat(pad) if mode & PADDED else more
-                lanes, _gap = _near(I, F, w, state, o, body, at, radius, extra, mode)
+                lanes, _gap, _need = _near(I, F, w, state, o, body, at, radius, extra, mode)
                 if lanes != 0 and _body_to_shape(
                     I, F, D, w, state, s, slack, slack_pair, body, o, extra, mode
                 ):
