@@ -53,11 +53,11 @@ def workspace(flat: Flat) -> Workspace:
     The lanes hold, in this order: positions (dof), what each joint moves by per unit of the edge (dof), half
     the width of each lane's interval in that unit, the turning of all joints in it, the exact tier's 8,
     frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centres (3 each), and
-    in a proof the centres' velocities and speeds (4 each).
+    in a proof the centres' velocities and speeds (4 each) and what the bodies' margins have beside them.
     """
     I = flat[0]
     centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
-    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centres) * L
+    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centres + I[BODIES]) * L
     raw = np.zeros(size + 16, np.float32)
     start = (-raw.ctypes.data % 64) // 4
     return raw[start : start + size], np.zeros(STAMPS + centres, np.int64), np.zeros(SCRATCH, np.float64)
@@ -102,6 +102,12 @@ def centre_at(I, i):
 def velocity_at(I, i):
     """Where the velocity of centre i and then its speed are kept, per unit of the edge."""
     return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
+
+
+@njit(cache=True, forceinline=True)
+def more_at(I, body):
+    """Where a proof keeps what body's margins have beside its speed (see bend), seen from the world."""
+    return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
 
 
 @njit(cache=True, forceinline=True)

@@ -29,7 +29,8 @@ POINTS, SPHERE, BOX, CAPSULE, CYLINDER, CONE, HALFSPACE = range(7)
 MAX_ITERATIONS = 64
 SCRATCH = 64  # float64 numbers that `distance` needs
 NORMAL = 54
-TOLERANCE = 1e-6  # [m] of the distance
+TOLERANCE = 1e-6  # [m] of the distance, beside this share of what is enough:
+SHARE = 0.05
 TOUCHING = 1e-7  # [m] solids closer than this touch: points are chosen in float32
 
 
@@ -232,7 +233,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
         s[v], s[v + 1], s[v + 2] = s[T + 3], s[T + 7], s[T + 11]
     if s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2] < 1e-20:
         s[v] = 1.0
-    n, bound = 0, 0.0
+    n, bound, tolerance = 0, 0.0, TOLERANCE + SHARE * enough
     for _ in range(MAX_ITERATIONS):
         length2 = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if n > 0 and length2 < 1e-18:
@@ -245,7 +246,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             s[NORMAL], s[NORMAL + 1], s[NORMAL + 2] = s[v] / length, s[v + 1] / length, s[v + 2] / length
             if bound > enough:
                 return bound
-        if n > 0 and length - bound <= TOLERANCE:
+        if n > 0 and length - bound <= tolerance:
             return bound if bound > TOUCHING else 0.0
         for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
             if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:

@@ -15,6 +15,7 @@ from armcell.collision.kernel.frames import (
     centre,
     centre_at,
     half_at,
+    more_at,
     velocity_at,
 )
 from armcell.collision.kernel.layout import (
@@ -59,6 +60,19 @@ def _near(I, w, state, i, j, radii, more, mode):
     rate = fma(dy, load(w, u + L) - load(w, v + L), rate)
     rate = fma(dz, load(w, u + 2 * L) - load(w, v + 2 * L), rate)
     return mask_lt(apart, fma(half, vabs(rate) / apart, need)) & state[ALIVE]
+
+
+@njit(cache=True, forceinline=True)
+def _far(I, F, w, state, i, j, radii):
+    """Whether two bodies are clear of each other in every lane whatever their directions; cheap."""
+    a, b = centre_at(I, i), centre_at(I, j)
+    dx, dy = load(w, a) - load(w, b), load(w, a + L) - load(w, b + L)
+    dz = load(w, a + 2 * L) - load(w, b + 2 * L)
+    need, half = splat(radii), load(w, half_at(I))
+    for body in (i, j):
+        if I[I[FRAME] + body] > 0:
+            need = fma(half, load(w, velocity_at(I, body) + 3 * L), need + load(w, more_at(I, body)))
+    return mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), need * need) & state[ALIVE] == 0
 
 
 @njit(cache=True)
@@ -129,6 +143,8 @@ def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
         centre(I, F, w, state, j, I[I[FRAME] + j], sj, mode)
         more = splat(np.float32(0.0))
         if mode & PROVE:
+            if _far(I, F, w, state, i, j, F[si + 3] + F[sj + 3]):
+                continue
             more = bend(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
         if _near(I, w, state, i, j, F[si + 3] + F[sj + 3], more, mode) == 0:
             continue

@@ -18,6 +18,7 @@ from armcell.collision.kernel.frames import (
     bend,
     centre,
     half_at,
+    more_at,
     velocity_at,
 )
 from armcell.collision.kernel.layout import (
@@ -52,6 +53,7 @@ from armcell.collision.kernel.simd import (
     mask_lt,
     select_lt,
     splat,
+    store,
     trailing_zeros,
     vabs,
     vmax,
@@ -159,7 +161,7 @@ def _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz):
 
 @njit(cache=True, forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Lanes (bits) where the ball around centre i is not clear of world shape o; the gap; what it must exceed.
+    """Lanes (bits) where the ball around centre i is not clear of shape o; the gap; what it must exceed.
 
     In a proof the ball is cleared if its gap, falling at its rate, lasts for half the interval; a ball does
     not turn, so that only its centre's velocity counts.
@@ -227,6 +229,7 @@ def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
         r = splat(radius + pad)
         if mode & PROVE:
             more = bend(I, F, w, I[RATE] + I[DOF] * body, slack[body])
+            store(w, more_at(I, body), more)
             r = fma(load(w, half_at(I)), load(w, velocity_at(I, body) + 3 * L), r + more)
         x, y, z = load(w, at), load(w, at + L), load(w, at + 2 * L)
         lx, ly, lz, hx, hy, hz = hmin(x - r), hmin(y - r), hmin(z - r), hmax(x + r), hmax(y + r), hmax(z + r)

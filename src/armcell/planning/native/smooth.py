@@ -19,7 +19,8 @@ COARSE = 4e-3
 needs finer ones passes within a few millimetres of something and is not worth its proof."""
 
 MIN_CHANGE = 0.01  # [rad] smaller moves of a corner are not tried
-ROUNDS = 6
+ROUNDS = 4
+WORTHWHILE = 0.02  # a round that shortens the path by less than this share is the last
 
 
 @njit(cache=True)
@@ -134,9 +135,13 @@ def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index,
         f[i], t[i] = i * dof, (i + 1) * dof
     if prove(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, f, t, count - 1, a, 0, FINEST, False) != 0:
         return 0
+    length = 1e300
     for _ in range(ROUNDS):
         count = _shortcut(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, f, t, a, mode)
-        if count <= 2:
+        before, length = length, 0.0
+        for i in range(count - 1):
+            length += _distance(p, dof, i * dof, (i + 1) * dof)
+        if count <= 2 or length > (1 - WORTHWHILE) * before:
             break
         count, changed = _round_corners(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, m, f, t, a, mode)
         if not changed:
