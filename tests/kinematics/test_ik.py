@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.model.helpers import MBM, chain_of, dual, mbm_robot, random_positions
+from tests.model.helpers import MBM, dual, mbm_robot, random_positions
 
 from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
 from armcell.kinematics import IKSettings, IKSolver, NumericIK, ik_solver

@@ -69,7 +69,7 @@ def _from_joints(scene, joint_names, state, checker) -> tuple[Outcome, list[Arra
 def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, list[Array]]:
     ik = ik_solver(scene.model, group, goal.link)
     valid, contacts = [], []
-    for q in ik.solutions(goal.T_world_link, scene.positions, rng):
+    for q in ik.nearest(goal.T_world_link, scene.positions, rng):
         touching = checker.contacts(q)
         if touching:
             contacts.append(touching)

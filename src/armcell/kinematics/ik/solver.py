@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -72,11 +73,16 @@ class IKSolver(ABC):
         self.lower, self.upper = model.lower[self.columns], model.upper[self.columns]
         self._others = other_columns(model, self.joint_names, self.tip_link)
         start = model.default_positions()
-        self._prepared = (start[self._others].tobytes(), self._prepare(start))
+        self._kept = (start[self._others].tobytes(), self._prepare(start))
 
     def _prepare(self, positions: Array) -> Prepared:
         chain = chain_of(self.tree, self.joint_names, self.tip_link, positions)
         return Prepared(chain, seeds_of(chain))
+
+    @property
+    def prepared(self) -> Prepared:
+        """What the compiled functions take, with the robot's other joints where they were asked for last."""
+        return self._kept[1]
 
     @abstractmethod
     def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
@@ -101,6 +107,14 @@ class IKSolver(ABC):
         prepared, goal, at = self._question(T_world_tip, reference)
         for q in self._search(prepared, goal, at, rng, {}):
             yield from every_turn(q, at, prepared.chain) if equivalents else (q,)
+
+    def nearest(
+        self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
+    ) -> list[Array]:
+        """Up to `among` distinct solutions (n,), the nearest to the reference first; see `solutions`."""
+        at = np.asarray(reference, dtype=float)
+        found = list(islice(self.solutions(T_world_tip, at, rng), among))
+        return sorted(found, key=lambda q: float(np.linalg.norm(q - at[self.columns])))
 
     def solve(
         self,
@@ -180,10 +194,10 @@ class IKSolver(ABC):
         if not np.isfinite(positions.sum()):
             bad = [n for n, v in zip(self.model.joint_names, positions, strict=True) if not np.isfinite(v)]
             raise InputError(f"the reference position of {', '.join(bad)} is not finite")
-        key, prepared = self._prepared
+        key, prepared = self._kept
         if len(self._others) and (now := positions[self._others].tobytes()) != key:
             prepared = self._prepare(positions)
-            self._prepared = (now, prepared)
+            self._kept = (now, prepared)
         goal = np.empty(12)
         if not goal_in_base(prepared.chain.inverse_base, T_world_tip.matrix, goal):
             raise InputError(f"the wanted pose of {self.tip_link} has a value that is not finite")
