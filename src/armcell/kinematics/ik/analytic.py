@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armcell.core import InputError
 from armcell.kinematics.ik.chain import chain_of
 from armcell.kinematics.ik.solver import IKSolver, Prepared, other_columns, tip_of
-from armcell.kinematics.ik.turns import nearest_turns
+from armcell.kinematics.ik.turns import keep_within
 from armcell.kinematics.ik.ur import BRANCHES, ur_branches, ur_geometry
 from armcell.kinematics.tree import FIXED, kinematic_tree
 from armcell.model import RobotModel
@@ -42,14 +42,10 @@ class AnalyticIK(IKSolver):
     def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
         chain, found = prepared.chain, np.empty((BRANCHES, 6))
-        within = []
-        for q in found[: ur_branches(prepared.geometry, goal, reference, found)]:
-            joint = nearest_turns(q, reference, chain.bounds, chain.turning)
-            if joint < 0:
-                within.append(q)
-            else:
-                outside[self.joint_names[joint]] = outside.get(self.joint_names[joint], 0) + 1
-        yield from sorted(within, key=lambda q: float(np.linalg.norm(q - reference)))
+        forbidden = np.zeros(6, dtype=np.int64)
+        count = ur_branches(prepared.geometry, goal, reference, found)
+        yield from found[: keep_within(found, count, reference, chain.bounds, chain.turning, forbidden)]
+        outside.update({self.joint_names[k]: int(forbidden[k]) for k in np.flatnonzero(forbidden)})
 
 
 def is_analytic(model: RobotModel, group: str, tip_link: str | None = None) -> bool:

@@ -146,8 +146,8 @@ class IKSolver(ABC):
                 rejected.append(q)
                 continue
             valid += 1
-            apart = float(np.linalg.norm(q - at))
-            if apart < least:
+            apart = q - at
+            if (apart := float(apart @ apart)) < least:
                 best, least = q, apart
             if self.nearest_first or valid >= self.settings.solutions:
                 break

@@ -39,6 +39,39 @@ def nearest_turns(q, reference, bounds, turning):
     return outside
 
 
+@njit(cache=True, error_model="numpy")
+def keep_within(found, count, reference, bounds, turning, outside):
+    """Turn solutions (k, n) by whole turns within bounds, drop those that cannot be, sort by distance.
+
+    Args:
+        count: rows of `found` that are solutions; it is changed in place.
+        outside: (n,) is raised by one at the first joint that keeps a solution out.
+    Returns:
+        How many are left, the nearest to the reference (n,) first.
+    """
+    n, kept = len(reference), 0
+    squared = np.empty(count)
+    row = np.empty(n)
+    for i in range(count):
+        row[:] = found[i]
+        joint = nearest_turns(row, reference, bounds, turning)
+        if joint >= 0:
+            outside[joint] += 1
+            continue
+        distance = 0.0
+        for k in range(n):
+            distance += (row[k] - reference[k]) ** 2
+        at = kept
+        while at > 0 and squared[at - 1] > distance:
+            squared[at] = squared[at - 1]
+            found[at] = found[at - 1]
+            at -= 1
+        squared[at] = distance
+        found[at] = row
+        kept += 1
+    return kept
+
+
 def equivalents(q: Array, reference: Array, chain: Chain) -> list[Array]:
     """The same pose with joints turned by whole turns, within limits, nearest to the reference first.
 
