@@ -26,7 +26,7 @@ from armcell.kinematics import IKSettings, NumericIK, ik_solver
 from armcell.kinematics.ik.chain import goal_in_base
 from armcell.kinematics.ik.search import any_solution
 from armcell.kinematics.ik.seeds import halton, pose_numbers
-from armcell.kinematics.ik.turns import equivalents
+from armcell.kinematics.ik.turns import whole_turns
 from armcell.model import Group, RobotModel, load_robot
 
 TURN = 2 * np.pi
@@ -184,7 +184,7 @@ def test_whole_turns_of_a_bounded_and_an_endless_joint():
     chain = NumericIK(model, "g").prepared.chain
     bounds = np.array([[-np.inf, np.inf], [-20.0, 20.0], [-7.0, 9.0]])
     chain = replace(chain, bounds=bounds)
-    found = equivalents(np.array([0.5, 1.5, 2.0]), np.array([20.0, 20.0, -1.0]), chain)
+    found = whole_turns(np.array([0.5, 1.5, 2.0]), np.array([20.0, 20.0, -1.0]), chain)
     near = 0.5 + 3 * TURN
     np.testing.assert_allclose(found, [[near, 1.5, 2.0], [near, 1.5, 2.0 - TURN], [near, 1.5, 2.0 + TURN]])
     assert chain.turning.tolist() == [True, False, True]
@@ -262,9 +262,20 @@ def test_wrong_questions_are_named(robot):
         ik_solver(model, "arm", "nowhere")
     with pytest.raises(UnknownNameError, match="unknown planning group"):
         ik_solver(model, "nothing")
+    for setting in ("seeds", "solutions", "max_iterations", "position_tolerance", "rotation_tolerance"):
+        for value in (0, -1, np.nan, np.inf):
+            with pytest.raises(InputError, match=f"{setting} is .* must be positive"):
+                IKSettings(**{setting: value})
     root = model.root_link
     with pytest.raises(InputError, match=f"moves link '{root}'"):
         ik_solver(model, "arm", root)
+
+
+def test_one_seed_is_enough_for_the_reference_itself():
+    ik = NumericIK(load_robot("panda"), "arm", settings=IKSettings(seeds=1, solutions=1))
+    home = ik.model.default_positions()
+    assert ik.solve(ik.tree.link_pose(home, ik.tip_link), home).ok
+    assert len(list(ik.solutions(ik.tree.link_pose(home, ik.tip_link), home))) == 1
 
 
 def test_a_reference_out_of_limits_is_no_obstacle():

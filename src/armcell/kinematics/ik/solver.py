@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any
 
@@ -15,7 +15,7 @@ from armcell.core import SE3, ErrorCode, IKResult, InputError
 from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
 from armcell.kinematics.ik.descent import descend
 from armcell.kinematics.ik.seeds import Seeds, rank, seeds_of, take_nearest
-from armcell.kinematics.ik.turns import equivalents
+from armcell.kinematics.ik.turns import whole_turns
 from armcell.kinematics.tree import FIXED, kinematic_tree
 from armcell.model import RobotModel
 
@@ -38,6 +38,12 @@ class IKSettings:
     max_iterations: int = 30  # per seed
     seeds: int = 200  # descents before a pose counts as unreachable
     solutions: int = 8  # distinct valid solutions to choose the nearest from, where there is a continuum
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 < value < np.inf:
+                raise InputError(f"{field.name} is {value:g}, it must be positive and finite")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +112,7 @@ class IKSolver(ABC):
         """
         prepared, goal, at = self._question(T_world_tip, reference)
         for q in self._search(prepared, goal, at, rng, {}):
-            yield from every_turn(q, at, prepared.chain) if equivalents else (q,)
+            yield from whole_turns(q, at, prepared.chain) if equivalents else (q,)
 
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
@@ -258,9 +264,6 @@ class IKSolver(ABC):
 
 def _counts(outside: dict[str, int]) -> str:
     return ", ".join(f"{name}: {count}" for name, count in outside.items())
-
-
-every_turn = equivalents  # `solutions` has a parameter of that name
 
 
 def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:

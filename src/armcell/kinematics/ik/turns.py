@@ -72,7 +72,7 @@ def keep_within(found, count, reference, bounds, turning, outside):
     return kept
 
 
-def equivalents(q: Array, reference: Array, chain: Chain) -> list[Array]:
+def whole_turns(q: Array, reference: Array, chain: Chain) -> list[Array]:
     """The same pose with joints turned by whole turns, within limits, nearest to the reference first.
 
     At most the three nearest positions of each joint; of one without limits only the nearest.
