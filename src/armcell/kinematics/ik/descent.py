@@ -55,9 +55,34 @@ def damped_step(J, n, e, damping, A):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def jacobian(table, axes, T, scale, J):
+    """Fill J[:, :6], a row per joint: the tip's velocity, times `scale`, and its angular velocity.
+
+    Args:
+        axes, T: from `tip_pose`.
+    """
+    J[:] = 0.0
+    for k in range(len(table)):
+        c, m = int(table[k, COLUMN]), table[k, MULTIPLIER]
+        wx, wy, wz = axes[k, 0] * m, axes[k, 1] * m, axes[k, 2] * m
+        if table[k, SLIDE] != 0.0:
+            J[c, 0] += scale * wx
+            J[c, 1] += scale * wy
+            J[c, 2] += scale * wz
+        else:
+            dx, dy, dz = T[3] - axes[k, 3], T[7] - axes[k, 4], T[11] - axes[k, 5]
+            J[c, 0] += scale * (wy * dz - wz * dy)
+            J[c, 1] += scale * (wz * dx - wx * dz)
+            J[c, 2] += scale * (wx * dy - wy * dx)
+            J[c, 3] += wx
+            J[c, 4] += wy
+            J[c, 5] += wz
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def descend(
     table, bounds, goal, scale, iterations, patience, position_tolerance, rotation_tolerance, q, axes, J
-):
+):  # fmt: skip
     """Improve q (n,) in place, within bounds.
 
     Args:
@@ -80,22 +105,7 @@ def descend(
         previous = cost
         if stalled >= patience:
             return position, angle, False, iteration + 1
-        J[:] = 0.0
-        for k in range(len(table)):
-            c, m = int(table[k, COLUMN]), table[k, MULTIPLIER]
-            wx, wy, wz = axes[k, 0] * m, axes[k, 1] * m, axes[k, 2] * m
-            if table[k, SLIDE] != 0.0:
-                J[c, 0] += scale * wx
-                J[c, 1] += scale * wy
-                J[c, 2] += scale * wz
-            else:
-                dx, dy, dz = T[3] - axes[k, 3], T[7] - axes[k, 4], T[11] - axes[k, 5]
-                J[c, 0] += scale * (wy * dz - wz * dy)
-                J[c, 1] += scale * (wz * dx - wx * dz)
-                J[c, 2] += scale * (wx * dy - wy * dx)
-                J[c, 3] += wx
-                J[c, 4] += wy
-                J[c, 5] += wz
+        jacobian(table, axes, T, scale, J)
         e[0] *= scale
         e[1] *= scale
         e[2] *= scale

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.kinematics.ik.nullspace import slide_towards
 from armcell.kinematics.ik.search import search
 from armcell.kinematics.ik.seeds import rank, sampling_range
 from armcell.kinematics.ik.solver import IKSolver, Prepared
@@ -42,6 +43,16 @@ class NumericIK(IKSolver):
                 for q in found[given:count]:
                     yield q.copy()
                 given = count
+
+    def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
+        if len(q) <= 6:
+            return q
+        chain, nearer = prepared.chain, q.copy()
+        slide_towards(
+            chain.table, chain.bounds, goal, chain.scale, reference, self.settings.position_tolerance,
+            self.settings.rotation_tolerance, nearer,
+        )  # fmt: skip
+        return nearer
 
     def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
         """Seeds (k, n), their scores (lowest first) and how many to try; `settings.seeds` in all."""

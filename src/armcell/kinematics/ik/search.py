@@ -35,18 +35,9 @@ def search(
         for c in range(n):
             q[c] = min(max(seeds[seed, c], bounds[c, 0]), bounds[c, 1])
         reached = descend(
-            table,
-            bounds,
-            goal,
-            scale,
-            iterations,
-            PATIENCE,
-            position_tolerance,
-            rotation_tolerance,
-            q,
-            axes,
-            J,
-        )[2]
+            table, bounds, goal, scale, iterations, PATIENCE, position_tolerance, rotation_tolerance,
+            q, axes, J,
+        )[2]  # fmt: skip
         if not reached or nearest_turns(q, reference, bounds, turning) >= 0:
             continue
         new = True

@@ -96,6 +96,10 @@ class IKSolver(ABC):
         """Distinct solutions (n,) for a goal (12,) in the chain's base frame; counts in `outside`, per joint,
         those which only that joint's limits forbid."""
 
+    def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
+        """A solution (n,) like q that is nearer to the reference, or q itself."""
+        return q
+
     def solutions(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
         equivalents: bool = False,
@@ -158,6 +162,9 @@ class IKSolver(ABC):
             if self.nearest_first or valid >= self.settings.solutions:
                 break
         if best is not None:
+            nearer = self._nearer(prepared, goal, at, best)
+            if nearer is not best and (is_valid is None or is_valid(nearer)):
+                best = nearer
             position, angle = errors_at(prepared.chain.table, best, goal)
             return IKResult(ErrorCode.SUCCESS, positions=best, position_error=position, rotation_error=angle)
         if not rejected:
