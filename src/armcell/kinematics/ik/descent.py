@@ -116,7 +116,8 @@ def descend(
                 step = J[c, 6]
                 if (step > 0.0 and q[c] >= bounds[c, 1]) or (step < 0.0 and q[c] <= bounds[c, 0]):
                     pressing = True
-                    J[c] = 0.0
+                    for r in range(6):
+                        J[c, r] = 0.0
             if not pressing:
                 break
         largest = 0.0

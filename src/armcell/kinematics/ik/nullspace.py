@@ -22,6 +22,7 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
     n = len(q)
     axes, J = np.empty((len(table), 6)), np.empty((n, 7))
     T, e, A = np.empty(12), np.empty(6), np.empty((6, 6))
+    corrections, patience = np.int64(CORRECTIONS), np.int64(PATIENCE)  # for literals Numba compiles again
     trial, factor = np.empty(n), 1.0
     distance = 0.0
     for c in range(n):
@@ -45,13 +46,14 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
             step = length * (reference[c] - q[c] - J[c, 6])
             trial[c] = min(max(q[c] + step, bounds[c, 0]), bounds[c, 1])
         reached = descend(
-            table, bounds, goal, scale, CORRECTIONS, PATIENCE, position_tolerance, rotation_tolerance,
+            table, bounds, goal, scale, corrections, patience, position_tolerance, rotation_tolerance,
             trial, axes, J,
         )[2]  # fmt: skip
         for c in range(n):
             nearer += (reference[c] - trial[c]) ** 2
         if reached and nearer < distance:
-            q[:] = trial
+            for c in range(n):
+                q[c] = trial[c]
             if distance - nearer < ENOUGH * ENOUGH:
                 return
             distance = nearer

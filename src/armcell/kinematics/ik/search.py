@@ -27,6 +27,7 @@ def search(
         Seeds tried, solutions in `found`.
     """
     n = len(bounds)
+    patience = np.int64(PATIENCE)  # for a literal Numba would compile descend again
     q, axes, J = np.empty(n), np.empty((len(table), 6)), np.empty((n, 7))
     for tried in range(tries):
         if count >= want:
@@ -35,7 +36,7 @@ def search(
         for c in range(n):
             q[c] = min(max(seeds[seed, c], bounds[c, 0]), bounds[c, 1])
         reached = descend(
-            table, bounds, goal, scale, iterations, PATIENCE, position_tolerance, rotation_tolerance,
+            table, bounds, goal, scale, iterations, patience, position_tolerance, rotation_tolerance,
             q, axes, J,
         )[2]  # fmt: skip
         if not reached or nearest_turns(q, reference, bounds, turning) >= 0:
@@ -47,7 +48,8 @@ def search(
                 largest = max(largest, abs(found[other, c] - q[c]))
             new = new and largest > DISTINCT
         if new:
-            found[count] = q
+            for c in range(n):
+                found[count, c] = q[c]
             count += 1
     return tries, count
 

@@ -89,8 +89,9 @@ def fill_poses(table, positions, poses):
 @njit(cache=True, fastmath=True)
 def rank(poses, goal, scale, scores):
     """Fill `scores` (COUNT,): how far each pose is from the goal (12,), in radians squared or so."""
-    g = np.empty(7, np.float32)
-    pose_numbers(goal, g)
+    numbers = np.empty(7)
+    pose_numbers(goal, numbers)
+    g = numbers.astype(np.float32)
     weight = np.float32(scale * scale)
     for i in range(len(scores)):
         dx, dy, dz = poses[0, i] - g[0], poses[1, i] - g[1], poses[2, i] - g[2]

@@ -53,7 +53,8 @@ def keep_within(found, count, reference, bounds, turning, outside):
     squared = np.empty(count)
     row = np.empty(n)
     for i in range(count):
-        row[:] = found[i]
+        for k in range(n):
+            row[k] = found[i, k]
         joint = nearest_turns(row, reference, bounds, turning)
         if joint >= 0:
             outside[joint] += 1
@@ -64,10 +65,12 @@ def keep_within(found, count, reference, bounds, turning, outside):
         at = kept
         while at > 0 and squared[at - 1] > distance:
             squared[at] = squared[at - 1]
-            found[at] = found[at - 1]
+            for k in range(n):
+                found[at, k] = found[at - 1, k]
             at -= 1
         squared[at] = distance
-        found[at] = row
+        for k in range(n):
+            found[at, k] = row[k]
         kept += 1
     return kept
 

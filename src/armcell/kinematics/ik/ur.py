@@ -213,7 +213,7 @@ def ur_branches(geometry, goal, reference, out):
     h, radius = g[21], np.sqrt(C[0] * C[0] + C[1] * C[1])
     if radius < abs(h) - REACH:
         return 0
-    count = 0
+    count = np.int64(0)  # for a literal Numba would compile _elbows again
     for shoulder in range(2):
         depth = np.sqrt(max(radius - abs(h), 0.0) * (radius + abs(h)))
         if radius < SINGULAR:  # C is on axis 1 and has no offset: joint 1 is free

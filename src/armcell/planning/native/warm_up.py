@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.kinematics import NumericIK, ik_solver
+from armcell.kinematics import ik_solver
 from armcell.model import load_robot
 from armcell.planning.finish import clearance_along
 from armcell.planning.native.planner import NativePlanner
@@ -37,9 +37,9 @@ def warm_up() -> float:
     path = BlendedPath(np.array([[0.01], [0.02], [0.04]]), 0.0)
     parameterize(path, checker.joint_names, [0.1], [1.0])
     clearance_along(checker.exact, parameterize(path, checker.joint_names, [0.1], [1.0]))
-    arm = load_robot("ur10")
-    home = arm.default_positions()
-    for ik in (ik_solver(arm, "arm"), NumericIK(arm, "arm")):
+    for name in ("ur10", "panda"):  # the analytic solver and the numeric one
+        arm = load_robot(name)
+        home, ik = arm.default_positions(), ik_solver(arm, "arm")
         ik.solve(ik.tree.link_pose(home, ik.tip_link), home)
         ik.descend(home.copy(), ik.tree.link_pose(home, ik.tip_link))
     seconds = time.monotonic() - began
