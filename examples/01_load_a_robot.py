@@ -10,7 +10,7 @@ import numpy as np
 
 import armcell
 from armcell.core import SE3, JointState
-from armcell.kinematics import NumericIK, kinematic_tree
+from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.model import robot_names
 from armcell.scene import PlanningScene
 
@@ -42,7 +42,7 @@ print("\nat home the hand is at", T_world_hand)
 target = T_world_hand.shifted(z=-0.10)
 
 # Inverse kinematics: the solution nearest to where the arm is.
-ik = NumericIK(robot, "arm")
+ik = ik_solver(robot, "arm")
 answer = ik.solve(target, scene.positions)
 print("10 cm lower:", np.round(np.rad2deg(answer.positions), 1), "deg")
 lowered = scene.with_state(JointState(ik.joint_names, answer.positions))

@@ -15,7 +15,7 @@ from armcell.cell import run_task
 from armcell.core import InputError
 
 FILE = Path(armcell.__file__).parent / "cell" / "library" / "panda_pick" / "cell.yaml"
-SLIPPERY = "    movable: true\n    mass: 0.5\n    friction: 0.02\n"
+SLIPPERY = "    movable: true\n    mass: 0.5\n    friction: 0.03\n"
 RUN = """
 import json, sys
 import armcell

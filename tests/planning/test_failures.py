@@ -82,7 +82,7 @@ def test_out_of_reach_is_told_with_evidence():
     assert evidence["closest_pose"].distance_to(target)[0] > 0.3
     # The Panda's arm is 0.855 m long (its data sheet), from the shoulder at 0.333 m to the flange.
     assert evidence["distance_m"] == pytest.approx(np.hypot(1.5, 0.333 - 0.2), abs=1e-3)
-    assert evidence["distance_m"] > evidence["stretched_length_m"] > 0.855
+    assert evidence["distance_m"] > evidence["reach_m"] > 0.855
     assert evidence["target"].isclose(target)
 
 

@@ -15,6 +15,7 @@ import typer
 from rich.progress import track
 from rich.table import Table
 
+from armcell.cli import bench_ik
 from armcell.cli.console import check_writable, console, errors, write_json
 from armcell.core import SE3, Box, Cylinder, InputError
 
@@ -24,6 +25,9 @@ app = typer.Typer(help="Measure armcell on public problems.", no_args_is_help=Tr
 @app.callback()
 def _group() -> None:
     """Measure armcell on public problems."""
+
+
+app.command("ik", epilog=bench_ik.EXAMPLES)(bench_ik.ik)
 
 
 @app.command("mbm")

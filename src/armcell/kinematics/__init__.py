@@ -1,6 +1,14 @@
 """Forward kinematics, Jacobians and inverse kinematics."""
 
-from armcell.kinematics.ik import IKSettings, NumericIK
+from armcell.kinematics.ik import AnalyticIK, IKSettings, IKSolver, NumericIK, ik_solver
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
-__all__ = ["IKSettings", "KinematicTree", "NumericIK", "kinematic_tree"]
+__all__ = [
+    "AnalyticIK",
+    "IKSettings",
+    "IKSolver",
+    "KinematicTree",
+    "NumericIK",
+    "ik_solver",
+    "kinematic_tree",
+]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate, ExactChecker, certify_path
 from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, PlanResult
-from armcell.kinematics import NumericIK
+from armcell.kinematics import IKSolver, ik_solver
 from armcell.planning.finish import clearance_along, finish
 from armcell.scene import PlanningScene
 from armcell.timing import TimingSettings, check_scaling, stretched
@@ -47,7 +47,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
     except InputError as error:
         text = f"start: {error}"
         return PlanResult(ErrorCode.START_STATE_INVALID, text, planner_id="cartesian", fraction=0.0)
-    ik = NumericIK(scene.model, request.group, request.link)
+    ik = ik_solver(scene.model, request.group, request.link)
     checker = ExactChecker(scene, ik.joint_names)
     checker.relax_margins(scene.positions[ik.columns])
     path, wanted, stop = _follow(scene, request, ik, checker)
@@ -114,7 +114,7 @@ class _Blind:
         return Certificate(True)
 
 
-def _follow(scene: PlanningScene, request: CartesianRequest, ik: NumericIK, checker: ExactChecker):
+def _follow(scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: ExactChecker):
     """Joint positions step by step, the number of steps wanted, and why it stopped (or None)."""
     poses = _interpolated(scene.frame_pose(ik.tip_link), request)
     q = scene.positions.copy()
@@ -124,10 +124,7 @@ def _follow(scene: PlanningScene, request: CartesianRequest, ik: NumericIK, chec
         position, angle, ok = ik.descend(q, pose)
         at = f"at {k / total:.0%} ({k} of {total} steps)"
         if not ok:
-            limits = [
-                n for n, v, lo, hi in zip(ik.joint_names, q[ik.columns], ik.lower, ik.upper, strict=True)
-                if v - lo < 1e-3 or hi - v < 1e-3
-            ]  # fmt: skip
+            limits = ik.at_limit(q[ik.columns])
             why = f"{', '.join(limits)} at the limit" if limits else "out of reach or singular"
             text = f"stops {at}: {why} ({position * 1000:.1f} mm, {np.rad2deg(angle):.1f} deg short)"
             return np.array(path), total, (ErrorCode.NO_IK_SOLUTION, text, {"joints_at_limit": limits})

@@ -8,7 +8,7 @@ import numpy as np
 
 from armcell.collision import ExactChecker
 from armcell.core import SE3, Contact
-from armcell.kinematics import NumericIK
+from armcell.kinematics import ik_solver
 from armcell.scene import PlanningScene
 
 MAX_BRANCHES = 16
@@ -44,7 +44,7 @@ def explain_pose(
     scene: PlanningScene, group: str, target: SE3, link: str | None = None, seed: int = 0
 ) -> PoseExplanation:
     """Look at every joint solution found for a pose of a link (the group's tip by default)."""
-    ik = NumericIK(scene.model, group, link)
+    ik = ik_solver(scene.model, group, link)
     checker = ExactChecker(scene, ik.joint_names)
     start = checker.contacts(scene.positions[ik.columns], padded=False)
     rng = np.random.default_rng(seed)

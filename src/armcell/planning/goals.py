@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from armcell.collision import ExactChecker
 from armcell.core import (
-    SE3,
     Contact,
     ErrorCode,
     InputError,
@@ -17,7 +16,7 @@ from armcell.core import (
     PlanRequest,
     PoseGoal,
 )
-from armcell.kinematics import NumericIK
+from armcell.kinematics import ik_solver
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -68,9 +67,9 @@ def _from_joints(scene, joint_names, state, checker) -> tuple[Outcome, list[Arra
 
 
 def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, list[Array]]:
-    ik = NumericIK(scene.model, group, goal.link)
+    ik = ik_solver(scene.model, group, goal.link)
     valid, contacts = [], []
-    for q in ik.solutions(goal.T_world_link, scene.positions, rng):
+    for q in ik.nearest(goal.T_world_link, scene.positions, rng):
         touching = checker.contacts(q)
         if touching:
             contacts.append(touching)
@@ -86,17 +85,8 @@ def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, lis
         text = f"each of {len(contacts)} joint solutions is in collision; the best: {outcome.message}"
         return Outcome(ErrorCode.GOAL_IN_COLLISION, text, outcome.evidence), []
     result = ik.solve(goal.T_world_link, scene.positions, rng=rng)
-    evidence = {**result.evidence, "target": goal.T_world_link, **_reach(scene, ik, goal.T_world_link)}
+    evidence = {**result.evidence, "target": goal.T_world_link}
     return Outcome(ErrorCode.NO_IK_SOLUTION, result.message, evidence), []
-
-
-def _reach(scene: PlanningScene, ik: NumericIK, target: SE3) -> dict[str, float]:
-    """How far the target is from the first joint of the chain, against the chain's stretched length."""
-    joints = [scene.model.joints[list(ik.tree.joint_index)[j]] for j in ik.joints]
-    first = next((i for i, j in enumerate(joints) if j.movable), 0)
-    base = ik.tree.link_pose(scene.positions, joints[first].child).translation
-    length = sum(float(np.linalg.norm(j.T_parent_joint.translation)) for j in joints[first + 1 :])
-    return {"distance_m": float(np.linalg.norm(target.translation - base)), "stretched_length_m": length}
 
 
 def _in_collision(contacts: list[Contact]) -> Outcome:

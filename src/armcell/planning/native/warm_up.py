@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.kinematics import NumericIK, kinematic_tree
+from armcell.kinematics import ik_solver
 from armcell.model import load_robot
 from armcell.planning.finish import clearance_along
 from armcell.planning.native.planner import NativePlanner
@@ -37,10 +37,11 @@ def warm_up() -> float:
     path = BlendedPath(np.array([[0.01], [0.02], [0.04]]), 0.0)
     parameterize(path, checker.joint_names, [0.1], [1.0])
     clearance_along(checker.exact, parameterize(path, checker.joint_names, [0.1], [1.0]))
-    arm = load_robot("ur10")
-    home = arm.default_positions()
-    ik = NumericIK(arm, "arm")
-    ik.solve(kinematic_tree(arm).link_pose(home, ik.tip_link), home)
+    for name in ("ur10", "panda"):  # the analytic solver and the numeric one
+        arm = load_robot(name)
+        home, ik = arm.default_positions(), ik_solver(arm, "arm")
+        ik.solve(ik.tree.link_pose(home, ik.tip_link), home)
+        ik.descend(home.copy(), ik.tree.link_pose(home, ik.tip_link))
     seconds = time.monotonic() - began
     if seconds > 2.0:
         logger.info("compiled the planner in %.0f s; it is kept for later runs", seconds)

@@ -10,7 +10,7 @@ import numpy as np
 from armcell.collision import ExactChecker
 from armcell.core import SE3, JointState
 from armcell.grasping import Grasp, grasp_candidates
-from armcell.kinematics import NumericIK
+from armcell.kinematics import ik_solver
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.search import Draft, Planning
@@ -115,7 +115,7 @@ def reachable(
     scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
 ) -> Iterator[JointState]:
     """Arm states with the tcp at a pose and nothing touching; the rest is rejected by reason."""
-    ik = NumericIK(scene.model, gripper.arm_group, gripper.tcp_link)
+    ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     checker = ExactChecker(scene, ik.joint_names)
     rng = np.random.default_rng(planning.seed)
     best, good = None, 0

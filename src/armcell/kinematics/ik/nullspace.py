@@ -1,0 +1,64 @@
+"""A redundant arm's solution, slid along its continuum towards a reference (Numba)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.kinematics.ik.chain import FAST, tip_pose
+from armcell.kinematics.ik.descent import BIAS, LARGEST_STEP, PATIENCE, damped_step, descend, jacobian
+
+STEPS, CORRECTIONS = 30, 8  # slides, and iterations of the descent back to the goal after each
+ENOUGH = 1e-3  # [rad or m] the end of sliding: so little is left to be gained
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
+    """Bring a solution q (n,) nearer to the reference (n,), in place; it stays a solution within bounds.
+
+    Each step is the way to the reference without the part that would move the tip, then a descent takes the
+    tip back onto its goal. Steps that bring nothing are halved, down to a sixteenth.
+    """
+    n = len(q)
+    axes, J = np.empty((len(table), 6)), np.empty((n, 7))
+    T, e, A = np.empty(12), np.empty(6), np.empty((6, 6))
+    corrections, patience = np.int64(CORRECTIONS), np.int64(PATIENCE)  # for literals Numba compiles again
+    trial, factor = np.empty(n), 1.0
+    distance = 0.0
+    for c in range(n):
+        distance += (reference[c] - q[c]) ** 2
+    for _ in range(STEPS):
+        tip_pose(table, q, axes, T)
+        jacobian(table, axes, T, scale, J)
+        for r in range(6):
+            e[r] = 0.0
+            for c in range(n):
+                e[r] += J[c, r] * (reference[c] - q[c])
+        damped_step(J, n, e, BIAS, A)
+        largest = 0.0
+        for c in range(n):
+            largest = max(largest, abs(reference[c] - q[c] - J[c, 6]))
+        if largest < ENOUGH:
+            return
+        length = factor * min(1.0, LARGEST_STEP / largest)
+        nearer = 0.0
+        for c in range(n):
+            step = length * (reference[c] - q[c] - J[c, 6])
+            trial[c] = min(max(q[c] + step, bounds[c, 0]), bounds[c, 1])
+        reached = descend(
+            table, bounds, goal, scale, corrections, patience, position_tolerance, rotation_tolerance,
+            trial, axes, J,
+        )[2]  # fmt: skip
+        for c in range(n):
+            nearer += (reference[c] - trial[c]) ** 2
+        if reached and nearer < distance:
+            for c in range(n):
+                q[c] = trial[c]
+            if distance - nearer < ENOUGH * ENOUGH:
+                return
+            distance = nearer
+            factor = min(1.0, 2.0 * factor)
+        elif factor > 0.1:
+            factor *= 0.5
+        else:
+            return

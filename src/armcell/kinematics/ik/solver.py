@@ -1,0 +1,294 @@
+"""What every inverse kinematics solver does: check the question, choose the answer, give the evidence."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, ErrorCode, IKResult, InputError
+from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
+from armcell.kinematics.ik.descent import descend
+from armcell.kinematics.ik.seeds import Seeds, rank, seeds_of, take_nearest
+from armcell.kinematics.ik.turns import whole_turns
+from armcell.kinematics.tree import FIXED, kinematic_tree
+from armcell.model import RobotModel
+
+Array = NDArray[np.float64]
+Validity = Callable[[Array], bool]
+
+CLOSEST_SEEDS, CLOSEST_ITERATIONS = (
+    12,
+    200,
+)  # descents that look for the closest pose when there is no solution
+AT_LIMIT = 1e-3  # [rad or m] from a limit counts as at it
+
+
+@dataclass(frozen=True)
+class IKSettings:
+    """Settings of the solvers. The analytic one needs none of them to find solutions."""
+
+    position_tolerance: float = 1e-6  # [m]
+    rotation_tolerance: float = 1e-6  # [rad]
+    max_iterations: int = 30  # per seed
+    seeds: int = 200  # descents before a pose counts as unreachable
+    solutions: int = 8  # distinct valid solutions to choose the nearest from, where there is a continuum
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 < value < np.inf:
+                raise InputError(f"{field.name} is {value:g}, it must be positive and finite")
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What is worked out once: for the group's chain, with the robot's other joints where they are."""
+
+    chain: Chain
+    seeds: Seeds
+    geometry: Array | None = None  # of the analytic solver
+
+
+class IKSolver(ABC):
+    """Inverse kinematics of one group and tip link of a model. Holds no state that a caller could notice.
+
+    Attributes:
+        method: "analytic" or "numeric".
+        lower, upper: limits of the group's joints (n,), infinite where there are none.
+        columns: of the group's joints in the model's positions (n,).
+    """
+
+    method = ""
+    nearest_first = False  # whether `solutions` come in the order of their distance from the reference
+
+    def __init__(
+        self, model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
+    ):
+        self.model, self.settings = model, settings
+        self.group = model.group(group)
+        self.tip_link = tip_of(model, group, tip_link)
+        self.tree = kinematic_tree(model)
+        self.joint_names = self.group.joint_names
+        self.columns = np.array(model.columns(self.joint_names), dtype=np.int64)
+        self.lower, self.upper = model.lower[self.columns], model.upper[self.columns]
+        self._others = other_columns(model, self.joint_names, self.tip_link)
+        start = model.default_positions()
+        self._kept = (start[self._others].tobytes(), self._prepare(start))
+
+    def _prepare(self, positions: Array) -> Prepared:
+        chain = chain_of(self.tree, self.joint_names, self.tip_link, positions)
+        return Prepared(chain, seeds_of(chain))
+
+    @property
+    def prepared(self) -> Prepared:
+        """What the compiled functions take, with the robot's other joints where they were asked for last."""
+        return self._kept[1]
+
+    @abstractmethod
+    def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
+                outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
+        """Distinct solutions (n,) for a goal (12,) in the chain's base frame; counts in `outside`, per joint,
+        those which only that joint's limits forbid."""
+
+    def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
+        """A solution (n,) like q that is nearer to the reference, or q itself."""
+        return q
+
+    def solutions(
+        self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
+        equivalents: bool = False,
+    ) -> Iterator[Array]:  # fmt: skip
+        """Distinct solutions (n,) within limits, each turned by whole turns towards the reference.
+
+        Args:
+            T_world_tip: wanted pose of the tip link.
+            reference: positions (dof,) of all joints; those outside the group stay there.
+            rng: where the numeric solver's last seeds come from.
+            equivalents: give after each solution also the others that differ from it by whole turns.
+        Raises:
+            InputError: a number that is not finite, or positions of the wrong length.
+        """
+        prepared, goal, at = self._question(T_world_tip, reference)
+        for q in self._search(prepared, goal, at, rng, {}):
+            yield from whole_turns(q, at, prepared.chain) if equivalents else (q,)
+
+    def nearest(
+        self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
+    ) -> list[Array]:
+        """Up to `among` distinct solutions (n,), the nearest to the reference first; see `solutions`."""
+        at = np.asarray(reference, dtype=float)
+        found = list(islice(self.solutions(T_world_tip, at, rng), among))
+        return sorted(found, key=lambda q: float(np.linalg.norm(q - at[self.columns])))
+
+    def solve(
+        self,
+        T_world_tip: SE3,
+        reference: ArrayLike,
+        is_valid: Validity | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> IKResult:
+        """The valid solution nearest to the reference.
+
+        Args:
+            T_world_tip: wanted pose of the tip link.
+            reference: positions (dof,) of all joints; the group's are what the solution should be near to.
+            is_valid: whether group positions (n,) may be used (collision, say).
+        Returns:
+            SUCCESS with `positions` (n,); NO_IK_SOLUTION with the closest found and in the evidence
+            `invalid_solutions` (how many `is_valid` refused) and `invalid`, or `closest_pose`,
+            `joints_at_limit`, `outside_limits` (solutions forbidden by a joint's limits, per joint),
+            `distance_m` of the goal from the first joint and `reach_m` of the arm.
+        Raises:
+            InputError: a number that is not finite, or positions of the wrong length.
+        """
+        prepared, goal, at = self._question(T_world_tip, reference)
+        best, least, valid = None, np.inf, 0
+        rejected: list[Array] = []
+        outside: dict[str, int] = {}
+        for q in self._search(prepared, goal, at, rng, outside):
+            if is_valid is not None and not is_valid(q):
+                rejected.append(q)
+                continue
+            valid += 1
+            apart = q - at
+            if (apart := float(apart @ apart)) < least:
+                best, least = q, apart
+            if self.nearest_first or valid >= self.settings.solutions:
+                break
+        if best is not None:
+            nearer = self._nearer(prepared, goal, at, best)
+            if nearer is not best and (is_valid is None or is_valid(nearer)):
+                best = nearer
+            position, angle = errors_at(prepared.chain.table, best, goal)
+            return IKResult(ErrorCode.SUCCESS, positions=best, position_error=position, rotation_error=angle)
+        if not rejected:
+            return self._closest(prepared, goal, at, np.asarray(reference, dtype=float), outside)
+        best = min(rejected, key=lambda q: float(np.linalg.norm(q - at)))
+        position, angle = errors_at(prepared.chain.table, best, goal)
+        return IKResult(
+            ErrorCode.NO_IK_SOLUTION,
+            f"{len(rejected)} solution(s) reach the pose, each of them in collision",
+            {"invalid_solutions": len(rejected), "invalid": rejected, "outside_limits": outside},
+            positions=best,
+            position_error=position,
+            rotation_error=angle,
+        )
+
+    def descend(self, q: Array, T_world_tip: SE3, iterations: int = 60) -> tuple[float, float, bool]:
+        """One descent from q (dof,), changed in place: errors [m], [rad], and whether it converged."""
+        prepared, goal, at = self._question(T_world_tip, q)
+        position, angle, ok = self._descend(prepared.chain, goal, at, iterations)
+        q[self.columns] = at
+        return position, angle, ok
+
+    def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
+        """From `at` (n,), changed in place, as long as there is any progress."""
+        n = len(at)
+        return descend(
+            chain.table, chain.bounds, goal, chain.scale, iterations, iterations,
+            self.settings.position_tolerance, self.settings.rotation_tolerance, at,
+            np.empty((len(chain.table), 6)), np.empty((n, 7)),
+        )[:3]  # fmt: skip
+
+    def _question(self, T_world_tip: SE3, reference: ArrayLike) -> tuple[Prepared, Array, Array]:
+        """What is worked out once, the goal (12,) in the base frame, the reference of the group (n,)."""
+        positions = np.asarray(reference, dtype=float)
+        if positions.shape != (self.model.dof,):
+            raise InputError(
+                f"the reference has shape {positions.shape}, {self.model.name!r} needs ({self.model.dof},)",
+                cure="give positions of all joints of the robot, in the model's order",
+            )
+        if not np.isfinite(positions.sum()):
+            bad = [n for n, v in zip(self.model.joint_names, positions, strict=True) if not np.isfinite(v)]
+            raise InputError(f"the reference position of {', '.join(bad)} is not finite")
+        key, prepared = self._kept
+        if len(self._others) and (now := positions[self._others].tobytes()) != key:
+            prepared = self._prepare(positions)
+            self._kept = (now, prepared)
+        goal = np.empty(12)
+        if not goal_in_base(prepared.chain.inverse_base, T_world_tip.matrix, goal):
+            raise InputError(f"the wanted pose of {self.tip_link} has a value that is not finite")
+        return prepared, goal, positions[self.columns]
+
+    def _closest(
+        self, prepared: Prepared, goal: Array, at: Array, reference: Array, outside: dict[str, int]
+    ) -> IKResult:
+        """Evidence for a pose out of reach: the nearest the tip can get to it, and its joints."""
+        chain, seeds = prepared.chain, prepared.seeds
+        scores = np.empty(len(seeds.positions), np.float32)
+        rank(seeds.poses, goal, chain.scale, scores)
+        best, least = at, (np.inf, np.inf)
+        for k in range(CLOSEST_SEEDS):
+            q = np.clip(at, chain.bounds[:, 0], chain.bounds[:, 1]) if k == 0 else seeds.positions[
+                take_nearest(scores)].copy()  # fmt: skip
+            position, angle, _ = self._descend(chain, goal, q, CLOSEST_ITERATIONS)
+            if position + 0.1 * angle < least[0] + 0.1 * least[1]:
+                best, least = q, (position, angle)
+        limits = self.at_limit(best)
+        distance = float(np.linalg.norm(goal[[3, 7, 11]]))
+        if outside:
+            count = f"{sum(outside.values())} solution(s) reach the pose"
+            why = f"{count}, each outside limits ({_counts(outside)}); within them"
+        elif distance > chain.reach:
+            why = (
+                f"{self.tip_link} cannot reach the pose: it is {distance:.2f} m from the first joint, "
+                f"the arm reaches {chain.reach:.2f} m at most;"
+            )
+        else:
+            why = f"{self.tip_link} cannot reach the pose:"
+        message = f"{why} the closest is {least[0] * 1000:.0f} mm and {np.rad2deg(least[1]):.0f} deg away" + (
+            f", with {', '.join(limits)} at the limit" if limits else ""
+        )
+        full = reference.copy()
+        full[self.columns] = best
+        evidence: dict[str, Any] = {
+            "closest_pose": self.tree.link_pose(full, self.tip_link),
+            "joints_at_limit": limits,
+            "outside_limits": outside,
+            "distance_m": distance,
+            "reach_m": chain.reach,
+        }
+        return IKResult(
+            ErrorCode.NO_IK_SOLUTION,
+            message,
+            evidence,
+            best,
+            position_error=least[0],
+            rotation_error=least[1],
+        )
+
+    def at_limit(self, q: Array) -> list[str]:
+        """Names of the group's joints that are at a limit in q (n,)."""
+        near = np.minimum(q - self.lower, self.upper - q) < AT_LIMIT
+        return [name for name, yes in zip(self.joint_names, near, strict=True) if yes]
+
+
+def _counts(outside: dict[str, int]) -> str:
+    return ", ".join(f"{name}: {count}" for name, count in outside.items())
+
+
+def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
+    """The link to place: the one named, or the group's own tip.
+
+    Raises:
+        UnknownNameError: no such group or link.
+        InputError: the group is not a chain, so it has no tip of its own.
+    """
+    tip = tip_link or model.group(group).tip_link
+    if tip is None:
+        raise InputError(f"group {group!r} is not a chain, so it has no tip", cure="name the link to place")
+    model.link(tip)
+    return tip
+
+
+def other_columns(model: RobotModel, joint_names: tuple[str, ...], tip_link: str) -> NDArray[np.int64]:
+    """Columns of the joints that move the tip but are not of the group."""
+    tree = kinematic_tree(model)
+    moving = {int(tree.column[j]) for j in tree.path_to(tip_link) if tree.kind[j] != FIXED}
+    return np.array(sorted(moving - set(model.columns(joint_names))), dtype=np.int64)

@@ -1,0 +1,97 @@
+"""Whole turns: the joint positions that put the arm in the same place, within limits (Numba)."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.kinematics.ik.chain import Chain
+
+Array = NDArray[np.float64]
+
+SLACK = 1e-9  # [rad or m] beyond a limit that counts as rounding
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_turns(q, reference, bounds, turning):
+    """Turn q (n,) in place by whole turns to the nearest to the reference within bounds.
+
+    Returns:
+        -1, or the first joint for which no position is within its bounds.
+    """
+    turn = 2.0 * np.pi
+    outside = -1
+    for k in range(len(q)):
+        low, high = bounds[k, 0], bounds[k, 1]
+        value = q[k]
+        if turning[k]:
+            value += turn * np.round((reference[k] - value) / turn)
+            if value > high + SLACK:
+                value -= turn * np.ceil((value - high - SLACK) / turn)
+            elif value < low - SLACK:
+                value += turn * np.ceil((low - SLACK - value) / turn)
+        if outside < 0 and (value > high + SLACK or value < low - SLACK):
+            outside = k
+        q[k] = min(max(value, low), high) if outside < 0 else value
+    return outside
+
+
+@njit(cache=True, error_model="numpy")
+def keep_within(found, count, reference, bounds, turning, outside):
+    """Turn solutions (k, n) by whole turns within bounds, drop those that cannot be, sort by distance.
+
+    Args:
+        count: rows of `found` that are solutions; it is changed in place.
+        outside: (n,) is raised by one at the first joint that keeps a solution out.
+    Returns:
+        How many are left, the nearest to the reference (n,) first.
+    """
+    n, kept = len(reference), 0
+    squared = np.empty(count)
+    row = np.empty(n)
+    for i in range(count):
+        for k in range(n):
+            row[k] = found[i, k]
+        joint = nearest_turns(row, reference, bounds, turning)
+        if joint >= 0:
+            outside[joint] += 1
+            continue
+        distance = 0.0
+        for k in range(n):
+            distance += (row[k] - reference[k]) ** 2
+        at = kept
+        while at > 0 and squared[at - 1] > distance:
+            squared[at] = squared[at - 1]
+            for k in range(n):
+                found[at, k] = found[at - 1, k]
+            at -= 1
+        squared[at] = distance
+        for k in range(n):
+            found[at, k] = row[k]
+        kept += 1
+    return kept
+
+
+def whole_turns(q: Array, reference: Array, chain: Chain) -> list[Array]:
+    """The same pose with joints turned by whole turns, within limits, nearest to the reference first.
+
+    At most the three nearest positions of each joint; of one without limits only the nearest.
+
+    Args:
+        q: positions (n,) within limits.
+        reference: positions (n,).
+    """
+    choices = []
+    for value, at, (low, high), turns in zip(q, reference, chain.bounds, chain.turning, strict=True):
+        values = [value]
+        if turns:
+            near = value + 2 * np.pi * (np.round((at - value) / (2 * np.pi)) + np.arange(-3, 4))
+            within = near[(near >= low - SLACK) & (near <= high + SLACK)]
+            keep = 3 if np.isfinite(low) and np.isfinite(high) else 1
+            values = sorted(within, key=lambda v, at=at: abs(v - at))[:keep] or values
+        choices.append(np.clip(values, low, high))
+    found = [np.array(values) for values in itertools.product(*choices)]
+    return sorted(found, key=lambda other: float(np.linalg.norm(other - reference)))

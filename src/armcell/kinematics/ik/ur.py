@@ -1,0 +1,234 @@
+"""Closed-form inverse kinematics of arms built like those of Universal Robots: all branches (Numba).
+
+The structure: axis 2 crosses axis 1 at a right angle; axes 2, 3 and 4 are parallel; axis 5 crosses axis 4,
+and axis 6 axis 5, at right angles. It is looked for in the axes themselves, so neither the robot's name nor
+the frames of its URDF matter. The formulas are geometry in the arm's own frame (compare Hawkins, "Analytic
+inverse kinematics for the Universal Robots UR-5/UR-10 arms", 2013, in Denavit-Hartenberg terms):
+
+- The frame: origin where axes 1 and 2 cross, z along axis 1, y along axis 2 when joint 1 is at zero. The
+  arm's plane turns with joint 1; `v` is its normal, the direction of axes 2, 3 and 4.
+- Axes 5 and 6 cross in C, which the goal fixes. C keeps the offset h from the plane: two angles of joint 1.
+- Axis 5 is at right angles to v and to axis 6: two directions. They give joints 5 and 6 and the sum of
+  joints 2, 3 and 4.
+- Axes 4 and 5 cross in W, d from C along axis 5. Two links reach W in the plane: two elbows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.kinematics.ik.chain import SLIDE, Chain, errors_at, tip_pose
+
+Array = NDArray[np.float64]
+
+STRUCTURE = 1e-7  # [rad or m] an arm may differ from the structure (URDFs write pi / 2 with 10 digits)
+REACH = 2e-7  # [m] a goal may be out of reach and is taken as on the boundary
+SINGULAR = 1e-8  # sine of the angle between axes 4 and 6 below which joint 6 is free
+SAME = 1e-6  # [rad] solutions nearer than this are one
+BRANCHES = 8
+
+
+def ur_geometry(chain: Chain) -> Array | None:
+    """The numbers `ur_branches` needs, or None for an arm that is built otherwise."""
+    table = chain.table
+    order = table[:, 15].astype(int)
+    plain = np.all(table[:, 12] == 1.0) and np.all(table[:, 13] == 0.0) and not np.any(table[:, SLIDE])
+    if len(table) != 6 or len(chain.bounds) != 6 or not plain or sorted(order) != list(range(6)):
+        return None
+    axes, T = np.empty((6, 6)), np.empty(12)
+    tip_pose(table, np.zeros(6), axes, T)
+    z, p = axes[:, :3].copy(), axes[:, 3:]
+    signs = np.ones(6)
+    for k in (2, 3):  # parallel to axis 2, perhaps the other way round
+        signs[k] = np.sign(z[k] @ z[1]) or 1.0
+        z[k] *= signs[k]
+    # p[0] is the origin and z[0] is z, by the making of the chain; all in its base frame from here.
+    parallel = max(np.linalg.norm(np.cross(z[k], z[1])) for k in (2, 3))
+    square = max(abs(z[0] @ z[1]), abs(z[3] @ z[4]), abs(z[4] @ z[5]))
+    if max(parallel, square) > STRUCTURE:
+        return None
+    y, up = z[1], z[0]
+    x = np.cross(y, up)
+    apart = [np.cross(z[i], z[j]) @ (p[j] - p[i]) for i, j in ((0, 1), (3, 4), (4, 5))]
+    if np.max(np.abs(apart)) > STRUCTURE:
+        return None
+    centre = up * (up @ p[1])  # where axes 1 and 2 cross
+    C = p[4] + z[4] * (z[4] @ (p[5] - p[4]))
+    W = p[4] + z[4] * (z[4] @ (p[3] - p[4]))
+    upper, fore = _flat(x, up, p[2] - centre), _flat(x, up, W - p[2])
+    lengths = np.linalg.norm(upper), np.linalg.norm(fore)
+    if min(lengths) < 1e-3:
+        return None
+    R, t = T.reshape(3, 4)[:, :3], T.reshape(3, 4)[:, 3]
+    geometry = np.concatenate(
+        [
+            x, y, up, centre,  # 0: the arm's frame
+            R.T @ (C - t), R.T @ z[5], R.T @ z[4],  # 12: C, axis 6 and, at zero, axis 5, as the tip sees them
+            [y @ (C - centre), z[4] @ (C - W), *lengths],  # 21: h, d, upper arm, forearm
+            [np.arctan2(*upper), np.arctan2(*fore), np.arctan2(*_flat(x, up, z[4]))],  # 25: angles at zero
+            [np.arctan2(np.cross(y, z[5]) @ z[4], y @ z[5])],  # 28: from axis 4 to axis 6 at zero
+            signs, order,  # 29, 35
+        ]
+    )  # fmt: skip
+    return geometry if _solves(geometry, chain) else None
+
+
+def _flat(x: Array, z: Array, v: Array) -> Array:
+    """Coordinates in the arm's plane at zero, (2,); their arctan2 is the angle from z, positive about y."""
+    return np.array([v @ x, v @ z])
+
+
+def _solves(geometry: Array, chain: Chain) -> bool:
+    """Whether solutions of some poses reach them, and the poses' own positions are among them."""
+    rng, T, out = np.random.default_rng(0), np.empty(12), np.empty((BRANCHES, 6))
+    for q in rng.uniform(-np.pi, np.pi, (8, 6)):
+        tip_pose(chain.table, q, np.empty((6, 6)), T)
+        count = ur_branches(geometry, T, np.zeros(6), out)
+        if max((max(errors_at(chain.table, other, T)) for other in out[:count]), default=1.0) > 5e-7:
+            return False
+        turns = (out[:count] - q) / (2 * np.pi)
+        if np.min(np.max(np.abs(turns - np.round(turns)), axis=1)) > 1e-5:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _wrapped(angle):
+    return angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(goal, at, geometry):
+    """A direction of the tip (`geometry[at:at + 3]`) in the arm's frame."""
+    a, b, c = geometry[at], geometry[at + 1], geometry[at + 2]
+    vx = goal[0] * a + goal[1] * b + goal[2] * c
+    vy = goal[4] * a + goal[5] * b + goal[6] * c
+    vz = goal[8] * a + goal[9] * b + goal[10] * c
+    g = geometry
+    return (
+        g[0] * vx + g[1] * vy + g[2] * vz,
+        g[3] * vx + g[4] * vy + g[5] * vz,
+        g[6] * vx + g[7] * vy + g[8] * vz,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
+    """Append the solutions for a direction of axis 5 (up to two); returns their new number."""
+    v = (-s1, c1, 0.0)
+    x, z = c1 * (C[0] - g[22] * axis5[0]) + s1 * (C[1] - g[22] * axis5[1]), C[2] - g[22] * axis5[2]
+    upper, fore = g[23], g[24]
+    distance = np.sqrt(x * x + z * z)
+    if distance > upper + fore + REACH or distance < abs(upper - fore) - REACH:
+        return count
+    nearer = max((upper + fore - distance) * (upper + fore + distance), 0.0)
+    farther = max((distance - upper + fore) * (distance + upper - fore), 0.0)
+    # The bend of the elbow: tan(bend / 2)^2 = nearer / farther.
+    bend = 2.0 * np.arctan2(np.sqrt(nearer), np.sqrt(farther))
+    q5 = np.arctan2(_dot(_cross(v, axis6), axis5), _dot(v, axis6)) - g[28]
+    q6 = np.arctan2(_dot(_cross(axis5, tip5), axis6), _dot(axis5, tip5))
+    total = np.arctan2(c1 * axis5[0] + s1 * axis5[1], axis5[2]) - g[27]
+    for side in range(2):
+        turn = bend if side == 0 else -bend
+        if distance > SINGULAR:
+            q2 = np.arctan2(x, z) - np.arctan2(fore * np.sin(turn), upper + fore * np.cos(turn)) - g[25]
+        else:  # the wrist lies on axis 2: joint 2 is free
+            q2 = reference[int(g[36])]
+        q3 = turn - (g[26] - g[25])
+        q4 = total - q2 - q3
+        row = out[count]
+        row[int(g[35])], row[int(g[36])] = _wrapped(q1), _wrapped(q2)
+        row[int(g[37])], row[int(g[38])] = _wrapped(g[31] * q3), _wrapped(g[32] * q4)
+        row[int(g[39])], row[int(g[40])] = _wrapped(q5), _wrapped(q6)
+        new = True
+        for other in range(count):
+            largest = 0.0
+            for k in range(6):
+                largest = max(largest, abs(_wrapped(row[k] - out[other, k])))
+            new = new and largest > SAME
+        if new:
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
+    """Axes 4 and 6 are parallel, joint 6 is free: the reference's, or else the first of 16 that reaches."""
+    v = (-s1, c1, 0.0)
+    nearest = np.arctan2(
+        c1 * C[0] + s1 * C[1], C[2]
+    )  # axis 5 along this line in the plane brings W nearest to axis 2
+    for attempt in range(17):
+        if attempt == 0:
+            a = -reference[int(g[40])]
+            ux, uy, uz = _cross(axis6, tip5)
+            axis5 = (
+                np.cos(a) * tip5[0] + np.sin(a) * ux,
+                np.cos(a) * tip5[1] + np.sin(a) * uy,
+                np.cos(a) * tip5[2] + np.sin(a) * uz,
+            )
+            away = _dot(axis5, v)  # exactly into the plane
+            axis5 = (axis5[0] - away * v[0], axis5[1] - away * v[1], axis5[2])
+            length = np.sqrt(_dot(axis5, axis5))
+            axis5 = (axis5[0] / length, axis5[1] / length, axis5[2] / length)
+        else:
+            a = nearest + (attempt - 1) * np.pi / 8.0
+            axis5 = (c1 * np.sin(a), s1 * np.sin(a), np.cos(a))
+        more = _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count)
+        if more > count:
+            return more
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def ur_branches(geometry, goal, reference, out):
+    """Fill `out` (8, 6) with the solutions in (-pi, pi]; returns how many there are.
+
+    Args:
+        geometry: from `ur_geometry`.
+        goal: (12,) T_base_tip of the chain.
+        reference: (6,) where joints stay that are free in a singular pose.
+    """
+    g = geometry
+    tip5, axis6 = _turned(goal, 18, g), _turned(goal, 15, g)
+    C = _turned(goal, 12, g)
+    tx, ty, tz = goal[3] - g[9], goal[7] - g[10], goal[11] - g[11]
+    C = (
+        C[0] + g[0] * tx + g[1] * ty + g[2] * tz,
+        C[1] + g[3] * tx + g[4] * ty + g[5] * tz,
+        C[2] + g[6] * tx + g[7] * ty + g[8] * tz,
+    )
+    h, radius = g[21], np.sqrt(C[0] * C[0] + C[1] * C[1])
+    if radius < abs(h) - REACH:
+        return 0
+    count = np.int64(0)  # for a literal Numba would compile _elbows again
+    for shoulder in range(2):
+        depth = np.sqrt(max(radius - abs(h), 0.0) * (radius + abs(h)))
+        if radius < SINGULAR:  # C is on axis 1 and has no offset: joint 1 is free
+            q1 = reference[int(g[35])]
+        else:
+            q1 = np.arctan2(C[1], C[0]) - np.arctan2(h, depth if shoulder == 0 else -depth)
+        if shoulder == 1 and depth == 0.0:
+            break
+        c1, s1 = np.cos(q1), np.sin(q1)
+        nx, ny, nz = _cross((-s1, c1, 0.0), axis6)
+        sine = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if sine < SINGULAR:
+            count = _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count)
+            continue
+        for wrist in range(2):
+            s = 1.0 / sine if wrist == 0 else -1.0 / sine
+            count = _elbows(g, c1, s1, q1, C, axis6, tip5, (nx * s, ny * s, nz * s), reference, out, count)
+    return count
