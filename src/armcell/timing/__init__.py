@@ -1,12 +1,20 @@
 """How fast? Time parameterisation of paths."""
 
 from armcell.timing.blend import BlendedPath
-from armcell.timing.parameterize import (
-    TimingSettings,
-    check_scaling,
-    parameterize,
-    reversed_in_time,
-    stretched,
-)
+from armcell.timing.jerk import jerk_limited
+from armcell.timing.parameterize import TimingSettings, TorqueLimitError, TorqueModel, parameterize
+from armcell.timing.stretch import check_scaling, reversed_in_time, stretched, stretched_to, synchronized
 
-__all__ = ["BlendedPath", "TimingSettings", "check_scaling", "parameterize", "reversed_in_time", "stretched"]
+__all__ = [
+    "BlendedPath",
+    "TimingSettings",
+    "TorqueLimitError",
+    "TorqueModel",
+    "check_scaling",
+    "jerk_limited",
+    "parameterize",
+    "reversed_in_time",
+    "stretched",
+    "stretched_to",
+    "synchronized",
+]
