@@ -25,7 +25,7 @@ FINE = 1e-3  # [s] between the times at which limits are looked at
 
 def timing(
     robot: str = typer.Option(..., metavar="NAME", help="A library name, a robot folder or a URDF."),
-    group: str = typer.Option("", help="Planning group; by default the one with the most joints."),
+    group: str = typer.Option("", help="Planning group; by default the longest chain."),
     waypoints: int = typer.Option(20, min=2, help="Waypoints of each path."),
     count: int = typer.Option(200, min=1, help="Number of random paths."),
     step: float = typer.Option(
@@ -51,7 +51,7 @@ def timing(
     or torque met along the interpolated trajectory, looked at every millisecond; 1.000 is the limit itself.
 
     With --peer, toppra gets the very same curve and limits. `/ toppra` compares durations; `unsmoothed`
-    leaves out the window of the moving average that rounds armcell's accelerations, which toppra's do not have.
+    leaves out the window of the moving average that rounds armcell's accelerations; toppra's stay sharp.
 
     Example: armcell bench timing --robot panda --peer --json timing.json
 
@@ -77,7 +77,8 @@ def _rows(robot: str, group: str, waypoints: int, count: int, step: float, devia
     model = load_robot(robot)
     if not group and not model.groups:
         raise InputError(f"robot {robot!r} has no planning group")
-    name = group or max(model.groups, key=lambda g: len(model.groups[g].joint_names))
+    chains = [g for g in model.groups.values() if g.tip_link is not None] or list(model.groups.values())
+    name = group or max(chains, key=lambda g: len(g.joint_names)).name
     names = model.group(name).joint_names
     columns = model.columns(names)
     velocity, acceleration, jerk = (model.limits(names, k) for k in ("velocity", "acceleration", "jerk"))
@@ -112,8 +113,9 @@ def _rows(robot: str, group: str, waypoints: int, count: int, step: float, devia
         }
         if reference is not None:
             row["peer_us"], row["peer_duration_s"] = _cpu(lambda path=path: reference(path))
-            row["of_peer"] = trajectory.duration / row["peer_duration_s"]
-            row["unsmoothed_of_peer"] = (trajectory.duration - window) / row["peer_duration_s"]
+            other = row["peer_duration_s"]  # None where toppra gave up
+            row["of_peer"] = trajectory.duration / other if other else None
+            row["unsmoothed_of_peer"] = (trajectory.duration - window) / other if other else None
         rows.append(row)
     return rows
 
@@ -149,8 +151,8 @@ def _met(trajectory: JointTrajectory, velocity: Array, acceleration: Array, jerk
     return {**met, "worst_of_limit": max(met.values())}
 
 
-def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[Any], float]:
-    """A function that gives toppra's duration [s] for a `BlendedPath`."""
+def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[Any], float | None]:
+    """A function that gives toppra's duration [s] for a `BlendedPath`, None where it finds none."""
     try:
         import toppra
         from toppra import algorithm, constraint
@@ -186,13 +188,13 @@ def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[An
         none = np.zeros(len(velocity))
         limits.append(constraint.JointTorqueConstraint(inverse, bound, none, discretization_scheme=scheme))
 
-    def duration(path: Any) -> float:
+    def duration(path: Any) -> float | None:
         grid = np.unique(np.concatenate([np.linspace(0.0, path.length, PEER_POINTS), path.starts]))
         grid = grid[np.concatenate([[True], np.diff(grid) > 1e-9])]
         grid[-1] = path.length
         solver = algorithm.TOPPRA(limits, Curve(path), gridpoints=grid, solver_wrapper="seidel")
         speed = solver.compute_parameterization(0.0, 0.0)[1]
-        return float(np.sum(2 * np.diff(grid) / (speed[1:] + speed[:-1])))
+        return None if speed is None else float(np.sum(2 * np.diff(grid) / (speed[1:] + speed[:-1])))
 
     return duration
 
@@ -213,6 +215,9 @@ def _show(rows: list[dict[str, Any]]) -> None:
         ("p95", lambda values: np.percentile(values, 95)),
         ("largest", np.max),
     ):
-        cells = (f"{pick([r[k] for r in rows]):.{0 if k.endswith('_us') else 4}f}" for k in shown.values())
+        cells = (
+            f"{pick([r[k] for r in rows if r[k] is not None] or [np.nan]):.{0 if k.endswith('_us') else 4}f}"
+            for k in shown.values()
+        )
         table.add_row(label, *cells)
     console.print(table)

@@ -181,19 +181,21 @@ class InverseDynamics:
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Torques (or forces) (m, n) [Nm or N] for positions, velocities and accelerations (m, n)."""
-        full = []
-        for values, rest in ((q, self.positions), (dq, 0.0), (ddq, 0.0)):
-            values = np.atleast_2d(np.asarray(values, dtype=float))
-            whole = np.zeros((len(values), self.model.dof)) + rest
-            whole[:, self.columns] = values
-            full.append(whole)
-        out = np.empty_like(full[0])
+        at, speed, gain = self._whole(q, self.positions), self._whole(dq, 0.0), self._whole(ddq, 0.0)
+        out = np.empty_like(at)
         tree = self._tree
         newton_euler(
             tree.parent, tree.T_parent_joint, tree.kind, tree.axis, tree.column, tree.multiplier, tree.offset,
-            self.mass, self.centre, self.inertia, self.gravity, *full, out,
+            self.mass, self.centre, self.inertia, self.gravity, at, speed, gain, out,
         )  # fmt: skip
         return out[:, self.columns]
+
+    def _whole(self, values: ArrayLike, others: float | Array) -> Array:
+        """Values (m, n) of these joints as (m, dof)."""
+        values = np.atleast_2d(np.asarray(values, dtype=float))
+        whole = np.zeros((len(values), self.model.dof)) + others
+        whole[:, self.columns] = values
+        return whole
 
     @property
     def limits(self) -> Array:

@@ -14,7 +14,14 @@ from armcell.core import SE3, InputError, JointTrajectory
 from armcell.kinematics import InverseDynamics
 from armcell.model import Inertial, RobotModel
 from armcell.scene import PlanningScene, solid_inertia
-from armcell.timing import BlendedPath, TimingSettings, TorqueModel, jerk_limited, parameterize
+from armcell.timing import (
+    BlendedPath,
+    TimingSettings,
+    TorqueModel,
+    jerk_limited,
+    parameterize,
+    smoothing_departure,
+)
 
 Array = NDArray[np.float64]
 
@@ -78,10 +85,10 @@ def finish(
         return parameterize(path, names, velocity, acceleration, timing, torque)
 
     # What the timed motion may differ from the certified chords: the chords' own error, and what the
-    # smoothing of the accelerations leaves the path by, a t^2 / 24 (see `timing.sampling`).
+    # smoothing of the accelerations leaves the path by.
     slack = np.full(len(names), SAGITTA)
     if not jerk_limits:
-        slack += acceleration * timing.smoothing**2 / 24
+        slack += smoothing_departure(acceleration, timing)
     for attempt in range(4):
         path = BlendedPath(points, deviation, smooth=jerk_limits)
         certificate = checker.certify(path.polyline(SAGITTA), slack if path.length > 0 else None)

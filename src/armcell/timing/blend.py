@@ -6,6 +6,8 @@ and velocity" (RSS 2012), section IV.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -65,7 +67,7 @@ class BlendedPath:
         return self.starts[1:][self.rests].tolist()
 
     @property
-    def arrays(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+    def arrays(self) -> tuple[Any, Any, Any, Any, Any, Any]:
         """kind, origin, x, y, lengths, radius: what the kernels take."""
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 

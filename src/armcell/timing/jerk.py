@@ -99,7 +99,7 @@ def _ramp_phases(piece, s, v0, v1, a, j, at, out):
 
 @njit(cache=True)
 def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
-    """The motion as phases (k, 6) of constant path jerk: piece, place in it, speed, acceleration, jerk, time."""
+    """Phases (k, 6) of constant path jerk: piece, place in it, speed, acceleration, jerk, duration."""
     m, n = x.shape
     most, acc, jer = np.full(m, 1e18), np.full(m, 1e18), np.full(m, 1e18)
     for p in range(m):

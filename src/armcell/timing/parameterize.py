@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,14 +41,17 @@ class TimingSettings:
 class TorqueModel(Protocol):
     """What the torques of a robot's joints are, and their limits."""
 
-    limits: Array  # (n,) [Nm or N]
+    @property
+    def limits(self) -> Array:
+        """(n,) [Nm or N]"""
+        ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
         """Coefficients (m, 3, n) of u, x and 1 in the torques at points of a path (m, n) with its first and
         second derivatives, where u is the path acceleration and x the squared path speed."""
         ...
 
-    def torques(self, q: Array, dq: Array, ddq: Array) -> Array:
+    def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Of positions, velocities and accelerations (m, n)."""
         ...
 
@@ -60,7 +63,8 @@ class TorqueLimitError(ArmcellError):
         self.joint, self.torque, self.limit, self.place = joint, torque, limit, place
         super().__init__(
             f"joint {joint!r} takes {torque:.4g} Nm (or N) to hold still at {place:.0%} of the path, "
-            f"its limit is {limit:.4g} (carry less, or take another way)"
+            f"its limit is {limit:.4g} with {1 - TORQUE_SHARE:.1%} of it kept back "
+            "(carry less, or take another way)"
         )
 
 
@@ -101,6 +105,11 @@ def parameterize(
     return JointTrajectory(joint_names, times, q, v, a)
 
 
+def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
+    """How far (n,) [rad] `parameterize` may leave the path in each joint: a w^2 / 24 for the window w."""
+    return np.asarray(acceleration, dtype=float) * settings.smoothing**2 / 24
+
+
 def fastest_motion(
     path: BlendedPath,
     joint_names: tuple[str, ...],
@@ -108,7 +117,7 @@ def fastest_motion(
     acceleration: Array,
     settings: TimingSettings,
     torque: TorqueModel | None = None,
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Any, Any, Any, Any, Any]:
     """The motion before it is smoothed and sampled: see `topp.fastest` for what is returned.
 
     Raises:

@@ -16,7 +16,7 @@ from numba import njit
 from armcell.timing.pieces import LINE, coefficients
 
 EPS = 1e-12
-ANGLE_STEP = 0.08  # [rad] of turning per interval in a corner
+ANGLE_STEP = 0.06  # [rad] of turning per interval in a corner
 MIN_CORNER = 8  # intervals in a corner
 FAST = {"nnan", "nsz", "ninf"}  # no NaN or infinity gets here: limits and waypoints are checked
 MIN_GRIDDED = 16  # intervals of a line with torque limits
@@ -42,19 +42,19 @@ def grid(kind, length, turn, line_step):
 
 
 @njit(cache=True, fastmath=FAST)
-def _largest_x(centre, half, slope, ds, reach, cap):
-    """Largest x in [0, cap] for which some u has |u - centre + slope x| <= half in every row and
-    0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function: a few steps."""
+def _largest_x(centre, half, slope, i, ds, reach, cap):
+    """Largest x in [0, cap] for which some u has |u - centre + slope x| <= half in every row of interval i
+    and 0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function: a few steps."""
     x = cap
     for _ in range(50):
         low, high = -x / (2.0 * ds), (reach - x) / (2.0 * ds)
         low_slope = high_slope = -1.0 / (2.0 * ds)
-        for r in range(len(half)):
-            middle = centre[r] - slope[r] * x
-            if middle + half[r] < high:
-                high, high_slope = middle + half[r], -slope[r]
-            if middle - half[r] > low:
-                low, low_slope = middle - half[r], -slope[r]
+        for r in range(half.shape[1]):
+            middle = centre[i, r] - slope[i, r] * x
+            upper, lower = middle + half[i, r], middle - half[i, r]
+            high_slope = -slope[i, r] if upper < high else high_slope
+            low_slope = -slope[i, r] if lower > low else low_slope
+            high, low = min(upper, high), max(lower, low)
         if low - high <= 1e-11 * (abs(low) + abs(high)):
             return x
         if low_slope <= high_slope:
@@ -141,7 +141,7 @@ def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, veloci
         if kind[piece[i]] == LINE and not gridded:
             reach[i] = min(cap[i], reach[i + 1] + 2.0 * most[i] * ds)
         else:
-            reach[i] = _largest_x(centre[i], half[i], slope[i], ds, reach[i + 1], cap[i])
+            reach[i] = _largest_x(centre, half, slope, i, ds, reach[i + 1], cap[i])
 
     out_piece, out_s = np.empty(3 * m, np.int64), np.empty(3 * m)
     out_v, out_u, out_t = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m + 1)
