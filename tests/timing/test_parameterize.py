@@ -83,12 +83,12 @@ def test_limits_hold_at_every_millisecond(seed, deviation):
 @pytest.mark.parametrize("scale", [1.0, 0.3, 0.02])
 @pytest.mark.parametrize(("step", "deviation"), [(0.02, 0.002), (0.15, 0.3), (1.0, 0.05), (1.0, 1.0)])
 def test_limits_hold_on_walks_of_every_kind(scale, step, deviation):
-    """The interpolation taken from scipy, its peaks looked at ten times between points."""
+    """The interpolation taken from scipy, looked at up to ten times between points."""
     for seed in range(4):
-        path = BlendedPath(random_walk(seed, step=step), deviation)
+        path = BlendedPath(random_walk(seed, 20 if scale == 1.0 else 5, step), deviation)
         t = parameterize(path, NAMES, scale * PANDA_V, scale * PANDA_A)
         curve = BPoly.from_derivatives(t.times, np.stack([t.positions, t.velocities, t.accelerations], 1))
-        at = np.linspace(0.0, t.duration, 10 * len(t.times))
+        at = np.linspace(0.0, t.duration, min(10 * len(t.times), 20_000))
         assert np.max(np.abs(curve(at, 1)) / (scale * PANDA_V)) <= 1.0 + 1e-9
         assert np.max(np.abs(curve(at, 2)) / (scale * PANDA_A)) <= 1.0 + 1e-9
 
