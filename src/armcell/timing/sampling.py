@@ -22,8 +22,9 @@ def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
     m, n, last = len(times), origin.shape[1], len(piece) - 1
     area, position, velocity = np.zeros((m, n)), np.zeros((m, n)), np.zeros((m, n))
     a0, b0, _, _, _, _ = coefficients(kind[0], length[0], radius[0], 0.0)
-    first = origin[0] + a0 * x[0] + b0 * y[0]
-    total = np.zeros(n)
+    first, total = np.empty(n), np.zeros(n)
+    for i in range(n):
+        first[i] = origin[0, i] + a0 * x[0, i] + b0 * y[0, i]
     t, k = 0.0, 0
     for j in range(m):
         if times[j] <= 0.0:
@@ -85,16 +86,16 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
     n = len(start)
     total = t0[-1] + window
     k = max(round(total / step), 1) + 1
-    times = np.arange(k) * step
-    times[k - 1] = total
+    times, earlier = np.empty(k), np.empty(k)
+    for j in range(k):
+        times[j] = total if j == k - 1 else j * step
+        earlier[j] = times[j] - window
     q, v, a = _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0)
     shift = round(window / step)
     then_q, then_v, then_a = q, v, a
     if abs(shift * step - window) > 1e-9:  # else the window's other end is an earlier point
         shift = 0
-        then_q, then_v, then_a = _motion_at(
-            times - window, kind, origin, x, y, length, radius, piece, s0, v0, u, t0
-        )
+        then_q, then_v, then_a = _motion_at(earlier, kind, origin, x, y, length, radius, piece, s0, v0, u, t0)
     # Integral, position and velocity become position, velocity and acceleration, the last points first.
     _difference(q.ravel(), then_q.ravel(), shift * n, 1.0 / window)
     _difference(v.ravel(), then_v.ravel(), shift * n, 1.0 / window)
@@ -102,8 +103,9 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
     for j in range(1, k - 1):
         for c in range(n):
             q[j, c] += start[c]
-    q[0], q[k - 1] = start, goal
-    v[0] = v[k - 1] = a[0] = a[k - 1] = 0.0
+    for c in range(n):
+        q[0, c], q[k - 1, c] = start[c], goal[c]
+        v[0, c] = v[k - 1, c] = a[0, c] = a[k - 1, c] = 0.0
     return times, q, v, a
 
 
