@@ -23,7 +23,7 @@ def dense(trajectory, step: float = STEP) -> np.ndarray:
 @pytest.mark.parametrize("ratio", [500.0, 20.0, 3.0])
 @pytest.mark.parametrize(("seed", "deviation"), SMOOTH)
 def test_limits_hold_by_finite_differences_of_the_positions(seed, deviation, ratio):
-    path = BlendedPath(random_walk(seed, 6, 0.3), deviation, smooth=True)
+    path = BlendedPath(random_walk(seed, 4, 0.3), deviation, smooth=True)
     jerk = ratio * PANDA_A
     trajectory = jerk_limited(path, NAMES, PANDA_V, PANDA_A, jerk)
     q = dense(trajectory)

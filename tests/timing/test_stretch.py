@@ -55,7 +55,7 @@ def test_stretching_slows_the_same_motion():
             stretched(trajectory, factor)
 
 
-@pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-12, 1.37, 10.0])
+@pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-12, 1.37, 3.0])
 def test_to_a_duration(factor):
     _, trajectory = timed(3)
     wanted = trajectory.duration * factor
@@ -64,7 +64,7 @@ def test_to_a_duration(factor):
     for t in np.linspace(0, trajectory.duration, 30)[1:-1]:
         for mine, theirs, power in zip(slow.sample(factor * t), trajectory.sample(t), range(3), strict=True):
             np.testing.assert_allclose(mine, theirs / factor**power, atol=1e-6)
-    _, v, a = sampled(slow)
+    _, v, a = sampled(slow, 5e-3)
     assert np.max(np.abs(v) / PANDA_V) <= 1.0 + 1e-9 and np.max(np.abs(a) / PANDA_A) <= 1.0 + 1e-9
 
 
