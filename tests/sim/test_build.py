@@ -10,9 +10,9 @@ from scipy.spatial import ConvexHull
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Sphere, UnknownNameError
 from armcell.kinematics import kinematic_tree
 from armcell.model import load_robot
-from armcell.scene import CollisionObject, PlanningScene
+from armcell.scene import CollisionObject, PlanningScene, solid_inertia
 from armcell.sim import PhysicsSettings, SimWorld, build, convex_pieces
-from armcell.sim.shapes import cone_mesh, solid_inertia
+from armcell.sim.shapes import cone_mesh
 
 ROBOTS = ("panda", "ur10", "ur10_gripper")
 

@@ -39,23 +39,34 @@ class Curve(AbstractGeometricPath):
         return value if np.ndim(s) else value[0]
 
 
-def toppra_duration(path: BlendedPath, v: np.ndarray, a: np.ndarray, points: int = 1500) -> float:
-    """Duration of the fastest motion by toppra [s], grid points where the curvature jumps included."""
+def toppra_duration(
+    path: BlendedPath, v: np.ndarray, a: np.ndarray, points: int = 1500, torque=None, torque_limit=None
+) -> float:
+    """Duration of the fastest motion by toppra [s], grid points where the curvature jumps included.
+
+    torque(q, dq, ddq) -> (n,) and torque_limit (n,) add a torque constraint.
+    """
     grid = np.unique(np.r_[np.linspace(0, path.length, points), path.starts])
     grid = np.r_[0.0, grid[1:-1][np.diff(grid)[:-1] > 1e-9], path.length]
-    solver = toppra.algorithm.TOPPRA(
-        [
-            toppra.constraint.JointVelocityConstraint(np.c_[-v, v]),
-            toppra.constraint.JointAccelerationConstraint(
-                np.c_[-a, a], discretization_scheme=toppra.constraint.DiscretizationType.Interpolation
-            ),
-        ],
-        Curve(path),
-        gridpoints=grid,
-        solver_wrapper="seidel",
-    )
+    scheme = toppra.constraint.DiscretizationType.Interpolation
+    limits = [
+        toppra.constraint.JointVelocityConstraint(np.c_[-v, v]),
+        toppra.constraint.JointAccelerationConstraint(np.c_[-a, a], discretization_scheme=scheme),
+    ]
+    if torque is not None:
+        bounds = np.c_[-torque_limit, torque_limit]
+        limits.append(
+            toppra.constraint.JointTorqueConstraint(
+                torque, bounds, np.zeros(len(v)), discretization_scheme=scheme
+            )
+        )
+    solver = toppra.algorithm.TOPPRA(limits, Curve(path), gridpoints=grid, solver_wrapper="seidel")
     _, speed, _ = solver.compute_parameterization(0.0, 0.0)
     return float(np.sum(2 * np.diff(grid) / (speed[1:] + speed[:-1])))
+
+
+def random_walk(seed: int, count: int = 20, step: float = 0.15, joints: int = 7) -> np.ndarray:
+    return np.cumsum(np.random.default_rng(seed).normal(0.0, step, (count, joints)), axis=0)
 
 
 def sampled(trajectory: JointTrajectory, step: float = 1e-3):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.timing.helpers import distance_to_polyline, random_waypoints
 
+from armcell.core import InputError
 from armcell.timing import BlendedPath
 
 SEEDS = range(10)
@@ -88,5 +89,53 @@ def test_repeated_waypoints_change_nothing(deviation):
 @pytest.mark.parametrize("waypoints", [[[0.1, 0.2]], [[0.1, 0.2]] * 4])
 def test_a_path_that_goes_nowhere(waypoints):
     path = BlendedPath(waypoints, 0.05)
-    assert path.length == 0.0 and not path.pieces
+    assert path.length == 0.0 and len(path.kind) == 0
     np.testing.assert_array_equal(path.polyline(), waypoints[:1])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("deviation", [0.005, 0.05, 0.5])
+def test_smooth_corners_have_no_step_of_curvature(seed, deviation):
+    corners, h = random_waypoints(seed), 1e-6
+    path = BlendedPath(corners, deviation, smooth=True)
+    points = path.at(np.linspace(0, path.length, 2000))[0]
+    assert distance_to_polyline(points, corners).max() <= deviation + 1e-9
+    assert distance_to_polyline(points, path.polyline(1e-4)).max() <= 1.0001e-4
+    for order in (0, 1, 2):
+        for at in path.starts[1:-1]:
+            step = path.at(at + 1e-9)[order] - path.at(at - 1e-9)[order]
+            np.testing.assert_allclose(step, 0.0, atol=1e-4 if order == 2 else 1e-7)
+    s = np.random.default_rng(seed).uniform(2 * h, path.length - 2 * h, 200)
+    s = s[np.min(np.abs(s[:, None] - path.starts), axis=1) > 2 * h]
+    before, after, now = path.at(s - h), path.at(s + h), path.at(s)
+    np.testing.assert_allclose((after[0] - before[0]) / (2 * h), now[1], atol=1e-6)
+    np.testing.assert_allclose((after[1] - before[1]) / (2 * h), now[2], atol=1e-3)
+
+
+def test_a_smooth_corner_is_cut_as_far_as_allowed():
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    for deviation in (0.01, 0.1):
+        polyline = BlendedPath(corners, deviation, smooth=True).polyline(1e-6)
+        assert distance_to_polyline(corners[1:2], polyline)[0] == pytest.approx(deviation, abs=1e-5)
+
+
+def test_the_last_waypoint_is_kept_to_the_bit():
+    corners = np.vstack([random_waypoints(2), random_waypoints(2)[-1] + 3e-7])
+    path = BlendedPath(corners)
+    np.testing.assert_array_equal(path.points[-1], corners[-1])
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "deviation", "reason"),
+    [
+        ([], 0.05, "shape"),
+        ([0.1, 0.2], 0.05, "shape"),
+        ([[0.0, np.nan], [1.0, 1.0]], 0.05, "not finite"),
+        ([[0.0], [1.0], [0.5]], -0.1, "negative"),
+        ([[0.0], [1.0], [0.5]], np.nan, "negative or not a number"),
+        ([[0.0], [1.0], [0.5]], [0.1, 0.1], r"\(2,\) deviations given for 1 inner"),
+    ],
+)
+def test_bad_input(waypoints, deviation, reason):
+    with pytest.raises(InputError, match=reason):
+        BlendedPath(waypoints, deviation)

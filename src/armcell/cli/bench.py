@@ -15,11 +15,14 @@ import typer
 from rich.progress import track
 from rich.table import Table
 
-from armcell.cli import bench_ik
+from armcell.cli import bench_ik, bench_timing
 from armcell.cli.console import check_writable, console, errors, write_json
 from armcell.core import SE3, Box, Cylinder, InputError
 
 app = typer.Typer(help="Measure armcell on public problems.", no_args_is_help=True, rich_markup_mode=None)
+
+
+app.command("timing")(bench_timing.timing)
 
 
 @app.callback()

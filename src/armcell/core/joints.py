@@ -116,9 +116,9 @@ class JointTrajectory:
     def __post_init__(self) -> None:
         times = np.array(self.times, dtype=float)
         k, n = len(times), len(self.joint_names)
-        if times.ndim != 1 or not np.all(np.isfinite(times)):
+        if times.ndim != 1 or not np.isfinite(times).all():
             raise InputError("trajectory times must be one list of finite numbers")
-        if np.any(np.diff(times) <= 0):
+        if not (times[1:] > times[:-1]).all():
             i = int(np.argmax(np.diff(times) <= 0))
             raise InputError(
                 f"trajectory time goes from {times[i]:g} s to {times[i + 1]:g} s: it must increase"
@@ -131,7 +131,7 @@ class JointTrajectory:
             values = np.array(values, dtype=float)
             if values.shape != (k, n):
                 raise InputError(f"trajectory {label} have shape {values.shape}, need ({k}, {n})")
-            if not np.all(np.isfinite(values)):
+            if not np.isfinite(values).all():
                 raise InputError(f"trajectory {label} have a value that is not finite")
             object.__setattr__(self, label, values)
 

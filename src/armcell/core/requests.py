@@ -50,6 +50,8 @@ class PlanRequest:
     velocity_scaling: float = 1.0  # (0, 1]
     acceleration_scaling: float = 1.0  # (0, 1]
     seed: int = 0
+    torque_limits: bool = False  # keep the URDF's effort limits, with what the robot carries
+    jerk_limits: bool = False  # keep the model's jerk limits, exactly on the path (not with torque_limits)
 
 
 @dataclass(frozen=True, eq=False)

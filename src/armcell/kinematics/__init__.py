@@ -1,5 +1,6 @@
 """Forward kinematics, Jacobians and inverse kinematics."""
 
+from armcell.kinematics.dynamics import InverseDynamics
 from armcell.kinematics.ik import AnalyticIK, IKSettings, IKSolver, NumericIK, ik_solver
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
@@ -7,6 +8,7 @@ __all__ = [
     "AnalyticIK",
     "IKSettings",
     "IKSolver",
+    "InverseDynamics",
     "KinematicTree",
     "NumericIK",
     "ik_solver",

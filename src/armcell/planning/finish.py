@@ -10,9 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate, ExactChecker, MotionBound
-from armcell.core import JointTrajectory
-from armcell.model import RobotModel
-from armcell.timing import BlendedPath, TimingSettings, parameterize
+from armcell.core import SE3, InputError, JointTrajectory
+from armcell.kinematics import InverseDynamics
+from armcell.model import Inertial, RobotModel
+from armcell.scene import PlanningScene, solid_inertia
+from armcell.timing import (
+    BlendedPath,
+    TimingSettings,
+    TorqueModel,
+    jerk_limited,
+    parameterize,
+    smoothing_departure,
+)
 
 Array = NDArray[np.float64]
 
@@ -47,23 +56,44 @@ def finish(
     velocity_scaling: float,
     acceleration_scaling: float,
     timing: TimingSettings = TimingSettings(),
+    torque: TorqueModel | None = None,
+    jerk_limits: bool = False,
 ) -> Finished:
     """Blend, certify and time a path (k, n).
 
     Corners whose rounding touches something are cut less, at last not at all (the motion stops there).
+
+    Args:
+        torque: torque limits to be kept, see `torque_model`.
+        jerk_limits: keep the model's jerk limits (not scaled), exactly on the path.
+    Raises:
+        InputError: a limit is missing, or both torque and jerk limits are asked for.
+        TorqueLimitError: a joint is too weak to hold still somewhere on the path.
     """
+    if torque is not None and jerk_limits:
+        raise InputError("torque limits and jerk limits cannot be kept together", cure="ask for one of them")
     points = np.asarray(waypoints, dtype=float)
     deviation = np.full(max(len(points) - 2, 0), timing.max_deviation)
+    names = checker.joint_names
+    velocity = checker.model.limits(names, "velocity") * velocity_scaling
+    acceleration = checker.model.limits(names, "acceleration") * acceleration_scaling
+
+    def timed(path: BlendedPath) -> JointTrajectory:
+        if jerk_limits:
+            jerk = checker.model.limits(names, "jerk")
+            return jerk_limited(path, names, velocity, acceleration, jerk, timing)
+        return parameterize(path, names, velocity, acceleration, timing, torque)
+
     # What the timed motion may differ from the certified chords: the chords' own error, and what the
-    # smoothing of the accelerations leaves the path by, a t^2 / 24 (see `timing.parameterize`).
-    limits = checker.model.limits(checker.joint_names, "acceleration") * acceleration_scaling
-    slack = SAGITTA + limits * timing.smoothing**2 / 24
+    # smoothing of the accelerations leaves the path by.
+    slack = np.full(len(names), SAGITTA)
+    if not jerk_limits:
+        slack += smoothing_departure(acceleration, timing)
     for attempt in range(4):
-        path = BlendedPath(points, deviation)
-        certificate = checker.certify(path.polyline(SAGITTA), slack if path.pieces else None)
+        path = BlendedPath(points, deviation, smooth=jerk_limits)
+        certificate = checker.certify(path.polyline(SAGITTA), slack if path.length > 0 else None)
         if certificate.free:
-            trajectory = _timed(checker, path, velocity_scaling, acceleration_scaling, timing)
-            return Finished(certificate, trajectory, path)
+            return Finished(certificate, timed(path), path)
         if len(deviation) == 0:
             break
         deviation = deviation * 0.3 if attempt < 2 else np.zeros_like(deviation)
@@ -72,17 +102,17 @@ def finish(
     certificate = checker.certify(path.points)
     if not certificate.free:
         return Finished(certificate)
-    trajectory = _timed(checker, path, velocity_scaling, acceleration_scaling, timing)
-    return Finished(certificate, trajectory, path)
+    return Finished(certificate, timed(path), path)
 
 
-def _timed(
-    checker: Certifier, path: BlendedPath, v: float, a: float, timing: TimingSettings
-) -> JointTrajectory:
-    names = checker.joint_names
-    velocity = checker.model.limits(names, "velocity") * v
-    acceleration = checker.model.limits(names, "acceleration") * a
-    return parameterize(path, names, velocity, acceleration, timing)
+def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
+    """The torques of a group's joints in a scene: the robot's links and what is attached to them."""
+    payloads = []
+    for body in scene.attached.values():
+        centre, inertia = solid_inertia(body.object.shapes, body.object.mass_kg)
+        pose = body.T_link_object @ SE3.from_xyz(*centre)
+        payloads.append((body.link, Inertial(body.object.mass_kg, pose, inertia)))
+    return InverseDynamics(scene.model, joint_names, scene.positions, payloads)
 
 
 def clearance_along(checker: ExactChecker, trajectory: JointTrajectory) -> float:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
-from armcell.planning.finish import clearance_along, finish
+from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goals import joint_goals
 from armcell.planning.native.warm_up import warm_up
 from armcell.planning.problem import Problem, find_planner, normalized_planner_id
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
-from armcell.timing import check_scaling
+from armcell.timing import TorqueLimitError, check_scaling
 
 Array = NDArray[np.float64]
 
@@ -70,6 +70,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     if not outcome.ok:
         return failed(outcome)
     lower, upper = _bounds(scene, group.joint_names, start, goals)
+    torque = torque_model(scene, group.joint_names) if request.torque_limits else None
     answer = None
     for round_ in range(MAX_ROUNDS):
         seed = request.seed + 7919 * round_
@@ -90,7 +91,14 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             if answer.waypoints is None:
                 break
             waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints, rng)
-        finished = finish(checker, waypoints, request.velocity_scaling, request.acceleration_scaling)
+        try:
+            finished = finish(
+                checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
+                torque=torque, jerk_limits=request.jerk_limits,
+            )  # fmt: skip
+        except TorqueLimitError as error:
+            evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
+            return failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
         if finished.trajectory is not None:
             spent = time.monotonic() - began  # the clearance below is for the report, not part of planning
             return PlanResult(

@@ -1,5 +1,6 @@
 """The planning scene: an immutable value of robot, state, objects and allowed contacts."""
 
+from armcell.scene.inertia import solid_inertia
 from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, shape_volume
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
 
@@ -11,4 +12,5 @@ __all__ = [
     "Material",
     "PlanningScene",
     "shape_volume",
+    "solid_inertia",
 ]

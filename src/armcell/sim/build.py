@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from armcell.core import InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
-from armcell.scene import WORLD, CollisionObject, PlanningScene
+from armcell.scene import WORLD, CollisionObject, PlanningScene, solid_inertia
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.shapes import GeomAdder, solid_inertia
+from armcell.sim.shapes import GeomAdder
 from armcell.sim.visuals import visual_parts
 
 Array = NDArray[np.float64]

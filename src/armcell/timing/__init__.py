@@ -1,12 +1,27 @@
 """How fast? Time parameterisation of paths."""
 
 from armcell.timing.blend import BlendedPath
+from armcell.timing.jerk import jerk_limited
 from armcell.timing.parameterize import (
     TimingSettings,
-    check_scaling,
+    TorqueLimitError,
+    TorqueModel,
     parameterize,
-    reversed_in_time,
-    stretched,
+    smoothing_departure,
 )
+from armcell.timing.stretch import check_scaling, reversed_in_time, stretched, stretched_to, synchronized
 
-__all__ = ["BlendedPath", "TimingSettings", "check_scaling", "parameterize", "reversed_in_time", "stretched"]
+__all__ = [
+    "BlendedPath",
+    "TimingSettings",
+    "TorqueLimitError",
+    "TorqueModel",
+    "check_scaling",
+    "jerk_limited",
+    "parameterize",
+    "reversed_in_time",
+    "smoothing_departure",
+    "stretched",
+    "stretched_to",
+    "synchronized",
+]

@@ -1,144 +1,88 @@
-"""A smooth path from straight edges: corners rounded by circular arcs of bounded deviation.
+"""A smooth path from straight edges: corners rounded by arcs or splines of bounded deviation.
 
-Kunz and Stilman, "Time-optimal trajectory generation for path following with bounded acceleration and
-velocity" (RSS 2012), section IV. The path is parameterised by its length s [rad].
+Arcs: Kunz and Stilman, "Time-optimal trajectory generation for path following with bounded acceleration
+and velocity" (RSS 2012), section IV.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError
+from armcell.timing import pieces
 
 Array = NDArray[np.float64]
 
-MIN_EDGE = 1e-6  # [rad] shorter edges are dropped
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """A line `origin + s x`, or (finite radius) an arc `origin + r (x cos(s/r) + y sin(s/r))`."""
-
-    origin: Array
-    x: Array  # unit
-    y: Array
-    length: float
-    radius: float = np.inf
-
-    def start(self) -> Array:
-        return self.origin if np.isinf(self.radius) else self.origin + self.radius * self.x
-
-    def end(self) -> Array:
-        if np.isinf(self.radius):
-            return self.origin + self.length * self.x
-        angle = self.length / self.radius
-        return self.origin + self.radius * (np.cos(angle) * self.x + np.sin(angle) * self.y)
-
 
 class BlendedPath:
-    """Lines and arcs through (or near) waypoints (k, n). Corners that may not be rounded keep their
-    point: the motion has to stop there (`stops` are their path lengths).
+    """Lines and rounded corners through (or near) waypoints (k, n). Corners that may not be rounded keep
+    their point: the motion has to stop there (`stops` are their places along the path).
+
+    The path parameter s [rad] is the path's length on lines and arcs. In smooth corners it runs a little
+    faster than the length: their derivative is shorter than 1.
 
     Args:
         max_deviation: how far a corner may be cut [rad]; one number or one per inner waypoint.
+        smooth: round with splines, whose curvature does not jump, as jerk limits need. Else with arcs.
+    Raises:
+        InputError: no waypoint, values that are not finite, or a negative deviation.
     """
 
-    def __init__(self, waypoints: ArrayLike, max_deviation: float | ArrayLike = 0.05):
-        points = np.asarray(waypoints, dtype=float)
-        if not np.all(np.isfinite(points)):
+    def __init__(self, waypoints: ArrayLike, max_deviation: float | ArrayLike = 0.05, smooth: bool = False):
+        points = np.array(waypoints, dtype=float)  # a copy: compiled code is made for writable arrays
+        if points.ndim != 2 or len(points) == 0:
+            raise InputError(f"waypoints have shape {points.shape}, need (k, n), k >= 1")
+        if not np.isfinite(points).all():
             raise InputError("a waypoint has a value that is not finite")
-        deviation = np.broadcast_to(np.asarray(max_deviation, dtype=float), (max(len(points) - 2, 0),))
-        keep = [0]
-        for i in range(1, len(points)):
-            if np.linalg.norm(points[i] - points[keep[-1]]) > MIN_EDGE:
-                keep.append(i)
-        self.points = points[keep]
-        self.pieces: list[Piece] = []
-        self.stops: list[float] = []
-        self._build([float(deviation[i - 1]) if 0 < i < len(points) - 1 else 0.0 for i in keep])
-        self.starts = np.concatenate([[0.0], np.cumsum([p.length for p in self.pieces])])
-        if self.pieces:
-            self._origin = np.array([p.origin for p in self.pieces])
-            self._x = np.array([p.x for p in self.pieces])
-            self._y = np.array([p.y for p in self.pieces])
-            self._radius = np.array([p.radius for p in self.pieces])
+        deviation = np.zeros(len(points))
+        if np.ndim(max_deviation) > 0 and np.shape(max_deviation) != (max(len(points) - 2, 0),):
+            raise InputError(
+                f"{np.shape(max_deviation)} deviations given for {max(len(points) - 2, 0)} inner waypoints"
+            )
+        deviation[1:-1] = max_deviation
+        if not (deviation >= 0.0).all():
+            raise InputError("a corner's max_deviation is negative or not a number")
+        self.smooth = smooth
+        keep = pieces.distinct(points)
+        if not keep.all():
+            points, deviation = points[keep], deviation[keep]
+        self.points = points
+        count, kind, origin, x, y, length, radius, turn, stop = pieces.build(points, deviation, smooth)
+        self.kind, self.radius, self.turn = kind[:count], radius[:count], turn[:count]
+        self.origin, self.x, self.y = origin[:count], x[:count], y[:count]
+        self.lengths, self.rests = length[:count], stop[:count]
+        self.starts = np.zeros(count + 1)  # where each piece begins, and the end
+        np.cumsum(self.lengths, out=self.starts[1:])
 
     @property
     def length(self) -> float:
         return float(self.starts[-1])
 
-    def _build(self, deviation: list[float]) -> None:
-        points = self.points
-        if len(points) < 2:
-            return
-        edges = np.diff(points, axis=0)
-        lengths = np.linalg.norm(edges, axis=1)
-        units = edges / lengths[:, None]
-        begin, travelled = points[0], 0.0
-        for i in range(1, len(points)):
-            end, arc = points[i], None
-            if i < len(points) - 1:
-                arc = _corner(points[i], units[i - 1], units[i], lengths[i - 1], lengths[i], deviation[i])
-            if arc is not None:
-                end = arc.start()
-            length = float(np.linalg.norm(end - begin))
-            if length > 1e-12:
-                self.pieces.append(Piece(begin, units[i - 1], np.zeros_like(begin), length))
-                travelled += length
-            if arc is not None:
-                self.pieces.append(arc)
-                travelled += arc.length
-                begin = arc.end()
-            else:
-                begin = points[i]
-                if i < len(points) - 1 and float(units[i - 1] @ units[i]) < 1 - 1e-9:
-                    self.stops.append(travelled)
+    @property
+    def stops(self) -> list[float]:
+        """Where the motion must stand still on its way."""
+        return self.starts[1:][self.rests].tolist()
+
+    @property
+    def arrays(self) -> tuple[Any, Any, Any, Any, Any, Any]:
+        """kind, origin, x, y, lengths, radius: what the kernels take."""
+        return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
-        """Points, unit tangents and curvature vectors (m, n) at lengths s (m,) within the pieces (m,)."""
-        origin, x, y, radius = self._origin[piece], self._x[piece], self._y[piece], self._radius[piece]
-        bent = np.isfinite(radius)[:, None]
-        r = np.where(bent[:, 0], radius, 1.0)
-        c, sn = np.cos(s / r)[:, None], np.sin(s / r)[:, None]
-        outward = c * x + sn * y
-        point = np.where(bent, origin + r[:, None] * outward, origin + s[:, None] * x)
-        tangent = np.where(bent, c * y - sn * x, x)
-        return point, tangent, np.where(bent, -outward / r[:, None], 0.0)
+        """Points and first and second derivatives (m, n) at s (m,) within the pieces (m,)."""
+        return pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Points, unit tangents and curvature vectors (m, n) at path lengths s (m,)."""
+        """Points and first and second derivatives (m, n) at places s (m,) along the path."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
-        piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.pieces) - 1)
-        local = np.clip(s - self.starts[piece], 0.0, self.starts[piece + 1] - self.starts[piece])
-        return self.evaluate(piece, local)
+        piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.kind) - 1)
+        return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))
 
     def polyline(self, sagitta: float = 1e-4) -> Array:
         """Points (m, n) whose chords stay within `sagitta` [rad] of the path."""
-        if not self.pieces:
+        if self.length == 0.0:
             return self.points[:1]
-        index, local = [0], [0.0]
-        for i, piece in enumerate(self.pieces):
-            count = 1
-            if np.isfinite(piece.radius):
-                count = max(int(np.ceil(piece.length / np.sqrt(8 * sagitta * piece.radius))), 2)
-            index += [i] * count
-            local += [piece.length * (k + 1) / count for k in range(count)]
-        return self.evaluate(np.array(index), np.array(local))[0]
-
-
-def _corner(point: Array, u: Array, v: Array, before: float, after: float, deviation: float) -> Piece | None:
-    """The arc that rounds a corner between directions u and v; None where it stays sharp."""
-    cosine = float(np.clip(u @ v, -1.0, 1.0))
-    angle = float(np.arccos(cosine))  # by which the direction turns
-    if angle < 1e-5 or angle > np.pi - 1e-3 or deviation <= 0:
-        return None
-    # The arc may use half of each neighbouring edge.
-    reach = min(before / 2, after / 2, deviation * np.sin(angle / 2) / (1 - np.cos(angle / 2)))
-    radius = reach / np.tan(angle / 2)
-    middle = (v - u) / np.linalg.norm(v - u)
-    centre = point + middle * radius / np.cos(angle / 2)
-    x = (point - reach * u - centre) / radius
-    return Piece(centre, x, u, float(angle * radius), float(radius))
+        return pieces.chords(*self.arrays, self.turn, sagitta)

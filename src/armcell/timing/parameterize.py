@@ -1,23 +1,25 @@
-"""From a path to a trajectory: the fastest one within velocity and acceleration limits."""
+"""From a path to a trajectory: the fastest one within velocity, acceleration and torque limits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import InputError, JointTrajectory
+from armcell.core import ArmcellError, InputError, JointTrajectory
+from armcell.timing import sampling, topp
 from armcell.timing.blend import BlendedPath
-from armcell.timing.topp import speeds
 
 Array = NDArray[np.float64]
 
-FINE_TIME = 1e-3  # [s] step of the internal sampling
-MIN_ARC_INTERVALS = 8
-ACCELERATION_SHARE = 0.985
-"""Share of the acceleration limit that is planned with: between grid points and between trajectory
-points (quintic interpolation) up to 1.2 % more was measured."""
+ACCELERATION_SHARE = 0.993
+"""Share of the acceleration limit that is planned with. Between trajectory points (quintic interpolation)
+there is a little more than planned; what passes the limit even so slows the whole motion down."""
+
+TORQUE_SHARE = 0.985
+"""Share of the torque limits that is planned with; trajectory points may have 0.01 more."""
 
 
 @dataclass(frozen=True)
@@ -25,21 +27,45 @@ class TimingSettings:
     """Settings of the time parameterisation."""
 
     max_deviation: float = 0.05  # [rad] how far corners may be cut
-    grid_step: float = 0.01  # [rad] of path length
-    min_grid: int = 100  # intervals
+    torque_grid: float = 0.02  # [rad] of path between points where torque limits are held
     sample_time: float = 0.01  # [s] between trajectory points
     smoothing: float = 0.04  # [s] window of the moving average that rounds acceleration steps
 
+    def __post_init__(self) -> None:
+        for name in ("torque_grid", "sample_time", "smoothing"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{name} is {value:g}, it must be positive")
 
-def check_scaling(value: float, what: str) -> float:
-    """A velocity or acceleration scaling factor in (0, 1].
 
-    Raises:
-        InputError: outside.
-    """
-    if not np.isfinite(value) or not 0.0 < value <= 1.0:
-        raise InputError(f"{what} is {value:g}, it must be in (0, 1]")
-    return float(value)
+class TorqueModel(Protocol):
+    """What the torques of a robot's joints are, and their limits."""
+
+    @property
+    def limits(self) -> Array:
+        """(n,) [Nm or N]"""
+        ...
+
+    def rows(self, positions: Array, first: Array, second: Array) -> Array:
+        """Coefficients (m, 3, n) of u, x and 1 in the torques at points of a path (m, n) with its first and
+        second derivatives, where u is the path acceleration and x the squared path speed."""
+        ...
+
+    def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
+        """Of positions, velocities and accelerations (m, n)."""
+        ...
+
+
+class TorqueLimitError(ArmcellError):
+    """Holding still on the path takes more torque than a joint has: no speed is slow enough."""
+
+    def __init__(self, joint: str, torque: float, limit: float, place: float):
+        self.joint, self.torque, self.limit, self.place = joint, torque, limit, place
+        super().__init__(
+            f"joint {joint!r} takes {torque:.4g} Nm (or N) to hold still at {place:.0%} of the path, "
+            f"its limit is {limit:.4g} with {1 - TORQUE_SHARE:.1%} of it kept back "
+            "(carry less, or take another way)"
+        )
 
 
 def parameterize(
@@ -48,118 +74,110 @@ def parameterize(
     velocity: ArrayLike,
     acceleration: ArrayLike,
     settings: TimingSettings = TimingSettings(),
+    torque: TorqueModel | None = None,
 ) -> JointTrajectory:
     """The fastest trajectory along a path, at rest at both ends and at the path's sharp corners.
 
+    Its velocities and accelerations are within the limits at all times of its (quintic) interpolation.
+    It keeps to the path but for the smoothing, see `sampling`.
+
     Args:
         velocity, acceleration: limits (n,) [rad/s], [rad/s^2], already scaled.
+        torque: the torque limits to be kept, if any.
     Raises:
         InputError: a limit is not positive and finite.
+        TorqueLimitError: a joint cannot even hold still somewhere on the path.
     """
-    velocity, acceleration = np.asarray(velocity, float), np.asarray(acceleration, float)
-    for label, limit in (("velocity", velocity), ("acceleration", acceleration)):
-        bad = [n for n, v in zip(joint_names, limit, strict=True) if not np.isfinite(v) or v <= 0]
-        if bad:
-            raise InputError(
-                f"joint {bad[0]!r} has no {label} limit", cure="give one in the robot's joint_limits.yaml"
-            )
-    if not path.pieces:
-        return JointTrajectory(joint_names, np.zeros(1), path.points[:1], np.zeros((1, len(joint_names))),
-                               np.zeros((1, len(joint_names))))  # fmt: skip
-    s, tangent, right, left, stop = _grid(path, settings)
-    x = speeds(s, tangent, right, left, stop, velocity, ACCELERATION_SHARE * acceleration)
-    return _sampled(path, joint_names, s, x, settings)
-
-
-def _grid(path: BlendedPath, settings: TimingSettings):
-    """Grid points with the derivatives on both sides; piece ends are always grid points."""
-    step = min(settings.grid_step, path.length / settings.min_grid)
-    index, local, first = [], [], []
-    for i, piece in enumerate(path.pieces):
-        fewest = MIN_ARC_INTERVALS if np.isfinite(piece.radius) else 2
-        count = max(int(np.ceil(piece.length / step)), fewest)
-        first.append(len(index))
-        index += [i] * (count + 1)
-        local += [piece.length * k / count for k in range(count + 1)]
-    piece_of, s_local = np.array(index), np.array(local)
-    _, tangent, curvature = path.evaluate(piece_of, s_local)
-    s = path.starts[piece_of] + s_local
-    # Where two pieces meet there are two entries: the left piece's end and the right piece's start.
-    joint = np.array(first[1:], dtype=np.int64)
-    right = curvature.copy()
-    right[joint - 1] = curvature[joint]
-    keep = np.ones(len(s), dtype=bool)
-    keep[joint] = False
-    s, tangent, right, left = s[keep], tangent[keep], right[keep], curvature[keep]
-    stop = np.zeros(len(s), dtype=bool)
-    for at in path.stops:
-        stop[int(np.argmin(np.abs(s - at)))] = True
-    return s, tangent, right, left, stop
-
-
-def _sampled(
-    path: BlendedPath, names: tuple[str, ...], s: Array, x: Array, settings: TimingSettings
-) -> JointTrajectory:
-    """The motion averaged over a short window and sampled.
-
-    The fastest motion switches its acceleration at once. A moving average over `smoothing` seconds keeps
-    every velocity and acceleration limit (an average of values within a limit is within it), bounds the
-    jerk by 2 a / smoothing, and leaves the path by at most a smoothing^2 / 24.
-    """
-    v = np.sqrt(x)
-    ds = np.diff(s)
-    dt = 2 * ds / np.maximum(v[:-1] + v[1:], 1e-9)
-    u = (x[1:] - x[:-1]) / (2 * ds)
-    t = np.concatenate([[0.0], np.cumsum(dt)])
-    half = max(round(settings.smoothing / FINE_TIME / 2), 1)
-    steps = int(np.ceil(t[-1] / FINE_TIME)) + 4 * half
-    stride = max(round(settings.sample_time / FINE_TIME), 1)
-    steps += -steps % stride
-    fine = (np.arange(steps + 1) - 2 * half) * FINE_TIME + (t[-1] - (steps - 4 * half) * FINE_TIME) / 2
-    inside = np.clip(fine, 0.0, t[-1])
-    interval = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(dt) - 1)
-    tau = inside - t[interval]
-    P, D, _ = path.at(
-        np.minimum(s[interval] + v[interval] * tau + 0.5 * u[interval] * tau**2, s[interval + 1])
+    velocity = checked_limits(velocity, "velocity", joint_names)
+    acceleration = checked_limits(acceleration, "acceleration", joint_names)
+    if path.length == 0.0:
+        return standing(path, joint_names)
+    motion = fastest_motion(path, joint_names, velocity, acceleration, settings, torque)
+    times, q, v, a = sampling.averaged(
+        path.points[0], path.points[-1], *path.arrays, *motion, settings.sample_time, settings.smoothing
     )
-    V = D * (v[interval] + u[interval] * tau)[:, None]
-    V[(fine <= 0.0) | (fine >= t[-1])] = 0.0
-    window = 2 * half * FINE_TIME
-    integral = np.vstack([np.zeros(P.shape[1]), np.cumsum((P[1:] + P[:-1]) / 2, axis=0)]) * FINE_TIME
-    at = np.arange(half, len(fine) - half, stride)
-    at = at if at[-1] == len(fine) - half - 1 else np.append(at, len(fine) - half - 1)
-    positions = (integral[at + half] - integral[at - half]) / window
-    velocities = (P[at + half] - P[at - half]) / window
-    accelerations = (V[at + half] - V[at - half]) / window
-    positions[0], positions[-1] = path.points[0], path.points[-1]
-    velocities[0] = velocities[-1] = accelerations[0] = accelerations[-1] = 0.0
-    return JointTrajectory(names, (at - at[0]) * FINE_TIME, positions, velocities, accelerations)
+    peak_v, peak_a = sampling.peaks(times, q, v, a, velocity, acceleration)
+    over = max(peak_v, np.sqrt(peak_a))
+    if torque is not None:
+        over = max(over, _slowdown(torque, q, v, a))
+    if over > 1.0:
+        times, v, a = times * over, v / over, a / over**2
+    return JointTrajectory(joint_names, times, q, v, a)
 
 
-def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
-    """The same motion slowed by a factor >= 1.
+def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
+    """How far (n,) [rad] `parameterize` may leave the path in each joint: a w^2 / 24 for the window w."""
+    return np.asarray(acceleration, dtype=float) * settings.smoothing**2 / 24
+
+
+def fastest_motion(
+    path: BlendedPath,
+    joint_names: tuple[str, ...],
+    velocity: Array,
+    acceleration: Array,
+    settings: TimingSettings,
+    torque: TorqueModel | None = None,
+) -> tuple[Any, Any, Any, Any, Any]:
+    """The motion before it is smoothed and sampled: see `topp.fastest` for what is returned.
 
     Raises:
-        InputError: factor below 1 (limits might be broken) or not finite.
+        TorqueLimitError: a joint cannot even hold still somewhere on the path.
     """
-    if not np.isfinite(factor) or factor < 1.0:
-        raise InputError(f"stretch factor is {factor:g}, it must be at least 1")
-    v, a = trajectory.velocities, trajectory.accelerations
-    return replace(
-        trajectory,
-        times=trajectory.times * factor,
-        velocities=None if v is None else v / factor,
-        accelerations=None if a is None else a / factor**2,
+    line_step = 0.0 if torque is None else settings.torque_grid
+    piece, begin, end = topp.grid(path.kind, path.lengths, path.turn, line_step)
+    if torque is None:
+        rows, limit = np.empty((0, 2, 3, len(velocity))), velocity  # both unused
+    else:
+        limit = TORQUE_SHARE * checked_limits(torque.limits, "effort", joint_names)
+        # Grid points, piece by piece: interval i begins at point i + piece[i] and ends at the next.
+        at = np.arange(len(piece)) + piece
+        place, on = np.empty(at[-1] + 2), np.empty(at[-1] + 2, dtype=np.int64)
+        place[at], place[at + 1], on[at], on[at + 1] = begin, end, piece, piece
+        rows = torque.rows(*path.evaluate(on, place))
+        still = np.abs(rows[:, 2]) / limit
+        if still.max() > 1.0:
+            i, joint = np.unravel_index(np.argmax(still), still.shape)
+            raise TorqueLimitError(
+                joint_names[joint], abs(float(rows[i, 2, joint])), float(torque.limits[joint]),
+                float(path.starts[on[i]] + place[i]) / path.length,
+            )  # fmt: skip
+        rows = np.stack([rows[at], rows[at + 1]], axis=1)
+    return topp.fastest(
+        *path.arrays, path.rests, piece, begin, end, velocity, ACCELERATION_SHARE * acceleration, rows, limit
     )
 
 
-def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
-    """The same motion from its end to its start; it keeps every symmetric limit."""
-    v, a = trajectory.velocities, trajectory.accelerations
-    return replace(
-        trajectory,
-        times=trajectory.times[-1] - trajectory.times[::-1],
-        positions=trajectory.positions[::-1],
-        velocities=None if v is None else -v[::-1],
-        accelerations=None if a is None else a[::-1],
-    )
+def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
+    """Factor by which the smoothed motion has to be slower to keep the torque limits at its points.
+
+    What a torque has beyond the one for holding still goes with the square of the speed.
+    """
+    still = np.zeros_like(q)
+    holding = torque.torques(q, still, still)
+    moving = torque.torques(q, v, a) - holding
+    room = (TORQUE_SHARE + 0.01) * torque.limits - holding * np.sign(moving)
+    return float(np.sqrt(np.max(np.abs(moving) / room)))
+
+
+def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
+    """A path that goes nowhere: one point."""
+    zero = np.zeros((1, len(joint_names)))
+    return JointTrajectory(joint_names, np.zeros(1), path.points[:1], zero, zero)
+
+
+def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:
+    """One kind of limits as an array (n,).
+
+    Raises:
+        InputError: a limit is missing, not positive or not finite.
+    """
+    limits = np.array(values, dtype=float)  # a copy: compiled code is made for writable arrays
+    if limits.shape != (len(joint_names),):
+        raise InputError(f"{limits.shape} {kind} limits given for {len(joint_names)} joints")
+    good = (limits > 0.0) & (limits < np.inf)
+    if not good.all():
+        raise InputError(
+            f"joint {joint_names[int(np.argmin(good))]!r} has no {kind} limit",
+            cure="give one in the robot's joint_limits.yaml",
+        )
+    return limits

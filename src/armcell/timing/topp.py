@@ -1,9 +1,11 @@
-"""Time-optimal parameterisation of a path under velocity and acceleration limits (Numba).
+"""Time-optimal parameterisation of a path under velocity, acceleration and torque limits (Numba).
 
-Reachability analysis on a grid (Pham and Pham, "A new approach to time-optimal path parameterization
-based on reachability analysis", T-RO 2018): a backward pass finds the largest squared path speed from
-which the end can still be reached, a forward pass takes the largest acceleration within it. Constraints
-are held at both ends of every interval. Checked against the toppra package in the tests.
+Reachability analysis (Pham and Pham, "A new approach to time-optimal path parameterization based on
+reachability analysis", T-RO 2018): a backward pass finds the largest squared path speed x = ds/dt^2 from
+which the end can still be reached, a forward pass takes the largest path acceleration u within it.
+Constraints are held at both ends of every interval of the grid. A line without torque limits needs no
+grid: its largest acceleration is the same everywhere, so it is one interval that is solved exactly
+(speed up, cruise, slow down). Checked against the toppra package in the tests.
 """
 
 from __future__ import annotations
@@ -11,114 +13,168 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.timing.pieces import LINE, coefficients
+
 EPS = 1e-12
+ANGLE_STEP = 0.06  # [rad] of turning per interval in a corner
+MIN_CORNER = 8  # intervals in a corner
+FAST = {"nnan", "nsz", "ninf"}  # no NaN or infinity gets here: limits and waypoints are checked
+MIN_GRIDDED = 16  # intervals of a line with torque limits
 
 
 @njit(cache=True)
-def _rows(d0, c0, d1, c1, ds, limit, alpha, beta, gamma):
-    """alpha u + beta x <= gamma for the joints at both ends of an interval; returns the row count."""
-    m = 0
-    n = len(limit)
-    for k in range(n):
-        for sign in (1.0, -1.0):
-            alpha[m], beta[m], gamma[m] = sign * d0[k], sign * c0[k], limit[k]
-            m += 1
-            alpha[m] = sign * (d1[k] + 2.0 * ds * c1[k])
-            beta[m], gamma[m] = sign * c1[k], limit[k]
-            m += 1
-    return m
+def grid(kind, length, turn, line_step):
+    """Intervals: their piece, begin and end within it (m,). Lines are divided where line_step > 0."""
+    count = np.ones(len(kind), np.int64)
+    for p in range(len(kind)):
+        if kind[p] != LINE:
+            count[p] = max(int(np.ceil(turn[p] / ANGLE_STEP)), MIN_CORNER)
+        elif line_step > 0.0:
+            count[p] = max(int(np.ceil(length[p] / line_step)), MIN_GRIDDED)
+    m = count.sum()
+    piece, begin, end = np.empty(m, np.int64), np.empty(m), np.empty(m)
+    i = 0
+    for p in range(len(kind)):
+        for c in range(count[p]):
+            piece[i], begin[i], end[i] = p, length[p] * c / count[p], length[p] * (c + 1) / count[p]
+            i += 1
+    return piece, begin, end
+
+
+@njit(cache=True, fastmath=FAST)
+def _largest_x(centre, half, slope, i, ds, reach, cap):
+    """Largest x in [0, cap] for which some u has |u - centre + slope x| <= half in every row of interval i
+    and 0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function: a few steps."""
+    x = cap
+    for _ in range(50):
+        low, high = -x / (2.0 * ds), (reach - x) / (2.0 * ds)
+        low_slope = high_slope = -1.0 / (2.0 * ds)
+        for r in range(half.shape[1]):
+            middle = centre[i, r] - slope[i, r] * x
+            upper, lower = middle + half[i, r], middle - half[i, r]
+            high_slope = -slope[i, r] if upper < high else high_slope
+            low_slope = -slope[i, r] if lower > low else low_slope
+            high, low = min(upper, high), max(lower, low)
+        if low - high <= 1e-11 * (abs(low) + abs(high)):
+            return x
+        if low_slope <= high_slope:
+            return 0.0
+        x -= (low - high) / (low_slope - high_slope)
+        if x <= 0.0:
+            return 0.0
+    return x
 
 
 @njit(cache=True)
-def _largest_x(alpha, beta, gamma, m, cap):
-    """Largest x in [0, cap] for which some u meets all rows (x = 0 always does)."""
-    best = cap
-    for i in range(m):
-        if abs(alpha[i]) < EPS:
-            if beta[i] > EPS:
-                best = min(best, gamma[i] / beta[i])
-            continue
-        if alpha[i] < 0.0:
-            continue
-        for j in range(m):  # upper bound i against lower bound j
-            if alpha[j] >= -EPS:
-                continue
-            # u <= (gamma_i - beta_i x) / alpha_i and u >= (gamma_j - beta_j x) / alpha_j
-            slope = beta[i] / alpha[i] - beta[j] / alpha[j]
-            if slope > EPS:
-                best = min(best, (gamma[i] / alpha[i] - gamma[j] / alpha[j]) / slope)
-    return max(best, 0.0)
+def _row(alpha, beta, constant, limit, i, r, centre, half, slope, cap):
+    """|alpha u + beta x + constant| <= limit as a row of the three arrays; the cap it puts on x."""
+    if abs(alpha) > EPS:
+        inverse = 1.0 / alpha
+        centre[i, r], half[i, r], slope[i, r] = -constant * inverse, limit * abs(inverse), beta * inverse
+        return cap
+    centre[i, r], half[i, r], slope[i, r] = 0.0, 1e18, 0.0
+    if abs(beta) > EPS:
+        return min(cap, (limit - constant * np.sign(beta)) / abs(beta))
+    return cap
 
 
-@njit(cache=True)
-def _u_range(alpha, beta, gamma, m, x):
-    low, high = -1e18, 1e18
-    for i in range(m):
-        room = gamma[i] - beta[i] * x
-        if alpha[i] > EPS:
-            high = min(high, room / alpha[i])
-        elif alpha[i] < -EPS:
-            low = max(low, room / alpha[i])
-    return low, high
-
-
-@njit(cache=True)
-def speeds(s, tangent, curvature_right, curvature_left, stop, velocity, acceleration):
-    """Squared path speed x (g,) at each grid point, zero at both ends and at stops.
+@njit(cache=True, fastmath=FAST)
+def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, velocity, acceleration,
+            torque, torque_limit):  # fmt: skip
+    """The fastest motion along the pieces, at rest at both ends and where a piece `rests` at its end.
 
     Args:
-        s: path length at the grid points (g,), increasing.
-        tangent: dq/ds (g, n); curvature_right/left: d2q/ds2 just after and just before (g, n).
-        stop: grid points where the motion must stand still (g,).
+        piece, begin, end: the grid (m,), see `grid`.
         velocity, acceleration: limits (n,).
+        torque: (m, 2, 3, n) coefficients of u, x and 1 in the joint torques at both ends of each interval;
+            m = 0 where there are no torque limits. torque_limit (n,).
+    Returns:
+        Intervals of constant path acceleration: piece (k,), place within it at the begin (k,), speed there
+        (k,), acceleration (k,), and the time at the begin (k + 1,), the end of the motion last.
     """
-    g, n = tangent.shape
-    cap = np.empty(g)
-    for i in range(g):
-        c = 1e18
+    m, n = len(piece), len(velocity)
+    gridded = len(torque) > 0
+    rows = 4 * n if gridded else 2 * n
+    centre, half, slope = np.empty((m, rows)), np.empty((m, rows)), np.empty((m, rows))
+    cap = np.full(m + 1, 1e18)  # of x, at the grid points
+    most, line_cap = np.empty(m), np.empty(m)  # largest |u| and x on straight intervals
+    d0, c0, d1, c1 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    dc = dd = ec = ed = 0.0
+    for i in range(m):
+        p, ds = piece[i], end[i] - begin[i]
+        da, db, ea, eb = dc, dd, ec, ed
+        if i == 0 or piece[i - 1] != p:
+            _, _, da, db, ea, eb = coefficients(kind[p], length[p], radius[p], begin[i])
+        _, _, dc, dd, ec, ed = coefficients(kind[p], length[p], radius[p], end[i])
+        slow0 = slow1 = 1e9
+        most[i] = 1e18
         for k in range(n):
-            if abs(tangent[i, k]) > EPS:
-                c = min(c, velocity[k] / abs(tangent[i, k]))
-        cap[i] = 0.0 if stop[i] else c * c
-    cap[0] = cap[g - 1] = 0.0
-    rows = 4 * n + 2
-    alpha, beta, gamma = np.empty(rows), np.empty(rows), np.empty(rows)
-    reach = np.empty(g)
-    reach[g - 1] = 0.0
-    for i in range(g - 2, -1, -1):
-        ds = s[i + 1] - s[i]
-        m = _rows(
-            tangent[i],
-            curvature_right[i],
-            tangent[i + 1],
-            curvature_left[i + 1],
-            ds,
-            acceleration,
-            alpha,
-            beta,
-            gamma,
-        )
-        alpha[m], beta[m], gamma[m] = 2.0 * ds, 1.0, reach[i + 1]  # x + 2 ds u <= reach
-        m += 1
-        alpha[m], beta[m], gamma[m] = -2.0 * ds, -1.0, 0.0  # x + 2 ds u >= 0
-        m += 1
-        reach[i] = _largest_x(alpha, beta, gamma, m, cap[i])
-    x = np.empty(g)
-    x[0] = 0.0
-    for i in range(g - 1):
-        ds = s[i + 1] - s[i]
-        m = _rows(
-            tangent[i],
-            curvature_right[i],
-            tangent[i + 1],
-            curvature_left[i + 1],
-            ds,
-            acceleration,
-            alpha,
-            beta,
-            gamma,
-        )
-        low, high = _u_range(alpha, beta, gamma, m, x[i])
-        u = max(low, min(high, (reach[i + 1] - x[i]) / (2.0 * ds)))
-        x[i + 1] = min(max(x[i] + 2.0 * ds * u, 0.0), reach[i + 1])
-    return x
+            d0[k], c0[k] = da * x[p, k] + db * y[p, k], ea * x[p, k] + eb * y[p, k]
+            d1[k], c1[k] = dc * x[p, k] + dd * y[p, k], ec * x[p, k] + ed * y[p, k]
+            slow0 = min(slow0, velocity[k] / max(abs(d0[k]), EPS))
+            slow1 = min(slow1, velocity[k] / max(abs(d1[k]), EPS))
+        cap[i], cap[i + 1] = min(cap[i], slow0 * slow0), min(cap[i + 1], slow1 * slow1)
+        if kind[p] == LINE and not gridded:
+            line_cap[i] = slow0 * slow0
+            for k in range(n):
+                most[i] = min(most[i], acceleration[k] / max(abs(d0[k]), EPS))
+            continue
+        for k in range(n):
+            a = acceleration[k]
+            cap[i] = _row(d0[k], c0[k], 0.0, a, i, 2 * k, centre, half, slope, cap[i])
+            cap[i] = _row(d1[k] + 2.0 * ds * c1[k], c1[k], 0.0, a, i, 2 * k + 1, centre, half, slope, cap[i])
+        if gridded:
+            for k in range(n):
+                r, limit = 2 * n + 2 * k, torque_limit[k]
+                t0, t1 = torque[i, 0], torque[i, 1]
+                cap[i] = _row(t0[0, k], t0[1, k], t0[2, k], limit, i, r, centre, half, slope, cap[i])
+                cap[i] = _row(t1[0, k] + 2.0 * ds * t1[1, k], t1[1, k], t1[2, k], limit, i, r + 1,
+                              centre, half, slope, cap[i])  # fmt: skip
+    cap[0] = cap[m] = 0.0
+    for i in range(m - 1):
+        if rests[piece[i]] and piece[i + 1] != piece[i]:
+            cap[i + 1] = 0.0
+    reach = np.empty(m + 1)
+    reach[m] = 0.0
+    for i in range(m - 1, -1, -1):
+        ds = end[i] - begin[i]
+        if kind[piece[i]] == LINE and not gridded:
+            reach[i] = min(cap[i], reach[i + 1] + 2.0 * most[i] * ds)
+        else:
+            reach[i] = _largest_x(centre, half, slope, i, ds, reach[i + 1], cap[i])
+
+    out_piece, out_s = np.empty(3 * m, np.int64), np.empty(3 * m)
+    out_v, out_u, out_t = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m + 1)
+    count, t, now = 0, 0.0, 0.0
+    steps, ends = np.empty(3), np.empty(3)
+    for i in range(m):
+        ds = end[i] - begin[i]
+        if kind[piece[i]] == LINE and not gridded:
+            a = most[i]
+            then = min(reach[i + 1], now + 2.0 * a * ds)
+            peak = min(line_cap[i], (now + then) / 2.0 + a * ds)
+            steps[0], steps[2] = (peak - now) / (2.0 * a), (peak - then) / (2.0 * a)
+            steps[1] = ds - steps[0] - steps[2]
+            ends[0], ends[1], ends[2] = peak, peak, then
+        else:
+            low, high = -1e18, (reach[i + 1] - now) / (2.0 * ds)
+            for r in range(rows):
+                middle = centre[i, r] - slope[i, r] * now
+                low, high = max(low, middle - half[i, r]), min(high, middle + half[i, r])
+            then = min(max(now + 2.0 * ds * max(low, high), 0.0), reach[i + 1])
+            steps[0], steps[1], steps[2] = ds, 0.0, 0.0
+            ends[0] = then
+        s = begin[i]
+        for part in range(3):
+            if steps[part] <= EPS * ds:
+                continue
+            v0, v1 = np.sqrt(now), np.sqrt(ends[part])
+            out_piece[count], out_s[count], out_v[count], out_t[count] = piece[i], s, v0, t
+            out_u[count] = (ends[part] - now) / (2.0 * steps[part])
+            t += 2.0 * steps[part] / max(v0 + v1, 1e-9)
+            s += steps[part]
+            now = ends[part]
+            count += 1
+        now = then
+    out_t[count] = t
+    return out_piece[:count], out_s[:count], out_v[:count], out_u[:count], out_t[: count + 1]

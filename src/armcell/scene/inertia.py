@@ -1,0 +1,67 @@
+"""How a solid's mass is spread: centre and inertia of objects, for physics and for payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.scene.objects import shape_volume
+
+Array = NDArray[np.float64]
+
+
+def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
+    """Centre of mass (3,) [m] and inertia (3, 3) [m^2] about it, of one kilogram of a uniform solid."""
+    match shape:
+        case Box():
+            x, y, z = shape.x**2, shape.y**2, shape.z**2
+            return np.zeros(3), np.diag([y + z, x + z, x + y]) / 12
+        case Sphere():
+            return np.zeros(3), np.eye(3) * 0.4 * shape.radius**2
+        case Cylinder():
+            r, h = shape.radius**2, shape.length**2
+            return np.zeros(3), np.diag([r / 4 + h / 12, r / 4 + h / 12, r / 2])
+        case Cone():
+            r, h = shape.radius**2, shape.length**2
+            side = 3 / 20 * r + 3 / 80 * h
+            return np.array([0, 0, -shape.length / 4]), np.diag([side, side, 0.3 * r])
+        case Capsule():
+            r, h = shape.radius, shape.length
+            ball = 4 / 3 * r / (h + 4 / 3 * r)  # the two half spheres' share of the mass
+            rod = 1 - ball
+            axial = rod * r**2 / 2 + ball * 0.4 * r**2
+            side = rod * (r**2 / 4 + h**2 / 12) + ball * (0.4 * r**2 + h**2 / 4 + 3 / 8 * h * r)
+            return np.zeros(3), np.diag([side, side, axial])
+        case Mesh():
+            import trimesh
+
+            mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+            if not (mesh.is_watertight and abs(mesh.volume) > 0):
+                mesh = mesh.convex_hull
+            return np.array(mesh.center_mass), np.array(mesh.moment_inertia) / mesh.volume
+        case Plane():
+            raise ValueError("a plane has no inertia")
+
+
+def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Array, Array]:
+    """Centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about it, in the object's frame.
+
+    The mass is spread evenly over the shapes' volumes (overlaps count twice).
+    """
+    parts = []
+    volumes = []
+    for shape, T in shapes:
+        centre, inertia = _unit_inertia(shape)
+        R = T.rotation.matrix
+        parts.append((T.apply(centre), R @ inertia @ R.T))
+        volumes.append(shape_volume(shape))
+    masses = mass * np.array(volumes) / sum(volumes)
+    centre = masses @ np.array([c for c, _ in parts]) / mass
+    total = np.zeros((3, 3))
+    for m, (c, inertia) in zip(masses, parts, strict=True):
+        d = c - centre
+        total += m * (inertia + (d @ d) * np.eye(3) - np.outer(d, d))
+    return centre, total

@@ -1,0 +1,229 @@
+"""Jerk-limited timing that stays exactly on its path (Numba).
+
+Corners are splines whose curvature does not jump (`BlendedPath(..., smooth=True)`). They are taken at a
+constant speed, at which velocity, acceleration and jerk of every joint have closed forms. On the lines
+between, the path speed changes by ramps of bounded acceleration and jerk (the double-S profile; Biagiotti
+and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.4). So between two
+points of the trajectory each joint moves by a polynomial of degree four at most, which the quintic
+interpolation repeats exactly: the limits hold at all times and the path is kept to rounding.
+
+It is not the fastest jerk-limited motion (nobody solves that exactly: the problem is not convex) but for
+straight moves it is, which is checked against ruckig. Ruckig itself plans from state to state: joints
+leave the path, and its community edition sends waypoints to a server.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import InputError, JointTrajectory
+from armcell.timing.blend import BlendedPath
+from armcell.timing.parameterize import TimingSettings, checked_limits, standing
+from armcell.timing.pieces import LINE, coefficients
+from armcell.timing.sampling import peaks
+
+Array = NDArray[np.float64]
+
+MIN_PHASE = 1e-3
+"""[s] Phases of a ramp are not shorter, and a line cruises at least so long: shorter ones would cost the
+jerk, a third difference of positions, its digits."""
+
+MIN_GAP = 2e-4  # [s] between trajectory points
+EPS = 1e-12
+
+
+@njit(cache=True)
+def _ramp(dv, a, j):
+    """Times of changing and of constant acceleration in a speed change dv >= 0; increasing in dv.
+
+    Where a phase would be shorter than MIN_PHASE, the ramp is made gentler instead.
+    """
+    if dv <= 0.0:
+        return 0.0, 0.0
+    if dv <= a * a / j:
+        return max(np.sqrt(dv / j), MIN_PHASE), 0.0
+    flat = dv / a - a / j
+    if flat >= MIN_PHASE:
+        return a / j, flat
+    return (np.sqrt(MIN_PHASE**2 + 4.0 * dv / j) - MIN_PHASE) / 2.0, MIN_PHASE
+
+
+@njit(cache=True)
+def _distance(v0, v1, a, j):
+    change, flat = _ramp(abs(v1 - v0), a, j)
+    return (v0 + v1) / 2.0 * (2.0 * change + flat)
+
+
+@njit(cache=True)
+def _fastest(v0, v1, a, j, length, most):
+    """Largest speed up to `most` that a line from speed v0 to v1 can reach; max(v0, v1) if none above.
+
+    v1 < 0: the line may end at the speed it reaches.
+    """
+    low, high = max(v0, v1), most
+    v = most
+    for _ in range(60):
+        end = v if v1 < 0.0 else v1
+        if _distance(v0, v, a, j) + _distance(v, end, a, j) + v * MIN_PHASE <= length:
+            low = v
+        else:
+            high = v
+        v = (low + high) / 2.0
+    return low
+
+
+@njit(cache=True)
+def _ramp_phases(piece, s, v0, v1, a, j, at, out):
+    """Append a speed change: three phases (piece, s, v, a, jerk, time) to `out`; the new count and s."""
+    change, flat = _ramp(abs(v1 - v0), a, j)
+    if change == 0.0:
+        return at, s
+    jerk = (v1 - v0) / (change * (change + flat))
+    v, acc = v0, 0.0
+    for phase in range(3):
+        t = flat if phase == 1 else change
+        k = 0.0 if phase == 1 else jerk if phase == 0 else -jerk
+        if t == 0.0:
+            continue
+        if phase == 2:
+            acc = jerk * change
+        out[at, 0], out[at, 1], out[at, 2], out[at, 3], out[at, 4], out[at, 5] = piece, s, v, acc, k, t
+        s += t * (v + t * (acc / 2.0 + t * k / 6.0))
+        v += t * (acc + t * k / 2.0)
+        acc += t * k
+        at += 1
+    return at, s
+
+
+@njit(cache=True)
+def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
+    """Phases (k, 6) of constant path jerk: piece, place in it, speed, acceleration, jerk, duration."""
+    m, n = x.shape
+    most, acc, jer = np.full(m, 1e18), np.full(m, 1e18), np.full(m, 1e18)
+    for p in range(m):
+        for k in range(n):
+            if kind[p] == LINE:
+                d = max(abs(x[p, k]), EPS)
+                most[p] = min(most[p], velocity[k] / d)
+                acc[p] = min(acc[p], acceleration[k] / d)
+                jer[p] = min(jer[p], jerk[k] / d)
+            else:  # constant speed v: |q'| v, |q''| v^2 and |q'''| v^3 at their largest
+                d, c = max(abs(x[p, k]), abs(y[p, k]), EPS), max(abs(y[p, k] - x[p, k]), EPS)
+                most[p] = min(most[p], velocity[k] / d, np.sqrt(acceleration[k] * length[p] / (1.5 * c)))
+                most[p] = min(most[p], np.cbrt(jerk[k] * length[p] ** 2 / (6.0 * c)))
+        jer[p] = min(jer[p], acc[p] / MIN_PHASE)
+    # Speed where pieces meet: a corner has one speed throughout, a line may change it.
+    speed = np.full(m + 1, 1e18)
+    speed[0] = speed[m] = 0.0
+    for p in range(m):
+        speed[p], speed[p + 1] = min(speed[p], most[p]), min(speed[p + 1], most[p])
+        if rests[p]:
+            speed[p + 1] = 0.0
+    for p in range(m - 1, -1, -1):
+        if kind[p] != LINE:
+            speed[p] = min(speed[p], speed[p + 1])
+        elif speed[p] > speed[p + 1]:
+            speed[p] = _fastest(speed[p + 1], -1.0, acc[p], jer[p], length[p], speed[p])
+    for p in range(m):
+        if kind[p] != LINE:
+            speed[p + 1] = min(speed[p], speed[p + 1])
+        elif speed[p + 1] > speed[p]:
+            speed[p + 1] = _fastest(speed[p], -1.0, acc[p], jer[p], length[p], speed[p + 1])
+    out, at = np.empty((7 * m, 6)), 0
+    for p in range(m):
+        v0, v1 = speed[p], speed[p + 1]
+        s, peak = 0.0, v0
+        if kind[p] == LINE:
+            peak = _fastest(v0, v1, acc[p], jer[p], length[p], most[p])
+            at, s = _ramp_phases(p, 0.0, v0, peak, acc[p], jer[p], at, out)
+        left = length[p] - s - (_distance(peak, v1, acc[p], jer[p]) if kind[p] == LINE else 0.0)
+        out[at, 0], out[at, 1], out[at, 2], out[at, 3], out[at, 4], out[at, 5] = (
+            p, s, peak, 0.0, 0.0, left / peak,
+        )  # fmt: skip
+        at += 1
+        if kind[p] == LINE:
+            at, s = _ramp_phases(p, s + left, peak, v1, acc[p], jer[p], at, out)
+    return out[:at]
+
+
+@njit(cache=True)
+def states(times, begins, phase, kind, origin, x, y, length, radius):
+    """Positions, velocities and accelerations (m, n) at increasing times (m,)."""
+    m, n = len(times), x.shape[1]
+    q, dq, ddq = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
+    k = 0
+    for i in range(m):
+        while k < len(begins) - 1 and begins[k + 1] <= times[i]:
+            k += 1
+        p, s, v, a, j = int(phase[k, 0]), phase[k, 1], phase[k, 2], phase[k, 3], phase[k, 4]
+        t = times[i] - begins[k]
+        s, v, a = s + t * (v + t * (a / 2.0 + t * j / 6.0)), v + t * (a + t * j / 2.0), a + t * j
+        ca, cb, da, db, ea, eb = coefficients(kind[p], length[p], radius[p], s)
+        for c in range(n):
+            q[i, c] = origin[p, c] + ca * x[p, c] + cb * y[p, c]
+            first, second = da * x[p, c] + db * y[p, c], ea * x[p, c] + eb * y[p, c]
+            dq[i, c], ddq[i, c] = v * first, a * first + v * v * second
+    return q, dq, ddq
+
+
+def jerk_limited(
+    path: BlendedPath,
+    joint_names: tuple[str, ...],
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    jerk: ArrayLike,
+    settings: TimingSettings = TimingSettings(),
+) -> JointTrajectory:
+    """A trajectory exactly along a path with smooth corners, within velocity, acceleration and jerk limits.
+
+    It has points where the path jerk changes, and every `settings.sample_time` between.
+
+    Args:
+        velocity, acceleration, jerk: limits (n,) [rad/s], [rad/s^2], [rad/s^3], already scaled.
+    Raises:
+        InputError: a limit is not positive and finite; the path has arcs, whose curvature jumps.
+    """
+    velocity = checked_limits(velocity, "velocity", joint_names)
+    acceleration = checked_limits(acceleration, "acceleration", joint_names)
+    jerk = checked_limits(jerk, "jerk", joint_names)
+    if path.length == 0.0:
+        return standing(path, joint_names)
+    if np.isfinite(path.radius).any():
+        raise InputError(
+            "the path's corners are arcs, on whose ends the jerk has no bound",
+            cure="make it with BlendedPath(..., smooth=True)",
+        )
+    phase = phases(path.kind, path.x, path.y, path.lengths, path.rests, velocity, acceleration, jerk)
+    begins = np.concatenate([[0.0], np.cumsum(phase[:, 5])])
+    times = _times(begins, settings.sample_time)
+    q, v, a = states(times, begins[:-1], phase, *path.arrays)
+    q[0], q[-1] = path.points[0], path.points[-1]
+    v[0] = v[-1] = a[0] = a[-1] = 0.0
+    peak_v, peak_a = peaks(times, q, v, a, velocity, acceleration)
+    over = max(peak_v, np.sqrt(peak_a), np.cbrt(_largest_jerk(times, q, v, a, jerk)))
+    if over > 1.0:  # rounding, and what phases shorter than MIN_GAP leave
+        times, v, a = times * over, v / over, a / over**2
+    return JointTrajectory(joint_names, times, q, v, a)
+
+
+def _times(begins: Array, step: float) -> Array:
+    """Where the phases begin and a regular grid between, at least MIN_GAP apart."""
+    end = begins[-1]
+    knots = begins[np.concatenate([[True], np.diff(begins) >= MIN_GAP])]
+    knots = np.append(knots[knots <= end - MIN_GAP], end)
+    grid = np.arange(step, end, step)
+    after = np.searchsorted(knots, grid)
+    far = np.minimum(knots[after] - grid, grid - knots[after - 1]) >= step / 4
+    return np.sort(np.concatenate([knots, grid[far]]))
+
+
+def _largest_jerk(times: Array, q: Array, v: Array, a: Array, jerk: Array) -> float:
+    """Largest |jerk| / limit of the quintic interpolation: at its intervals' ends and, at most, between."""
+    h = np.diff(times)[:, None]
+    d = np.diff(q, axis=0)
+    v0, v1, a0, a1 = v[:-1], v[1:], a[:-1], a[1:]
+    middle = 5 * d / h - 2 * (v0 + v1) + h * (a1 - a0) / 4  # of the velocity's Bernstein coefficients
+    b1, b2 = 4 / h * (middle - v0 - h * a0 / 4), 4 / h * (v1 - h * a1 / 4 - middle)  # the acceleration's
+    return float(np.max(np.abs(np.stack([b1 - a0, b2 - b1, a1 - b2]) * 3 / h) / jerk))
