@@ -150,9 +150,12 @@ def _of_pipeline(function) -> Plan:
             proven = checker.certify(waypoints).free
             times.append(time.thread_time())
             spent += np.diff(times)
-            if proven:
-                return NativeAnswer(waypoints, raw, *spent.tolist())
-        return NativeAnswer(None, None, *spent.tolist())
+            if not proven:
+                continue
+            plan_s, simplify_s, certify_s = spent.tolist()
+            return NativeAnswer(waypoints, raw, plan_s, simplify_s, certify_s)
+        plan_s, simplify_s, certify_s = spent.tolist()
+        return NativeAnswer(None, None, plan_s, simplify_s, certify_s)
 
     return plan
 
