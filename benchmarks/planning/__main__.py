@@ -9,6 +9,7 @@ import platform
 import sys
 import time
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,13 @@ from rich.table import Table
 
 from benchmarks.planning import commands, report
 from benchmarks.planning.bars import lines
-from benchmarks.planning.peers import NATIVE, all_peers
+from benchmarks.planning.peers import NATIVE, OmplCoal, all_peers
 from benchmarks.planning.pose_goals import pose_goals
 from benchmarks.planning.problems import load
 from benchmarks.planning.side_by_side import Settings, compare
 
 ROOT = Path(__file__).parents[2]
+MODULES = {"pin": "pinocchio"}  # where they are not named like their package
 SLOW_EVERY = 5  # the planner with a Python callback on exact meshes takes every n-th problem
 
 
@@ -33,7 +35,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--mbm", type=Path, default=default, help="folder of MotionBenchMaker's problems")
     parser.add_argument("--quick", action="store_true", help="one problem of each family, public ones only")
     parser.add_argument("--json", type=Path, default=ROOT / "benchmarks/results/planning.json")
-    parser.add_argument("--document", type=Path, default=ROOT / "docs/benchmarks_planning.md")
+    parser.add_argument(
+        "--document", type=Path, help="Markdown file to fill in; docs/benchmarks_planning.md unless --quick"
+    )
     options = parser.parse_args(arguments)
     results: dict[str, Any] = {"machine": machine(), "rows": [], "missing": {}}
     began = time.monotonic()
@@ -42,9 +46,11 @@ def main(arguments: list[str] | None = None) -> int:
         _others(results)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(results, indent=1) + "\n")
-    report.write(results, options.document, options.document.parent / "pictures")
+    document = options.document or (None if options.quick else ROOT / "docs/benchmarks_planning.md")
+    if document is not None:
+        report.write(results, document, document.parent / "pictures")
     show(results)
-    print(f"\n{time.monotonic() - began:.0f} s; rows in {options.json}, tables in {options.document}")
+    print(f"\n{time.monotonic() - began:.0f} s; rows in {options.json}, tables in {document or 'no file'}")
     return 0
 
 
@@ -56,7 +62,7 @@ def machine() -> str:
     except (OSError, StopIteration):
         cpu = platform.processor() or platform.machine()
     packages = ("roboplan", "ompl", "pin", "coal", "toppra", "numba")
-    names = ", ".join(f"{name} {version(name)}" for name in packages)
+    names = ", ".join(f"{name} {version(name)}" for name in packages if find_spec(MODULES.get(name, name)))
     return f"{cpu} ({os.cpu_count()} cores), Python {platform.python_version()}, {names}"
 
 
@@ -68,7 +74,7 @@ def _side_by_side(results: dict[str, Any], folder: Path, quick: bool) -> None:
         return
     for robot in ("panda", "ur5") if quick else ("panda", "ur5", "baxter"):
         data, problems = load(folder, robot, 1 if quick else 0)
-        peers = [(peer, SLOW_EVERY if peer.name.startswith("OMPL +") else 1) for peer in all_peers()]
+        peers = [(peer, SLOW_EVERY if peer.name == OmplCoal.name else 1) for peer in all_peers()]
         settings = Settings()
         if quick:
             settings = Settings(seconds=2.0, repeat=1, sample=1)

@@ -109,6 +109,8 @@ def _total(results: Results) -> tuple[str, bool]:
 
 def _against_roboplan(results: Results) -> tuple[str, bool]:
     ours = {(r["family"], r["index"]): r for r in solved(rows_of(results, "panda"))}
+    if not any(r["planner"] == ROBOPLAN for r in results["rows"]):
+        raise Skipped("roboplan is not installed")
     theirs = {(r["family"], r["index"]): r for r in solved(rows_of(results, "panda", ROBOPLAN))}
     both = sorted(ours.keys() & theirs.keys())
     if not both:

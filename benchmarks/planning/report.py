@@ -71,7 +71,16 @@ def _planners_table(rows: list[Row]) -> str:
         length = f"{np.mean([r['length'] for r in good]):.2f} rad" if good else ""
         touching = f"{sum(bool(r['contact']) for r in looked)} of {len(looked)}"
         cells.append((name, f"{len(good)}/{len(some)}", *times, length, touching))
-    titles = ("planner", "solved", "plan median", "p95", "whole median", "p95", "length", "paths touching")
+    titles = (
+        "planner",
+        "solved",
+        "plan median",
+        "p95",
+        "+ shorten (+ prove)",
+        "p95",
+        "length",
+        "paths touching",
+    )
     return _markdown(titles, cells)
 
 
@@ -81,10 +90,11 @@ def _plot(rows: list[Row], title: str, file: Path) -> None:
     for (name, some), colour in zip(planners.items(), COLOURS):
         ms = np.sort([total_us(r) / 1000 for r in solved(some)])
         if len(ms):
-            share = 100 * np.arange(1, len(ms) + 1) / len(some)
-            left.step(ms, share, where="post", label=name, color=colour)
+            share = 100 * np.arange(len(ms) + 1) / len(some)
+            left.step([ms[0], *ms], share, where="post", label=name, color=colour)
     left.set(xscale="log", xlabel="planned, shortened (armcell: and proven) within [ms CPU]",
              ylabel="problems [%]", title=title)  # fmt: skip
+    left.set_ylim(0, 102)
     left.legend(fontsize=8)
     left.grid(alpha=0.3)
     families = list(dict.fromkeys(r["family"] for r in rows))
