@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--document", type=Path, help="Markdown file to fill in; docs/benchmarks_planning.md unless --quick"
     )
     options = parser.parse_args(arguments)
-    results: dict[str, Any] = {"machine": machine(), "rows": [], "missing": {}}
+    results: dict[str, Any] = {"machine": machine(), "rows": [], "problems": {}, "missing": {}}
     began = time.monotonic()
     _side_by_side(results, options.mbm, options.quick)
     if not options.quick:
@@ -81,7 +81,14 @@ def _side_by_side(results: dict[str, Any], folder: Path, quick: bool) -> None:
         elif robot == "baxter":  # the others need seconds for each problem
             peers = [(peer, 1) for peer in all_peers() if peer.name == NATIVE]
             settings = Settings(seconds=2.0, budget=150.0)
-        results["rows"] += compare(data, problems, peers, settings)
+        began = time.monotonic()
+        rows = compare(data, problems, peers, settings)
+        results["rows"] += rows
+        done = sum(r["planner"] == NATIVE for r in rows)
+        results["problems"][robot] = {"begun": done, "all": len(problems)}
+        print(
+            f"{robot}: {done} of {len(problems)} problems, {time.monotonic() - began:.0f} s", file=sys.stderr
+        )
 
 
 def _others(results: dict[str, Any]) -> None:

@@ -92,9 +92,16 @@ def _all_solved(results: Results) -> tuple[str, bool]:
     for robot in ("panda", "ur5"):
         rows = rows_of(results, robot)
         bad = [r for r in rows if r.get("contact")]
-        words.append(f"{robot} {len(solved(rows))}/{len(rows)}, {len(bad)} touching")
-        good &= len(solved(rows)) == len(rows) and not bad
+        words.append(f"{robot} {len(solved(rows))}/{len(rows)}{_left(results, robot)}, {len(bad)} touching")
+        good &= len(solved(rows)) == len(rows) and not bad and not _left(results, robot)
     return "; ".join(words), good
+
+
+def _left(results: Results, robot: str) -> str:
+    """How many problems the run's time did not suffice for; empty if none."""
+    count = results["problems"][robot]
+    left = count["all"] - count["begun"]
+    return f" (no time for {left})" if left else ""
 
 
 def _plan(results: Results) -> tuple[str, bool]:
@@ -134,7 +141,8 @@ def _baxter(results: Results) -> tuple[str, bool]:
     p50, _ = middle([r["plan_us"] for r in good])
     whole, _ = middle([total_us(r) for r in good])
     share = len(good) / len(rows)
-    text = f"{len(good)}/{len(rows)} ({share:.1%}), plan {us(p50)}, with proof {us(whole)}"
+    left = _left(results, "baxter")
+    text = f"{len(good)}/{len(rows)} ({share:.1%}){left}, plan {us(p50)}, with proof {us(whole)}"
     return text, share >= 0.99 and p50 <= 8000
 
 
