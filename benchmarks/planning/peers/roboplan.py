@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
+import trimesh
 from roboplan import core
 from roboplan.rrt import RRT, RRTOptions
 
@@ -19,8 +24,10 @@ class Roboplan:
 
     def load(self, robot: Robot) -> None:
         self.robot = robot
-        description = core.loadUrdfSceneDescription(robot.urdf, [robot.urdf.parent])
-        self.scene = core.Scene(robot.name, description)
+        with tempfile.TemporaryDirectory() as folder:
+            text = _with_stl(robot.urdf, Path(folder))
+            packages = [robot.urdf.parent, folder]
+            self.scene = core.Scene(robot.name, core.loadUrdfSceneDescriptionFromXml(text, packages))
         self.scene.importSrdf(robot.srdf.read_text())
         self.scene.addGroup(GROUP, list(robot.joints))
         q = self.scene.getCurrentJointPositions()
@@ -70,3 +77,16 @@ class Roboplan:
         plan_us = watch()
         shorter = core.PathShortcutter(self.scene, shortcuts).shortcut(path)
         return Result(plan_us, watch(), 0.0, np.array(path.positions), np.array(shorter.positions))
+
+
+def _with_stl(urdf: Path, folder: Path) -> str:
+    """The URDF's text with its OBJ meshes as STL in a folder: what reads them for roboplan is wrong about
+    OBJ files of several materials (see `pinocchio_world`)."""
+    text = urdf.read_text()
+    for uri in sorted(set(re.findall(r'"([^"]+\.obj)"', text))):
+        source = urdf.parent / uri.removeprefix("package://")
+        if source.is_file():
+            name = source.with_suffix(".stl").name
+            trimesh.load(source, force="mesh").export(folder / name)
+            text = text.replace(f'"{uri}"', f'"package://{name}"')
+    return text
