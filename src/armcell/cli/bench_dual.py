@@ -17,6 +17,7 @@ BASE_HEIGHT = 0.8  # [m]
 TABLE = (0.8, 0.7, 0.05)  # [m]
 TABLE_HEIGHT = 0.9  # [m]
 HELD = (0.06, 0.06, 0.16)  # [m] the object in each gripper
+CLEARANCE = 0.005  # [m] around starts and goals, as the built-in cells keep
 OPENING = 0.03  # [m] of each finger: half of what it holds
 
 
@@ -29,7 +30,7 @@ def dual(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Plan two UR10 as one group of 12 joints between random free postures; each gripper holds a box.
+    """Plan two UR10 as one group of 12 joints between random postures with 5 mm around them; each gripper holds a box.
 
     Exit status 1 if a problem was not solved.
     """
@@ -55,7 +56,7 @@ def _tasks(count: int, seed: int) -> Iterator[bench_plans.PlanTask]:
     def free() -> np.ndarray:
         for _ in range(10_000):
             q = rng.uniform(lower, upper)
-            if judge.is_free(q):
+            if judge.is_free(q) and judge.nearest(q, CLEARANCE) is None:
                 return q
         raise InputError("no free posture among 10000 random ones")
 
