@@ -39,10 +39,13 @@ def compare(
         peers: with each, on every how many-th problem of the order it runs.
     """
     world = PinocchioWorld(robot)
-    logging.getLogger("armcell.model").setLevel(logging.ERROR)  # missing visual meshes, once per planner
     peers = list(peers)
+    logger = logging.getLogger("armcell.model")
+    before = logger.level
+    logger.setLevel(logging.ERROR)  # the visual meshes that are missing would be said for every planner
     for peer, _ in peers:
         peer.load(robot)
+    logger.setLevel(before)
     rows: list[Row] = []
     began = time.monotonic()
     for i, problem in enumerate(track(problems, f"{robot.name:8}", transient=True)):
