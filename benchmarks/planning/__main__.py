@@ -80,7 +80,7 @@ def _side_by_side(results: dict[str, Any], folder: Path, quick: bool) -> None:
             settings = Settings(seconds=2.0, repeat=1, sample=1)
         elif robot == "baxter":  # the others need seconds for each problem
             peers = [(peer, 1) for peer in all_peers() if peer.name == NATIVE]
-            settings = Settings(seconds=2.0, budget=150.0)
+            settings = Settings(seconds=2.0, end=150.0)
         began = time.monotonic()
         rows = compare(data, problems, peers, settings)
         results["rows"] += rows
