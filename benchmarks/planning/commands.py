@@ -46,8 +46,10 @@ def compile_times() -> dict[str, float]:
 
 
 def _process(cache: str) -> tuple[float, float]:
+    # This process has pointed Numba at its own cache folder; the child is to choose its own.
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     began = time.monotonic()
-    child = subprocess.Popen([sys.executable, "-c", WARM_UP], env={**os.environ, "ARMCELL_CACHE_DIR": cache})
+    child = subprocess.Popen([sys.executable, "-c", WARM_UP], env={**environment, "ARMCELL_CACHE_DIR": cache})
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
