@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check lint format clean FORCE
+.PHONY: help demo test check lint format bench-planning clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -17,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
@@ -38,6 +38,9 @@ format: $(VENV)/.stamp ## let ruff put the source in order
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+bench-planning: $(VENV)/.stamp-bench ## set up, then measure planning beside others (15 minutes); MBM=/path names the problems
+	$(PY) -m benchmarks.planning $(BENCH)
+
 clean: ## remove the environment, builds and caches (runs/ stays)
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name .git -prune -o -type d -name __pycache__ -prune -exec rm -rf {} +
@@ -48,6 +51,12 @@ clean: ## remove the environment, builds and caches (runs/ stays)
 $(VENV)/.stamp: $(VENV)/.stamp-run requirements.txt requirements-dev.txt pyproject.toml
 	@echo "Installing the development set (once) ..."
 	$(PY) -m pip install -q -r requirements-dev.txt
+	@touch $@
+
+# What the benchmarks compare with.
+$(VENV)/.stamp-bench: $(VENV)/.stamp requirements-bench.txt
+	@echo "Installing the planners to compare with (once) ..."
+	$(PY) -m pip install -q -r requirements-bench.txt
 	@touch $@
 
 # The run-time set: what demo needs.

@@ -153,14 +153,17 @@ def _within(limits: JointLimits, value: float) -> bool:
 
 
 def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[frozenset[str], str]:
-    pairs = {}
+    pairs: dict[frozenset[str], str] = {}
+    unknown: dict[str, int] = {}  # link -> line where it is first named
     for element in root.findall("disable_collisions"):
-        link1, link2 = _get(element, "link1", path), _get(element, "link2", path)
-        gone = [link for link in (link1, link2) if link not in model.links]
-        if gone:  # as MoveIt: SRDFs are often written for a larger robot
-            logger.warning(
-                "%s:%s: disable_collisions names unknown link %r", path, element.sourceline, gone[0]
-            )
-            continue
-        pairs[frozenset((link1, link2))] = element.get("reason", "")
+        ends = _get(element, "link1", path), _get(element, "link2", path)
+        gone = [link for link in ends if link not in model.links]
+        for link in gone:
+            unknown.setdefault(link, element.sourceline or 0)
+        if not gone:
+            pairs[frozenset(ends)] = element.get("reason", "")
+    if unknown:  # as MoveIt: SRDFs are often written for a larger robot
+        names = ", ".join(map(repr, sorted(unknown)))
+        first = min(unknown.values())
+        logger.warning("%s:%s: disable_collisions names unknown links, passed over: %s", path, first, names)
     return pairs

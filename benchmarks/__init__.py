@@ -1,0 +1,1 @@
+"""Benchmarks: run from the repository with `make bench-...`; no part of the package."""

@@ -1,0 +1,1 @@
+"""armcell's planner beside others, on public problems, in one process."""

@@ -1,0 +1,103 @@
+"""`armcell bench dual`: two UR10 with grippers across a table, each holding an object, planned as one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from armcell.cli import bench_plans
+from armcell.cli.console import check_writable
+from armcell.core import SE3, Box, InputError
+
+SIDES = {"left_": 0.75, "right_": -0.75}  # y [m] of the two bases
+BASE_HEIGHT = 0.8  # [m]
+TABLE = (0.8, 0.7, 0.05)  # [m]
+TABLE_HEIGHT = 0.9  # [m]
+HELD = (0.06, 0.06, 0.16)  # [m] the object in each gripper
+CLEARANCE = 0.005  # [m] around starts and goals, as the built-in cells keep
+OPENING = 0.03  # [m] of each finger: half of what it holds
+
+
+def dual(
+    count: int = typer.Option(100, min=1, help="Problems."),
+    seed: int = typer.Option(0, min=0, help="Draw of the starts and goals."),
+    planner: str = typer.Option("native", metavar="ID", help="A planner: native, ompl/RRTConnect, ..."),
+    repeat: int = typer.Option(3, min=1, help="Runs per problem; the fastest counts."),
+    seconds: float = typer.Option(10.0, min=0.01, help="Time limit of one run."),
+    paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
+    json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
+) -> int:
+    """Plan two UR10 as one group of 12 joints; each gripper holds a box.
+
+    Starts and goals are random postures with at least 5 mm around them.
+
+    Exit status 1 if a problem was not solved.
+    """
+    for file in (paths, json_file):
+        if file is not None:
+            check_writable(file)
+    bench_plans.planner(planner)
+    found = bench_plans.run(_tasks(count, seed), count, planner, repeat, seconds)
+    return bench_plans.finish(found, json_file, paths)
+
+
+def _tasks(count: int, seed: int) -> Iterator[bench_plans.PlanTask]:
+    from armcell.collision import ExactChecker
+
+    scene = dual_scene()
+    names = tuple(n for side in SIDES for n in scene.model.group(f"{side}arm").joint_names)
+    # Their limits are two turns, one reaches every posture. The upper arm stays above its shoulder: from
+    # below it, behind the pedestal, there is no way out.
+    upper = np.array([0.0 if "shoulder_lift" in name else np.pi for name in names])
+    lower = np.full(len(names), -np.pi)
+    judge, rng = ExactChecker(scene, names), np.random.default_rng(seed)
+
+    def free() -> np.ndarray:
+        for _ in range(10_000):
+            q = rng.uniform(lower, upper)
+            if judge.is_free(q) and judge.nearest(q, CLEARANCE) is None:
+                return q
+        raise InputError("no free posture among 10000 random ones")
+
+    for index in range(count):
+        yield bench_plans.PlanTask("uniform", index, scene, names, free(), free()[None], lower, upper)
+
+
+def dual_scene():
+    """The two arms on their pedestals, a table with two boxes between them, a box in each gripper."""
+    from armcell.model import load_robot
+    from armcell.model.compose import Part, compose
+    from armcell.scene import CollisionObject, PlanningScene
+
+    robot = load_robot("ur10_gripper")
+    model = compose(
+        "dual_ur10",
+        [Part(robot, side, "world", SE3.from_xyz(0, y, BASE_HEIGHT)) for side, y in SIDES.items()],
+    )
+    q = model.default_positions()
+    for side in SIDES:
+        q[model.columns((f"{side}gripper_left_finger_joint",))[0]] = OPENING
+    solid = CollisionObject.single
+    pedestal = Box(0.3, 0.3, BASE_HEIGHT - 0.01)
+    scene = PlanningScene.of(
+        model,
+        q,
+        [
+            solid("floor", Box(4, 4, 0.1), SE3.from_xyz(0, 0, -0.06)),
+            solid("table", Box(*TABLE), SE3.from_xyz(0, 0, TABLE_HEIGHT - TABLE[2] / 2)),
+            solid("box_1", Box(0.2, 0.2, 0.3), SE3.from_xyz(0.2, 0, TABLE_HEIGHT + 0.151)),
+            solid("box_2", Box(0.1, 0.3, 0.2), SE3.from_xyz(-0.25, 0, TABLE_HEIGHT + 0.101)),
+            *(
+                solid(f"{side}pedestal", pedestal, SE3.from_xyz(0, y, pedestal.z / 2))
+                for side, y in SIDES.items()
+            ),
+        ],
+    )
+    for side in SIDES:
+        gripper, held = model.grippers[f"{side}gripper"], f"{side}held"
+        scene = scene.with_object(solid(held, Box(*HELD), scene.frame_pose(gripper.tcp_link)))
+        scene = scene.with_attached(held, gripper.tcp_link, gripper.hand_links)
+    return scene

@@ -1,0 +1,119 @@
+"""`armcell bench mbm`: the planner on MotionBenchMaker's problems."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from armcell.cli import bench_plans
+from armcell.cli.console import check_writable
+from armcell.core import SE3, Box, Cylinder, InputError
+
+SHAPES = {"box": lambda o: Box(*o["size"]), "cylinder": lambda o: Cylinder(o["radius"], o["length"])}
+
+
+def mbm(
+    problems: Path = typer.Option(..., metavar="FILE", help="MotionBenchMaker problems (.json or .json.gz)."),
+    robot: str = typer.Option(
+        ..., help="The robot they are for: a folder, a URDF, one in robots/ beside FILE or a library name."
+    ),
+    planner: str = typer.Option("native", metavar="ID", help="A planner: native, ompl/RRTConnect, ..."),
+    repeat: int = typer.Option(3, min=1, help="Runs per problem; the fastest counts."),
+    limit: int = typer.Option(0, min=0, help="Only the first problems of each family; 0: all."),
+    seconds: float = typer.Option(10.0, min=0.01, help="Time limit of one run."),
+    paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
+    json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
+) -> int:
+    """Plan MotionBenchMaker's problems: search, shorten, prove, time.
+
+    Times are CPU time of one thread in microseconds. A problem whose start or goal touches something by the
+    exact checker is left out and counted apart. Exit status 1 if one of the others was not solved.
+    """
+    for file in (paths, json_file):
+        if file is not None:
+            check_writable(file)
+    bench_plans.planner(planner)  # an unknown one is said before anything is read
+    data = read_problems(problems)
+    from armcell.model import load_robot
+
+    model = load_robot(find_robot(robot, problems))
+    total = sum(len(some[: limit or None]) for some in data["families"].values())
+    found = bench_plans.run(_tasks(data, problems, model, limit), total, planner, repeat, seconds)
+    return bench_plans.finish(found, json_file, paths)
+
+
+def read_problems(file: Path) -> dict[str, Any]:
+    """The problems of a file, checked for what is read of them here.
+
+    Raises:
+        InputError: not such a file.
+    """
+    try:
+        raw = file.read_bytes()
+        data = json.loads(gzip.decompress(raw) if file.suffix == ".gz" else raw)
+        return {key: data[key] for key in ("joints", "fixed_joints", "families")}
+    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+        raise InputError(f"cannot be read as problems: {type(error).__name__}: {error}", file=file) from None
+
+
+def find_robot(robot: str, problems: Path) -> str | Path:
+    """What `load_robot` is to load: a folder's URDF, or the name of a library robot.
+
+    A name is looked for in `robots/` beside the problems first: those are the robots they are for.
+
+    Raises:
+        InputError: a folder without robot.yaml and with no URDF or several, none named like the folder.
+    """
+    beside = problems.parent / "robots" / robot
+    path = Path(robot)
+    if not path.exists() and beside.is_dir():
+        path = beside
+    if not path.is_dir() or (path / "robot.yaml").exists():
+        return path if path.exists() else robot
+    urdfs = sorted(path.glob("*.urdf"))
+    named = [urdf for urdf in urdfs if urdf.stem == path.resolve().name]
+    if len(urdfs) == 1 or named:
+        return (named or urdfs)[0]
+    raise InputError(
+        f"has {len(urdfs)} URDF files and no robot.yaml", file=path, cure="name the URDF file itself"
+    )
+
+
+def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[bench_plans.PlanTask]:
+    names = tuple(data["joints"])
+    columns = model.columns(names)
+    lower, upper = model.lower[columns], model.upper[columns]
+    lower = np.where(np.isfinite(lower), lower, -np.pi)
+    upper = np.where(np.isfinite(upper), upper, np.pi)
+    for family, some in data["families"].items():
+        for i, problem in enumerate(some[: limit or None]):
+            try:
+                index, scene = problem["index"], scene_of(model, data["fixed_joints"], problem)
+                start = np.array(problem["start"], float).reshape(len(names))
+                goals = np.array(problem["goals"], float).reshape(-1, len(names))
+            except (KeyError, TypeError, ValueError) as error:
+                where = f"families/{family}[{i}]"
+                raise InputError(f"{type(error).__name__}: {error}", file=file, element=where) from None
+            yield bench_plans.PlanTask(family, index, scene, names, start, goals, lower, upper)
+
+
+def scene_of(model, fixed: dict[str, float], problem: dict[str, Any]):
+    """A problem's obstacles around the robot, its other joints where the problems fix them."""
+    from armcell.scene import CollisionObject, PlanningScene
+
+    q = model.neutral()
+    for name, value in fixed.items():
+        if name in model.joint_names:
+            q[model.columns((name,))[0]] = value
+    scene = PlanningScene(model, q)  # not `of`: MBM's Panda opens its fingers beyond their limits
+    for i, o in enumerate(problem["obstacles"]):
+        shape = SHAPES[o["type"]](o)
+        pose = SE3.from_quat_xyzw(o["position"], o["quat_xyzw"])
+        scene = scene.with_object(CollisionObject.single(f"{i}_{o['name']}", shape, pose))
+    return scene
