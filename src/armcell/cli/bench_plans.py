@@ -113,7 +113,7 @@ def _native() -> Plan:
     kept: list[NativePlanner] = []
 
     def plan(checker, start, goals, lower, upper, seconds):
-        if not kept or kept[0].none_pair.shape != checker.extra_pair.shape:  # another robot
+        if not kept or len(kept[0].slack) != len(checker.joint_names):  # another robot
             kept[:] = [NativePlanner(checker)]
         kept[0].checker = checker
         stop = np.zeros(1, np.int64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,8 +100,9 @@ def pack(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Name
     def joined(name: str, dtype: type, *shape: int) -> NDArray:
         return np.concatenate([np.zeros((0, *shape), dtype), *(getattr(part, name) for part in objects)])
 
+    arrays: dict[str, Any] = robot.arrays | join_pieces([robot.pieces, *(part.pieces for part in objects)])
     return Pack(
-        **robot.arrays,
+        **arrays,
         margin=margin.astype(np.float32).reshape(len(robot.bodies), len(names)),
         shape_kind=joined("kind", np.int32),
         shape_object=np.repeat(np.arange(len(objects), dtype=np.int32), [len(part.kind) for part in objects]),
@@ -112,7 +113,6 @@ def pack(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Name
         boxes=boxes,
         child=child,
         shape_pieces=np.array(first_piece, np.int32),
-        **join_pieces([robot.pieces, *(part.pieces for part in objects)]),
     ), Names(robot.bodies, names)
 
 

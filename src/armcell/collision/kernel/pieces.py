@@ -109,12 +109,12 @@ def solid(shape: Shape) -> tuple[int, list[float]]:
 def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
     """Kind, size, bounding ball (4,) in the shape's own frame, corners (n, 3)."""
     kind, size = solid(shape)
-    points = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
+    points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     if isinstance(shape, Plane):
         return kind, size, np.array([0.0, 0.0, 0.0, 1e9]), points
     centre, half = local_bounds(shape)
     radius = np.linalg.norm(points - centre, axis=1).max() if len(points) else np.linalg.norm(half)
-    return kind, size, np.append(centre, radius), points
+    return kind, size, np.array([*centre, float(radius)]), points
 
 
 @lru_cache(maxsize=1024)

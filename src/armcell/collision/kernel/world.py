@@ -1,6 +1,6 @@
 """Bodies against the world: boxes of 16 shapes at a time, bounding spheres, groups, spheres."""
 
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 class NativeSettings:
     """Settings of the native planner."""
 
-    reach: float = 2.0  # [rad] longest edge of the trees
+    reach: float | None = None  # [rad] longest edge of the trees; None: 14 / joints, at most 2
     step: float = 1 / 32  # [rad] between validity checks while searching
     max_nodes: int = 60_000  # per tree
     max_iterations: int = 1_000_000
@@ -50,6 +50,7 @@ class NativePlanner:
     def __init__(self, checker: KernelChecker, settings: NativeSettings = NativeSettings()):
         self.checker, self.settings = checker, settings
         dof = len(checker.joint_names)
+        self.reach = settings.reach or min(2.0, 14.0 / dof)
         self.trees = new_trees(dof, settings.max_nodes)
         self.path = np.zeros((settings.max_waypoints, dof))
         self.room = np.zeros(4 * L, np.float32)
@@ -79,7 +80,7 @@ class NativePlanner:
             lower,
             upper,
             shift,
-            s.reach,
+            self.reach,
             step,
             *self.trees,
             self.room,

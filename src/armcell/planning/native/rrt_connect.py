@@ -14,8 +14,8 @@ from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
 from armcell.planning.native.tree import get, nearest, put
 
-DOMAIN = 4.0  # [rad] radius of a node's domain after its first failure
-DOMAIN_MIN = 1.0
+DOMAIN = 0.75  # radius of a node's domain after its first failure, and the smallest it becomes, as shares
+DOMAIN_MIN = 0.19  # of how far apart two random configurations are (4 and 1 rad for a Panda)
 DOMAIN_STEP = 1e-4
 UNLIMITED = 1e9
 
@@ -43,6 +43,10 @@ def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample
     """
     dof, q = I[DOF], 2 * I[DOF]  # edge: its two ends, then the sample
     n0, n1, tree = 1, goals, 1
+    apart = 0.0
+    for j in range(dof):
+        apart += (upper[j] - lower[j]) ** 2 / 6
+    domain, domain_min = DOMAIN * np.sqrt(apart), DOMAIN_MIN * np.sqrt(apart)
     for iteration in range(1, max_iterations + 1):
         if stop[0] != 0 or n0 + 64 > capacity or n1 + 64 > capacity:
             break
@@ -70,8 +74,8 @@ def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample
         for j in range(dof):
             edge[dof + j] = edge[j] + f * (edge[q + j] - edge[j])
         if not edge_free(I, F, D, w, state, s, slack, slack_pair, edge, 0, dof, step):
-            shrunk = max(radius * (1 - DOMAIN_STEP), DOMAIN_MIN)
-            radii[first + i] = DOMAIN if radius == UNLIMITED else shrunk
+            shrunk = max(radius * (1 - DOMAIN_STEP), domain_min)
+            radii[first + i] = domain if radius == UNLIMITED else shrunk
             continue
         if radius != UNLIMITED:
             radii[first + i] = radius * (1 + DOMAIN_STEP)
