@@ -147,7 +147,7 @@ def _of_pipeline(function) -> Plan:
             if not answer.simplified:
                 waypoints = simplify(problem, raw, np.random.default_rng(round_))
             times.append(time.thread_time())
-            proven = checker.certify(waypoints).free
+            proven = checker.certify(waypoints, evidence=False).free
             times.append(time.thread_time())
             spent += np.diff(times)
             if not proven:

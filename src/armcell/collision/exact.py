@@ -223,8 +223,14 @@ class ExactChecker:
                     lowered[key] = min(margins[p], lowered.get(key, np.inf))
         return lowered
 
-    def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None) -> Certificate:
-        """Prove a piecewise linear motion (k, n) free of contact (see `certify_path`)."""
+    def certify(
+        self, waypoints: ArrayLike, slack: ArrayLike | None = None, *, evidence: bool = True
+    ) -> Certificate:
+        """Prove a piecewise linear motion (k, n) free of contact (see `certify_path`).
+
+        Args:
+            evidence: for other checkers, where it costs time; here the pair that touches is always named.
+        """
         return certify_path(self, waypoints, slack)
 
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:

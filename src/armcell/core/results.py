@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -66,7 +68,12 @@ class PlanResult(Outcome):
     planner_id: str = ""
     planning_time: float = 0.0  # [s], wall clock
     fraction: float = 1.0  # of a Cartesian path
-    min_clearance: float = np.inf  # [m] along the motion, over the pairs checked
+    clearance: Callable[[], float] | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def min_clearance(self) -> float:
+        """[m] along the motion, over the pairs checked; worked out when it is first asked for."""
+        return self.clearance() if self.clearance is not None else np.inf
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision import Certificate, ExactChecker, certify_path
+from armcell.collision import Certificate
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, PlanResult
-from armcell.kinematics import IKSolver, ik_solver
+from armcell.kinematics import IKSolver, ik_solver, kinematic_tree
 from armcell.planning.finish import clearance_along, finish
 from armcell.scene import PlanningScene
 from armcell.timing import TimingSettings, check_scaling, stretched
@@ -48,7 +50,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         text = f"start: {error}"
         return PlanResult(ErrorCode.START_STATE_INVALID, text, planner_id="cartesian", fraction=0.0)
     ik = ik_solver(scene.model, request.group, request.link)
-    checker = ExactChecker(scene, ik.joint_names)
+    checker = KernelChecker(scene, ik.joint_names)
     checker.relax_margins(scene.positions[ik.columns])
     path, wanted, stop = _follow(scene, request, ik, checker)
     fraction = (len(path) - 1) / wanted if wanted else 1.0
@@ -56,7 +58,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
     trajectory = None
     if len(path) > 1:
         if request.avoid_collisions:
-            certificate = certify_path(checker, path)
+            certificate = checker.certify(path)
             if not certificate.free:
                 keep = int(certificate.at * (len(path) - 1))
                 contact = certificate.contact
@@ -81,11 +83,11 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         planner_id="cartesian",
         planning_time=spent,
         fraction=float(fraction),
-        min_clearance=clearance_along(checker, trajectory) if trajectory is not None else np.inf,
+        clearance=partial(clearance_along, checker, trajectory) if trajectory is not None else None,
     )
 
 
-def _timed(checker: ExactChecker, request: CartesianRequest, path: Array):
+def _timed(checker: KernelChecker, request: CartesianRequest, path: Array):
     finished = finish(
         checker if request.avoid_collisions else _Blind(checker), path,
         request.velocity_scaling, request.acceleration_scaling, TimingSettings(max_deviation=DEVIATION),
@@ -98,23 +100,29 @@ def _timed(checker: ExactChecker, request: CartesianRequest, path: Array):
     return stretched(trajectory, max(1.0, float(peak) / request.max_cartesian_speed))
 
 
-def _tip_positions(checker: ExactChecker, request: CartesianRequest, path: Array) -> Array:
+def _tip_positions(checker: KernelChecker, request: CartesianRequest, path: Array) -> Array:
     link = request.link or checker.model.group(request.group).tip_link or ""
-    index = checker.tree.link_index[link]
-    return np.array([checker.tree.link_transforms(checker.full(q))[index, :3, 3] for q in path])
+    tree, full = kinematic_tree(checker.model), checker.scene.positions.copy()
+    out = np.empty((len(path), 3))
+    for i, q in enumerate(path):
+        full[checker.columns] = q
+        out[i] = tree.link_transforms(full)[tree.link_index[link], :3, 3]
+    return out
 
 
 class _Blind:
     """Proves everything, for avoid_collisions=False."""
 
-    def __init__(self, checker: ExactChecker):
+    def __init__(self, checker: KernelChecker):
         self.model, self.joint_names = checker.model, checker.joint_names
 
-    def certify(self, waypoints: ArrayLike, slack: ArrayLike | None = None) -> Certificate:
+    def certify(
+        self, waypoints: ArrayLike, slack: ArrayLike | None = None, *, evidence: bool = True
+    ) -> Certificate:
         return Certificate(True)
 
 
-def _follow(scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: ExactChecker):
+def _follow(scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker):
     """Joint positions step by step, the number of steps wanted, and why it stopped (or None)."""
     poses = _interpolated(scene.frame_pose(ik.tip_link), request)
     q = scene.positions.copy()
@@ -136,7 +144,7 @@ def _follow(scene: PlanningScene, request: CartesianRequest, ik: IKSolver, check
             )
             return np.array(path), total, (ErrorCode.PLANNING_FAILED, text, {"joint": joint})
         if request.avoid_collisions and not checker.is_free(q[ik.columns]):
-            contacts = checker.contacts(q[ik.columns])
+            contacts = checker.exact.contacts(q[ik.columns])
             text = f"stops {at}: " + "; ".join(c.describe() for c in contacts[:3])
             return np.array(path), total, (ErrorCode.INVALID_MOTION_PLAN, text, {"contacts": contacts})
         path.append(q[ik.columns].copy())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision import ExactChecker
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     Contact,
     ErrorCode,
@@ -22,7 +22,7 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 
 
-def joint_goals(scene: PlanningScene, request: PlanRequest, checker: ExactChecker,
+def joint_goals(scene: PlanningScene, request: PlanRequest, checker: KernelChecker,
                 rng: np.random.Generator) -> tuple[tuple[Array, ...], Outcome]:  # fmt: skip
     """Collision-free goal positions (n,) of the group, nearest to the start first.
 
@@ -60,25 +60,24 @@ def _from_joints(scene, joint_names, state, checker) -> tuple[Outcome, list[Arra
         scene.model.check_positions(q, joint_names)
     except InputError as error:
         return Outcome(ErrorCode.GOAL_STATE_INVALID, f"goal: {error}"), []
-    contacts = checker.contacts(q)
-    if contacts:
-        return _in_collision(contacts), []
+    if not checker.is_free(q):
+        return _in_collision(checker.exact.contacts(q)), []
     return Outcome(ErrorCode.SUCCESS), [q]
 
 
 def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, list[Array]]:
     ik = ik_solver(scene.model, group, goal.link)
-    valid, contacts = [], []
-    for q in ik.nearest(goal.T_world_link, scene.positions, rng):
-        touching = checker.contacts(q)
-        if touching:
-            contacts.append(touching)
-        else:
-            valid.append(q)
-        if len(valid) >= 4 or len(contacts) >= 16:
+    for among in (8, 24):  # mostly the first few solutions are good enough
+        valid, blocked = [], []
+        for q in ik.nearest(goal.T_world_link, scene.positions, rng, among):
+            (valid if checker.is_free(q) else blocked).append(q)
+            if len(valid) >= 4 or len(blocked) >= 16:
+                break
+        if valid:
             break
     if valid:
         return Outcome(ErrorCode.SUCCESS), valid
+    contacts = [c for c in map(checker.exact.contacts, blocked) if c] if blocked else []
     if contacts:
         shallowest = min(contacts, key=lambda c: -min(x.distance for x in c))
         outcome = _in_collision(shallowest)

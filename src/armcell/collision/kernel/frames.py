@@ -42,7 +42,9 @@ MAX_STACK = 256
 STAMPS = STACK + MAX_STACK
 
 # Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
-AT_A, AT_B, AT_RELATIVE, SCRATCH = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24, gjk.SCRATCH + 36
+AT_A, AT_B, AT_RELATIVE = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24
+CLOSE = gjk.SCRATCH + 36  # [m] what is as near as this counts as touching; 0 but for measuring clearance
+SCRATCH = CLOSE + 1
 
 Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 

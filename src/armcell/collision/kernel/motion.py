@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel.block import EVERY, EXACT, FIRST, PADDED, PROVE, check_block
-from armcell.collision.kernel.frames import TOUCHING, half_at, rate_at
+from armcell.collision.kernel.frames import CLOSE, TOUCHING, half_at, rate_at
 from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REACH
 from armcell.collision.kernel.simd import L, fma, iota, pointer, splat, store
 
@@ -167,3 +167,33 @@ def prove_points(I, F, D, w, state, s, slack, slack_pair, points, room, mode):
         if at[e] != PROVEN:
             return rows[e] / dof + at[e]
     return -1.0
+
+
+@njit(cache=True, nogil=True)
+def proven_clearance(I, F, D, w, state, s, slack, slack_pair, points, most, tolerance):
+    """Largest distance [m] that a motion (k, dof) can be proven to keep from everything, by bisection.
+
+    At most `most`; within `tolerance` of the true smallest distance, and not above it.
+    """
+    k, dof = points.shape
+    rows, at = np.arange(k) * dof, np.empty(k)
+    low, high = 0.0, most
+    trial = most
+    while high - low > tolerance:
+        for b in range(I[BODIES]):
+            slack[b] = np.float32(trial) + CERTAIN
+        for b in range(I[PAIRS]):
+            slack_pair[b] = np.float32(trial) + CERTAIN
+        s[CLOSE] = trial
+        bad = prove(
+            pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
+            pointer(slack_pair), pointer(points), pointer(rows), pointer(rows[1:]), k - 1, pointer(at), 0,
+            0.5 * tolerance, False,
+        )  # fmt: skip
+        if bad == 0:
+            low = trial
+        else:
+            high = trial
+        trial = 0.5 * (low + high)
+    s[CLOSE] = 0.0
+    return low + 0.0 * (rows[0] + at[0])  # both are used after the calls: pointers do not keep them

@@ -9,6 +9,7 @@ from numba import njit
 
 from armcell.collision.kernel.frames import (
     ALIVE,
+    CLOSE,
     EXACT,
     PROVE,
     bend,
@@ -76,7 +77,7 @@ def _far(I, F, w, state, i, j, radii):
 
 
 @njit(cache=True)
-def _groups_of_pair(I, F, w, state, g, h, f, e, more, mode):
+def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
     """Spheres of group g against those of group h: the lanes (bits) where covers touch, or DONE."""
     first_group, first_sphere, near = I[BODIES], I[BODIES] + I[GROUPS], np.int64(0)
     sh = I[GROUP_SPHERE] + 4 * h
@@ -92,9 +93,9 @@ def _groups_of_pair(I, F, w, state, g, h, f, e, more, mode):
             if hit == 0:
                 continue
             if mode & EXACT:
-                zero = splat(np.float32(0.0))
+                close = splat(np.float32(s[CLOSE]))
                 surely = hit & _near(
-                    I, w, state, first_sphere + k, first_sphere + m, F[sk + 4] + F[sm + 4], zero, EXACT
+                    I, w, state, first_sphere + k, first_sphere + m, F[sk + 4] + F[sm + 4], close, EXACT
                 )
                 if surely != 0 and touch(state, surely, mode):
                     return DONE
@@ -119,7 +120,7 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, mode):
             centre(I, F, w, state, bodies + h, e, sh, mode)
             if _near(I, w, state, bodies + g, bodies + h, F[sg + 3] + F[sh + 3], more, mode) == 0:
                 continue
-            near = _groups_of_pair(I, F, w, state, g, h, f, e, more, mode)
+            near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode)
             if near == DONE:
                 return True
             if near != 0 and mode & EXACT == 0 and fail(state, near, mode):

@@ -29,7 +29,8 @@ OBJECT_SHARE = 1 / 15  # a crate needs no finer cover than a cube, and fitting o
 
 REVOLUTE_KIND = 1  # as in frames
 
-KEPT = 8  # robot parts, and bodies per model
+KEPT = 8  # robot parts
+MANY = 512  # bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +71,16 @@ def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
         scene.padding,
         frozenset((k, v) for k, v in scene.allowed.items() if not any(n in scene.objects for n in k)),
     )  # fmt: skip
-    return _kept(_parts, key, lambda: _Builder(scene, joint_names).build())
+    return kept(_parts, key, lambda: _Builder(scene, joint_names).build())
 
 
-def _kept(store: OrderedDict, key: tuple, make: Any) -> Any:
+def kept(store: OrderedDict, key: tuple, make: Any, most: int = KEPT) -> Any:
+    """A value of a small store, the least recently used ones of which are dropped."""
     if key in store:
         store.move_to_end(key)
         return store[key]
     value = store[key] = make()
-    while len(store) > (KEPT if store is _parts else 64 * KEPT):
+    while len(store) > most:
         store.popitem(last=False)
     return value
 
@@ -157,14 +159,14 @@ class _Builder:
             overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
             scale = scene.link_scale.get(link.name, 1.0)
             shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix, overshoot) for c in link.collisions]
-            body = _kept(_bodies, (self.model, link.name, scale, overshoot), lambda s=shapes: _body(s))
+            body = kept(_bodies, (self.model, link.name, scale, overshoot), lambda s=shapes: _body(s), MANY)
             bodies.append((link.name, frame))
             placed.append((body, T))
             padding.append(scene.link_padding.get(link.name, scene.padding))
         for held in scene.attached.values():
             frame, T = self.of_link[tree.link_index[held.link]]
             shapes = [(s, t.matrix, _object_overshoot(s)) for s, t in held.object.shapes]
-            body = _kept(_bodies, (held.object.shapes,), lambda s=shapes: _body(s))
+            body = kept(_bodies, (held.object.shapes,), lambda s=shapes: _body(s), MANY)
             bodies.append((held.object.name, frame))
             placed.append((body, T @ held.T_link_object.matrix))
             padding.append(scene.link_padding.get(held.link, scene.padding))

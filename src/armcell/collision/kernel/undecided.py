@@ -16,6 +16,7 @@ from armcell.collision.kernel.frames import (
     AT_A,
     AT_B,
     AT_RELATIVE,
+    CLOSE,
     ENTRIES,
     FIRST,
     MAX_WAITING,
@@ -239,7 +240,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
             else:
                 _world_piece(I, D, w, b, second, lane, s, AT_B)
             d = _piece_distance(I, F, D, a, b, need, warm, s)
-            if d <= 0.0:
+            if d <= s[CLOSE]:
                 return CONTACT
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
                 return UNPROVEN

@@ -10,6 +10,7 @@ from numba import njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.frames import (
     ALIVE,
+    CLOSE,
     EXACT,
     MAX_STACK,
     PADDED,
@@ -203,7 +204,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
                     return True
                 continue
             if certain and F[sphere + 4] > 0:
-                surely = mask_lt(gap, splat(F[sphere + 4])) & lanes
+                surely = mask_lt(gap, splat(F[sphere + 4] + np.float32(s[CLOSE]))) & lanes
                 if surely != 0 and touch(state, surely, mode):
                     return True
                 # Where the ball inside the solid is too near, no exact test can help.

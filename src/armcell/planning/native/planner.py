@@ -27,7 +27,7 @@ class NativeSettings:
     reach: float | None = None  # [rad] longest edge of the trees; None: 14 / joints, at most 2
     step: float = 1 / 32  # [rad] between validity checks while searching
     max_nodes: int = 60_000  # per tree
-    max_iterations: int = 1_000_000
+    max_iterations: int = 100_000_000  # the time limit comes first
     max_waypoints: int = 512
 
 

@@ -36,7 +36,7 @@ def warm_up() -> float:
     NativePlanner(checker).plan(a, b[None], np.array([0.0]), np.array([0.05]))
     path = BlendedPath(np.array([[0.01], [0.02], [0.04]]), 0.0)
     path.polyline()
-    clearance_along(checker.exact, parameterize(path, checker.joint_names, [0.1], [1.0]))
+    clearance_along(checker, parameterize(path, checker.joint_names, [0.1], [1.0]))
     for name in ("ur10", "panda"):  # the analytic solver and the numeric one
         arm = load_robot(name)
         home, ik = arm.default_positions(), ik_solver(arm, "arm")

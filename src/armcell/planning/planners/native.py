@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.planning.native.planner import NativePlanner
 from armcell.planning.problem import Answer, Problem, pipelines
 
@@ -19,7 +20,7 @@ POLL = 0.002  # [s] how often the watcher looks whether to stop
 @pipelines["native"].register("RRTConnect")
 def rrt_connect(problem: Problem) -> Answer:
     """A path proven free and already shortened."""
-    planner = NativePlanner(problem.checker)
+    planner = _planner(problem.checker)
     with _stopping(problem) as stop:
         answer = planner.plan(
             problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop
@@ -35,6 +36,19 @@ def rrt_connect(problem: Problem) -> Answer:
         return Answer(answer.waypoints, "", statistics, simplified=True)
     reason = "cancelled" if problem.cancel.is_set() else "no path found"
     return Answer(None, f"RRTConnect: {reason} after {answer.iterations} iterations", statistics)
+
+
+_of_thread = threading.local()
+
+
+def _planner(checker: KernelChecker) -> NativePlanner:
+    """This thread's planner for that many joints: its trees are large."""
+    kept: dict[int, NativePlanner] = _of_thread.__dict__.setdefault("planners", {})
+    dof = len(checker.joint_names)
+    if dof not in kept:
+        kept[dof] = NativePlanner(checker)
+    kept[dof].checker = checker
+    return kept[dof]
 
 
 @contextmanager
