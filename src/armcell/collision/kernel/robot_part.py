@@ -46,6 +46,7 @@ class RobotPart:
 class _Body:
     """A link or held object: spheres (s, 5), their groups (g, 4) with sizes (g,), pieces; in its frame."""
 
+    around: F64  # (4,) one sphere around all
     spheres: F64
     groups: F64
     sizes: list[int]
@@ -126,6 +127,7 @@ class _Builder:
         self.parent, self.fixed, self.kind, self.column = [0], [np.eye(4)[:3].ravel()], [0], [0]
         self.multiplier, self.offset = [1.0], [0.0]
         self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
+        self.adjustable: set[int] = set()  # links that a joint outside the group moves within their frame
         rest = tree.link_transforms(q)
         for j in range(len(tree.parent)):
             frame, T = self.of_link[int(tree.parent[j])]
@@ -134,6 +136,8 @@ class _Builder:
             if column is None:  # not moved by the group: where it is now
                 relative = np.linalg.inv(rest[tree.parent[j]] @ tree.T_parent_joint[j]) @ rest[j + 1]
                 self.of_link[j + 1] = (frame, T @ relative)
+                if frame > 0 and (tree.kind[j] or int(tree.parent[j]) in self.adjustable):
+                    self.adjustable.add(j + 1)
                 continue
             A = np.eye(4)
             A[:3, :3] = SO3.between((0.0, 0.0, 1.0), tree.axis[j]).matrix
@@ -151,6 +155,9 @@ class _Builder:
         fingers = {f for g in self.model.grippers.values() for f in g.finger_links}
         bodies: list[tuple[str, int]] = []  # name, frame
         placed: list[tuple[_Body, F64]] = []  # and T_frame_body
+        # Bodies that other joints (a gripper) or a grasp place: to work out what they can meet anew each time
+        # would take longer than it saves.
+        self.placed_for_good: list[bool] = []
         padding: list[float] = []
         for link in self.model.links.values():
             if not link.collisions:
@@ -163,6 +170,7 @@ class _Builder:
             bodies.append((link.name, frame))
             placed.append((body, T))
             padding.append(scene.link_padding.get(link.name, scene.padding))
+            self.placed_for_good.append(tree.link_index[link.name] not in self.adjustable)
         for held in scene.attached.values():
             frame, T = self.of_link[tree.link_index[held.link]]
             shapes = [(s, t.matrix, _object_overshoot(s)) for s, t in held.object.shapes]
@@ -170,6 +178,7 @@ class _Builder:
             bodies.append((held.object.name, frame))
             placed.append((body, T @ held.T_link_object.matrix))
             padding.append(scene.link_padding.get(held.link, scene.padding))
+            self.placed_for_good.append(False)
         spheres, groups, sizes, pieces, body_sphere = [np.zeros((0, 5))], [np.zeros((0, 4))], [], [], []
         body_groups, body_pieces = [0], [0]
         for body, T in placed:
@@ -180,8 +189,7 @@ class _Builder:
             groups.append(mine)
             spheres.append(every)
             sizes += body.sizes
-            c, r = bounding_sphere(mine[:, :3], mine[:, 3])
-            body_sphere.append([*c, r])
+            body_sphere.append([*(T[:3, :3] @ body.around[:3] + T[:3, 3]), body.around[3]])
             pieces.append(body.pieces.moved(T))
             body_groups.append(body_groups[-1] + len(mine))
             body_pieces.append(body_pieces[-1] + len(body.pieces.kind))
@@ -225,7 +233,7 @@ class _Builder:
             columns = sorted({self.column[f] for f in (*branch_i, *branch_j)})
             first_i, end_i = arrays["body_groups"][i : i + 2]
             first_j, end_j = arrays["body_groups"][j : j + 2]
-            if len(columns) > near.MAX_JOINTS:
+            if len(columns) > near.MAX_JOINTS or not (self.placed_for_good[i] and self.placed_for_good[j]):
                 found.append([np.arange(first_j, end_j, dtype=np.int32)] * int(end_i - first_i))
                 continue
             meeting = self._meeting(branch_i, branch_j, columns, arrays, i, j)
@@ -350,7 +358,10 @@ def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
         groups.append(np.column_stack([found.groups[:, :3] @ T[:3, :3].T + T[:3, 3], found.groups[:, 3]]))
         n = len(centres)
         sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
-    return _Body(np.vstack(spheres), np.vstack(groups), sizes, pieces_of([(s, T) for s, T, _ in shapes]))
+    every = np.vstack(groups)
+    centre, radius = bounding_sphere(every[:, :3], every[:, 3])
+    pieces = pieces_of([(s, T) for s, T, _ in shapes])
+    return _Body(np.append(centre, radius), np.vstack(spheres), every, sizes, pieces)
 
 
 def _scaled(shape: Shape, scale: float) -> Shape:
