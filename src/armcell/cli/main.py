@@ -8,7 +8,7 @@ import sys
 import typer
 
 from armcell import __version__
-from armcell.cli import bench, check, explain, run
+from armcell.cli import bench, check, explain, msg, run
 from armcell.cli.console import err
 from armcell.core import ArmcellError
 
@@ -40,6 +40,7 @@ app.command("check")(check.check)
 app.command("explain")(explain.explain)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")
+app.add_typer(msg.app, name="msg")
 
 
 @app.callback(invoke_without_command=True)
