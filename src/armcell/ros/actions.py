@@ -195,9 +195,9 @@ class ActionServer:
 
     # --- outgoing ---
     def _publish(self, part: str, **fields: Any) -> None:
-        cls = self.bus.schema.message(f"{self.type}Action{part.capitalize()}")
+        name = f"{self.type}Action{part.capitalize()}"
         if not self._stop.is_set():
-            self._pub[part].publish(cls(header=self.bus.header(), **fields))
+            self._pub[part].publish(self.bus.schema.new(name, header=self.bus.header(), **fields))
 
     def _publish_status(self) -> None:
         now = self.bus.clock.now()
