@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz lint format clean FORCE
+.PHONY: help demo test check fuzz bench-wires test-interop lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -17,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
@@ -30,6 +30,12 @@ check: $(VENV)/.stamp ## set up, then run the quick tests
 
 fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at the ROS-TCP server (FRAMES=, SEED=)
 	$(PY) -m tests.ros.fuzz_tcp $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
+
+bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (SECONDS_=60)
+	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),60)
+
+test-interop: $(VENV)/.stamp ## set up, then test against other programs that are installed (Debian's rospy, Mono)
+	$(PY) -m pytest -m interop
 
 lint: $(VENV)/.stamp ## style, types and the layers of the rooms
 	$(BIN)/ruff check .

@@ -484,3 +484,44 @@ def test_a_bus_may_outlive_its_server(bus):
     assert bus.topics() == []
     while unity.read() is not None:
         pass
+
+
+def test_frames_stay_whole_and_in_order_however_slowly_they_are_read(bus, server):
+    """Frames sent at once, sent in part and queued, from several threads, into a socket that is mostly full."""
+    count, size, topics = 150, 40_000, [f"/t{i}" for i in range(4)]
+    with UnityLike(server.address, poll=0) as unity:
+        for topic in topics:
+            unity.register("__subscribe", topic, "std_msgs/UInt8MultiArray")
+        publishers = [bus.advertise(topic, "std_msgs/UInt8MultiArray") for topic in topics]
+        wait_for(lambda: all(p.subscribers for p in publishers))
+
+        def publish(publisher):
+            for i in range(count):
+                message = schema().new("std_msgs/UInt8MultiArray", data=np.full(size, i, np.uint8))
+                publisher.publish(message)
+                time.sleep(0.001)
+
+        threads = [threading.Thread(target=publish, args=(p,)) for p in publishers]
+        for thread in threads:
+            thread.start()
+        got = {topic: [] for topic in topics}
+        while any(thread.is_alive() for thread in threads):
+            read_states(unity, got, 0.05)
+            time.sleep(0.01)
+        read_states(unity, got, 0.5)
+    for numbers in got.values():
+        assert numbers == sorted(set(numbers)) and numbers[-1] == count - 1
+    dropped = 4 * count - sum(len(numbers) for numbers in got.values())
+    assert dropped < 4 * count // 2
+
+
+def read_states(unity, got, silence):
+    while True:
+        try:
+            name, body = unity.read(timeout=silence)
+        except TimeoutError:
+            return
+        if name in got:
+            data = ros1().decode("std_msgs/UInt8MultiArray", body).data
+            assert len(data) == 40_000 and (data == data[0]).all()
+            got[name].append(int(data[0]))

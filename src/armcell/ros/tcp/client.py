@@ -118,7 +118,7 @@ class RosTcpClient:
         if self._stop.is_set():
             sock.close()
             return
-        connection.link.outbox.put(KEEP_ALIVE_FRAME)
+        connection.link.put(KEEP_ALIVE_FRAME)
         connection.link.start()
         if not connection.greeted.wait(HANDSHAKE_TIMEOUT) and not connection.link.is_over:
             logger.warning("%s sent no handshake: older than 0.7? taken for %s", name, self._protocol)

@@ -91,8 +91,12 @@ class Outbox:
                 self._turns.remove(topic)
             self._bytes.pop(topic, None)
 
-    def take(self, timeout: float | None, max_bytes: int) -> list[Part]:
-        """Parts to send now, in order: about `max_bytes`, at least one frame; [] when none came in time.
+    @property
+    def is_empty(self) -> bool:
+        return not (self._control or self._turns)
+
+    def wait(self, timeout: float | None) -> bool:
+        """Whether something waits, after waiting for that.
 
         Raises:
             EOFError: closed, or more commands wait than the cap allows.
@@ -101,9 +105,13 @@ class Outbox:
             self._condition.wait_for(
                 lambda: self._control or self._turns or self._closed or self._finishing, timeout
             )
-            done = self._finishing and not (self._control or self._turns)
-            if self._closed or self.overflowed or done:
+            if self._closed or self.overflowed or (self._finishing and self.is_empty):
                 raise EOFError
+            return not self.is_empty
+
+    def take(self, max_bytes: int) -> list[Part]:
+        """Parts to send now, in order: about `max_bytes`, at least one frame if any waits."""
+        with self._condition:
             taken: list[Part] = []
             size = 0
             while size < max_bytes and (self._control or self._turns):

@@ -66,7 +66,7 @@ class Peer:
 
     # --- sending ---
     def command(self, name: str, **params: Any) -> None:
-        self.link.outbox.put(command(name, params, self.terminate))
+        self.link.put(command(name, params, self.terminate))
 
     def complain(self, kind: str, text: str) -> None:
         """Tell the peer and log it, once per kind; count the rest."""
@@ -107,7 +107,7 @@ class Peer:
                 self.complain(f"encode {topic}", f"{topic}: {error}")
                 return
             self.sent[topic] += 1
-            self.link.outbox.put_message(topic, head(topic, len(body), self.terminate), body)
+            self.link.put_message(topic, head(topic, len(body), self.terminate), body)
 
         self.offered[topic] = self.bus.attach(topic, type_name, put)
 
@@ -156,7 +156,7 @@ class Peer:
             with self._lock:
                 self._waiting[number] = answer
             try:
-                self.link.outbox.put(
+                self.link.put(
                     command("__request", {"srv_id": number}, self.terminate),
                     head(name, len(body), self.terminate),
                     body,
@@ -280,7 +280,7 @@ class Peer:
         return None
 
     def _respond(self, number: int, name: str, body: Any) -> None:
-        self.link.outbox.put(
+        self.link.put(
             command("__response", {"srv_id": number}, self.terminate),
             head(name, len(body), self.terminate),
             body,
