@@ -487,7 +487,7 @@ def test_a_bus_may_outlive_its_server(bus):
 
 
 def test_frames_stay_whole_and_in_order_however_slowly_they_are_read(bus, server):
-    """Frames sent at once, sent in part and queued, from several threads, into a socket that is mostly full."""
+    """Sent at once, sent in part and queued, from several threads, into a socket that is mostly full."""
     count, size, topics = 150, 40_000, [f"/t{i}" for i in range(4)]
     with UnityLike(server.address, poll=0) as unity:
         for topic in topics:
