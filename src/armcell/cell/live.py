@@ -60,6 +60,7 @@ class LiveCell:
 
     Attributes:
         driver: the robot, simulated or real.
+        scene_at_start: the planning scene before anything has moved.
         ctx: the running task: scene, reports, events.
     """
 
@@ -72,7 +73,7 @@ class LiveCell:
         observers: Sequence[Observer],
         seed: int,
     ):
-        self.name, self.driver = name, driver
+        self.name, self.driver, self.scene_at_start = name, driver, scene
         self.ctx = TaskContext(driver, scene, settings, observers, seed)
         self.model = scene.model
 

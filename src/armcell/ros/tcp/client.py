@@ -85,6 +85,15 @@ class RosTcpClient:
         """Whether everything is registered at the endpoint, after waiting for that."""
         return self._connected.wait(timeout)
 
+    def topic_list(self, timeout: float) -> dict[str, str] | None:
+        """Types of the endpoint's topics by name; None when it does not answer in time [s]."""
+        connection = self.connection
+        if connection is None:
+            return None
+        connection.listed.clear()
+        connection.command("__topic_list")
+        return connection.topics if connection.listed.wait(timeout) else None
+
     def _run(self) -> None:
         said = ""
         while not self._stop.is_set():
@@ -139,10 +148,11 @@ class _Connection(Peer):
 
     def __init__(self, bus: Bus, name: str, protocol: str, service_timeout: float):
         super().__init__(bus, CODECS[protocol](), name, service_timeout, terminate=protocol == "ROS2")
-        self.greeted = threading.Event()
+        self.greeted, self.listed = threading.Event(), threading.Event()
+        self.topics: dict[str, str] = {}
         self.commands |= {
             "__handshake": self._handshake,
-            "__topic_list": lambda _: None,
+            "__topic_list": self._topic_list,
             "__ping_response": lambda _: None,
             **{name: self._logger(name) for name in LOGS},
         }
@@ -182,6 +192,11 @@ class _Connection(Peer):
             self.codec, self.terminate = CODECS[protocol](), protocol == "ROS2"
         logger.info("%s: version %s, %s", self.address, version[:20], protocol)
         self.greeted.set()
+
+    def _topic_list(self, params: Params) -> None:
+        names, types = need(params, "topics", list), need(params, "types", list)
+        self.topics = {str(n): str(t) for n, t in zip(names, types)}
+        self.listed.set()
 
     def _logger(self, command: str):
         def log(params: Params) -> None:
