@@ -39,6 +39,7 @@ COMMANDS = (
     "__ping", "__nothing",
 )  # fmt: skip
 MAX_KEPT = 500
+OWN = ("/tf", "/bystander", "/chat")  # what stays on the bus when every client has gone
 
 
 @dataclass
@@ -51,6 +52,7 @@ class Report:
     crashes: list[str] = field(default_factory=list)
     bystander_messages: int = 0
     leaked_threads: int = 0
+    leaked_topics: list[str] = field(default_factory=list)  # of clients that are gone
     peak_mib: tuple[float, float] = (0.0, 0.0)  # resident at a tenth of the run and at its end
 
 
@@ -166,6 +168,8 @@ def fuzz(frames: int, seed: int, seconds: float = float("inf"), say=lambda text:
                     told = time.monotonic()
                     say(f"{report.frames} frames, {report.connections} connections, {_resident():.0f} MiB")
         report.peak_mib = (report.peak_mib[0], _resident())
+        report.leaked_topics = [t.name for t in bus.topics() if t.name not in OWN]
+        report.leaked_topics += [name for name in bus.services() if name not in OWN]
     finally:
         log.removeHandler(handler)
         threading.excepthook, Peer.on_frame = old_hook, old_on_frame
@@ -242,7 +246,8 @@ def main() -> int:
     print(f"{report.leaked_threads} threads left over, {len(report.crashes)} crashes")
     for crash in report.crashes[:5]:
         print(crash)
-    return 1 if report.crashes or report.leaked_threads else 0
+    print(f"left on the bus: {report.leaked_topics or 'nothing'}")
+    return 1 if report.crashes or report.leaked_threads or report.leaked_topics else 0
 
 
 if __name__ == "__main__":

@@ -139,3 +139,19 @@ def test_the_same_goal_twice_is_taken_once():
 def test_unknown_action():
     with pytest.raises(UnknownNameError, match="action type"):
         ActionServer(Bus(), "a", "control_msgs/GripperComand", until_cancelled)
+
+
+def test_a_flood_of_goals_is_rejected_beyond_a_bound():
+    bus = Bus()
+    with (
+        ActionServer(bus, "a", TYPE, until_cancelled, concurrent=True),
+        ActionClient(bus, "a", TYPE) as client,
+    ):
+        sent = []
+        for _ in range(40):
+            sent.append(client.send(goal()))
+            time.sleep(0.005)  # the goal queue itself is bounded too
+        wait_for(lambda: sum(s.state is State.REJECTED for s in sent) == 8)
+        assert threading.active_count() < 60
+        client.cancel_all()
+        assert all(s.wait(5) for s in sent)

@@ -189,3 +189,4 @@ def test_ten_thousand_fuzzed_frames():
     assert report.frames >= 10_000
     assert report.crashes == [] and report.connections > 10
     assert report.bystander_messages > 0 and report.leaked_threads == 0
+    assert report.leaked_topics == []

@@ -11,7 +11,7 @@ import pytest
 from tests.ros.unity_like import UnityLike
 
 from armcell.core import InputError
-from armcell.ros import Bus, ServiceError, cdr, ros1, schema
+from armcell.ros import Bus, Schema, ServiceError, cdr, ros1, schema
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 ANY_PORT = ServerSettings(port=0)
@@ -525,3 +525,16 @@ def read_states(unity, got, silence):
             data = ros1().decode("std_msgs/UInt8MultiArray", body).data
             assert len(data) == 40_000 and (data == data[0]).all()
             got[name].append(int(data[0]))
+
+
+def test_own_message_types_travel_too(tmp_path):
+    folder = tmp_path / "my_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Weld.msg").write_text("float64 force\ngeometry_msgs/Point at\n")
+    bus = Bus(Schema(tmp_path))
+    got = bus.subscribe("/weld", "my_msgs/Weld")
+    with RosTcpServer(bus, ANY_PORT) as server, UnityLike(server.address) as unity:
+        unity.register("__publish", "/weld", "my_msgs/Weld")
+        unity.message("/weld", struct.pack("<4d", 5.0, 1.0, 2.0, 3.0))
+        weld = got.get(5)
+        assert (weld.force, weld.at.z) == (5.0, 3.0)

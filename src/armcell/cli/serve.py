@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -33,6 +34,9 @@ def serve(
     seed: int = SEED,
     time_scale: float = SCALE,
     rate: float = RATE,
+    types: Path | None = typer.Option(
+        None, metavar="FOLDER", help="Own message definitions: FOLDER/<package>/msg/<Name>.msg"
+    ),
     seconds: float | None = SECONDS,
 ) -> int:
     """Run a cell and serve it: joint states, transforms, object poses and clock out; trajectories in.
@@ -41,10 +45,10 @@ def serve(
     """
     if not unity:
         raise InputError("nothing to serve", cure="give --unity")
-    from armcell.ros import Bus
+    from armcell.ros import Bus, Schema
     from armcell.ros.tcp import RosTcpServer, ServerSettings
 
-    bus = Bus()
+    bus = Bus(Schema(types) if types is not None else None)
     server = RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol))
     with server:  # a port in use is said before the cell is loaded
         host, number = server.address

@@ -22,6 +22,7 @@ logger = logging.getLogger(__name__)
 STATUS_PERIOD = 0.2  # [s] actionlib's status_frequency is 5 Hz
 KEPT_FOR = 5.0  # [s] a finished goal stays in the status list: actionlib's status_list_timeout
 GOAL_QUEUE = 50
+MAX_GOALS = 32  # waiting and at work; further ones are rejected
 
 
 class State(IntEnum):
@@ -141,6 +142,9 @@ class ActionServer:
             self._goals[goal_id.id] = goal
         if 0 < stamp <= self._cancelled_until:
             goal.cancel.set()
+        if len(others) >= MAX_GOALS:
+            self._finish(goal, Done(State.REJECTED, self._empty_result(), f"{MAX_GOALS} goals wait already"))
+            return
         if not self._concurrent:
             for other in others:
                 self._ask_to_stop(other)
@@ -173,20 +177,25 @@ class ActionServer:
                 self._run(goal)
 
     def _run(self, goal: Goal) -> None:
-        empty = self.bus.schema.message(f"{self.type}Result")
         with self._lock:
             recalled = goal.cancel.is_set()
             if not recalled:
                 goal.state = State.ACTIVE
         if recalled:
-            done = Done(State.RECALLED, empty(), "cancelled before it began")
+            done = Done(State.RECALLED, self._empty_result(), "cancelled before it began")
         else:
             self._publish_status()
             try:
                 done = self._execute(goal)
             except Exception as error:
                 logger.exception("action %s failed", self.name)
-                done = Done(State.ABORTED, empty(), f"{type(error).__name__}: {error}")
+                done = Done(State.ABORTED, self._empty_result(), f"{type(error).__name__}: {error}")
+        self._finish(goal, done)
+
+    def _empty_result(self) -> Any:
+        return self.bus.schema.new(f"{self.type}Result")
+
+    def _finish(self, goal: Goal, done: Done) -> None:
         with self._lock:
             goal.state, goal.text = done.state, done.text
             goal.finished_at = self.bus.clock.now()

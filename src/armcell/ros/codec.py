@@ -114,18 +114,18 @@ def _culprit(message: Any) -> str | None:
 
 
 @cache
-def _codec(name: str) -> Codec:
-    return Codec(name, built_in())
+def _codec(name: str, schema: Schema) -> Codec:
+    return Codec(name, schema)
 
 
-def ros1() -> Codec:
-    """ROS 1 serialisation of the built-in schema."""
-    return _codec("ros1")
+def ros1(schema: Schema | None = None) -> Codec:
+    """ROS 1 serialisation, of the built-in schema unless told."""
+    return _codec("ros1", schema or built_in())
 
 
-def cdr() -> Codec:
-    """CDR, little-endian, with its 4-byte header: ROS 2's encoding of the built-in schema."""
-    return _codec("cdr")
+def cdr(schema: Schema | None = None) -> Codec:
+    """CDR, little-endian, with its 4-byte header: ROS 2's encoding."""
+    return _codec("cdr", schema or built_in())
 
 
 CODECS = {"ROS1": ros1, "ROS2": cdr}

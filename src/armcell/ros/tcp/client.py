@@ -147,7 +147,9 @@ class _Connection(Peer):
     """One connection to an endpoint, ended by its end."""
 
     def __init__(self, bus: Bus, name: str, protocol: str, service_timeout: float):
-        super().__init__(bus, CODECS[protocol](), name, service_timeout, terminate=protocol == "ROS2")
+        super().__init__(
+            bus, CODECS[protocol](bus.schema), name, service_timeout, terminate=protocol == "ROS2"
+        )
         self.greeted, self.listed = threading.Event(), threading.Event()
         self.topics: dict[str, str] = {}
         self.commands |= {
@@ -189,7 +191,7 @@ class _Connection(Peer):
         except (ValueError, TypeError, AttributeError):
             logger.warning("%s: handshake metadata %r", self.address, params.get("metadata"))
         if protocol in CODECS:
-            self.codec, self.terminate = CODECS[protocol](), protocol == "ROS2"
+            self.codec, self.terminate = CODECS[protocol](self.bus.schema), protocol == "ROS2"
         logger.info("%s: version %s, %s", self.address, version[:20], protocol)
         self.greeted.set()
 

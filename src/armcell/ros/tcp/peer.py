@@ -59,6 +59,7 @@ class Peer:
         self._lock = threading.Lock()
         self._workers: ThreadPoolExecutor | None = None
         self._calls = 0
+        self._closed = False
         self.commands: dict[str, Callable[[Params], None]] = {
             "__request": lambda p: self._expect(True, p),
             "__response": lambda p: self._expect(False, p),
@@ -110,6 +111,7 @@ class Peer:
             self.link.put_message(topic, head(topic, len(body), self.terminate), body)
 
         self.offered[topic] = self.bus.attach(topic, type_name, put)
+        self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
         """A message's bytes; a server encodes once for all its clients."""
@@ -132,6 +134,7 @@ class Peer:
         self._check_room()
         self.drop(topic)
         self.taken[topic] = self.bus.advertise(topic, type_name, latch)
+        self._undo_if_closed()
 
     def drop(self, topic: str) -> None:
         if publisher := self.taken.pop(topic, None):
@@ -161,17 +164,20 @@ class Peer:
                     head(name, len(body), self.terminate),
                     body,
                 )
-                data = answer.wait(self._service_timeout, self.link)
+                if self._closed:
+                    answer.give(None)  # registered after `close` had told everybody
+                data = answer.wait(self._service_timeout)
             finally:
                 with self._lock:
                     self._waiting.pop(number, None)
             if data is None:
-                gone = "went away" if self.link.is_over else f"gave no answer in {self._service_timeout:g} s"
+                gone = "went away" if self._closed else f"gave no answer in {self._service_timeout:g} s"
                 raise ServiceError(f"{self.address}, who serves it, {gone}")
             return self.codec.decode(response_type._type, data)
 
         self.stop_serving(name)
         self.remote[name] = self.bus.serve(name, type_name, handler)
+        self._undo_if_closed()
 
     def stop_serving(self, name: str) -> None:
         if service := self.remote.pop(name, None):
@@ -288,7 +294,8 @@ class Peer:
 
     # --- the end ---
     def close(self) -> None:
-        """Take everything of this peer's off the bus. Called once the link is over."""
+        """Take everything of this peer's off the bus. Called once the link is over; twice is fine."""
+        self._closed = True
         for topic in list(self.offered):
             self.withdraw(topic)
         for topic in list(self.taken):
@@ -302,6 +309,11 @@ class Peer:
         if self._workers is not None:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
+    def _undo_if_closed(self) -> None:
+        """A registration that was under way when the link ended must not stay on the bus."""
+        if self._closed:
+            self.close()
+
 
 class _Answer:
     """One answer, waited for once."""
@@ -314,9 +326,7 @@ class _Answer:
         self._data = data
         self._there.set()
 
-    def wait(self, timeout: float, link: Link) -> bytes | None:
-        if link.is_over:
-            return None
+    def wait(self, timeout: float) -> bytes | None:
         self._there.wait(timeout)
         return self._data
 

@@ -173,7 +173,12 @@ class RosTcpServer:
                 continue
             with self._lock:
                 self._sessions.append(session)
-            session.start()
+            try:
+                session.start()
+            except RuntimeError as error:  # no more threads to be had
+                logger.warning("%s turned away: %s", session.address, error)
+                session.link.close()
+                sock.close()
 
 
 class _Session(Peer):
@@ -182,7 +187,7 @@ class _Session(Peer):
     def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):
         settings = server.settings
         protocol = "ROS1" if settings.protocol == "auto" else settings.protocol
-        super().__init__(server.bus, CODECS[protocol](), address, settings.service_timeout)
+        super().__init__(server.bus, CODECS[protocol](server.bus.schema), address, settings.service_timeout)
         self._server, self._protocol = server, protocol
         self._decided = settings.protocol != "auto"
         self._greeting, self._greeted = threading.Lock(), ""
@@ -245,7 +250,7 @@ class _Session(Peer):
         if not self._decided and frame.is_command:
             self._decided = True
             self._guess.cancel()
-            self._protocol, self.codec = speaks, CODECS[speaks]()
+            self._protocol, self.codec = speaks, CODECS[speaks](self.bus.schema)
             self._greet()
         elif frame.is_command and speaks != self._protocol:
             self.complain(
