@@ -123,3 +123,12 @@ def test_the_own_cell_is_sound(capsys):
     from armcell.cli.main import main
 
     assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
+
+
+@pytest.mark.slow
+def test_24_two_programs_over_ros_tcp(printed):
+    said = printed("24_two_programs_over_ros_tcp.py")
+    assert "sensed 8 joints of panda" in said and "simulator: done" in said
+    assert number(r"planned (\d+) points", said) > 5
+    assert re.search(r"simulator: executing \d+ points", said)
+    assert number(r"goal: ([\d.]+) rad", said) < 1e-3

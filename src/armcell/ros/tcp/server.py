@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import socket
 import threading
 import time
@@ -89,8 +88,9 @@ class RosTcpServer:
         try:
             self._socket = socket.create_server(self.address, backlog=128)
         except OSError as error:
+            reason = str(error.strerror).split(" (while")[0]  # Python adds the address, which is said already
             raise InputError(
-                f"cannot listen on {self.address[0]}:{self.address[1]} ({os.strerror(error.errno or 0)})",
+                f"cannot listen on {self.address[0]}:{self.address[1]} ({reason})",
                 cure="another program has the port? choose one with --port",
             ) from None
         self.address = self._socket.getsockname()[:2]
