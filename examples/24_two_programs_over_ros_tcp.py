@@ -12,9 +12,7 @@ import numpy as np
 import armcell
 from armcell.core import JointGoal, JointState, PlanRequest
 from armcell.planning import plan
-from armcell.ros import Bus
-from armcell.ros.nodes import CellNode
-from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
+from armcell.ros import Bridge, Bus, CellNode, RosTcpClient, RosTcpServer, ServerSettings
 
 STATES = {"/joint_states": "sensor_msgs/JointState", "/trajectory_status": "std_msgs/String"}
 TRAJECTORY = {"/planned_trajectory": "trajectory_msgs/JointTrajectory"}
