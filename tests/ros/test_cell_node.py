@@ -21,7 +21,7 @@ SCALE = 10.0
 @pytest.fixture
 def served():
     """A panda_pick that follows exactly, ten times as fast as the clock: (bus, node)."""
-    bus = Bus()
+    bus, before = Bus(), threading.active_count()
     node = CellNode(load("panda_pick").connect("fake", 0, time_scale=SCALE), bus)
     thread = node.start()
     assert node.ready.wait(20)
@@ -29,6 +29,10 @@ def served():
     node.close()
     thread.join(5)
     assert not thread.is_alive()
+    end = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < end:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
 
 
 def trajectory(node, shift, duration, start=0.0):
@@ -195,6 +199,16 @@ def test_gripper_commands(served):
     assert "nan" in next_status(status, "refused")
 
 
+def test_a_node_that_ends_leaves_the_bus():
+    bus = Bus()
+    node = CellNode(load("panda_pick").connect("fake", 0, time_scale=SCALE), bus)
+    thread = node.start()
+    assert node.ready.wait(20) and len(bus.topics()) > 8
+    node.close()
+    thread.join(5)
+    assert bus.topics() == []
+
+
 @pytest.mark.slow
 def test_unity_moves_the_arm_in_physics_over_tcp():
     bus = Bus()
@@ -221,4 +235,3 @@ def test_unity_moves_the_arm_in_physics_over_tcp():
     finally:
         node.close()
         thread.join(5)
-    assert threading.active_count() < 20

@@ -65,11 +65,11 @@ class CellNode:
         """Set once the cell is connected and publishes."""
         self.executed = 0
         self._status = bus.advertise(STATUS, "std_msgs/String", latch=True)
-        bus.subscribe(TRAJECTORY, "trajectory_msgs/JointTrajectory", self._on_trajectory)
+        self._subs = [bus.subscribe(TRAJECTORY, "trajectory_msgs/JointTrajectory", self._on_trajectory)]
         grippers = list(live.model.grippers.values())
         for gripper in grippers:
             topic = GRIPPER if len(grippers) == 1 else f"/{gripper.name}{GRIPPER}"
-            bus.subscribe(topic, "std_msgs/Float64", self._gripper_callback(gripper))
+            self._subs.append(bus.subscribe(topic, "std_msgs/Float64", self._gripper_callback(gripper)))
         self._actions = [
             ActionServer(bus, f"/{group}_controller/follow_joint_trajectory", ACTION, self._follow)
             for group in live.arms
@@ -77,19 +77,24 @@ class CellNode:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell and do what comes in, until `close`."""
-        with self.live:
-            self._states.publish(self.live.driver)
-            self.ready.set()
-            while not self._stop.is_set():
-                try:
-                    job = self._jobs.get_nowait()
-                except queue.Empty:
-                    self._driver.advance(self.live.driver.period)
-                else:
-                    job.run(job.stop)
-        for action in self._actions:
-            action.close()
+        """Step the cell and do what comes in, until `close`; then leave the bus."""
+        try:
+            with self.live:
+                self._states.publish(self.live.driver)
+                self.ready.set()
+                while not self._stop.is_set():
+                    self._turn()
+        finally:
+            for member in (*self._actions, *self._subs, self._status, self._states):
+                member.close()
+
+    def _turn(self) -> None:
+        try:
+            job = self._jobs.get_nowait()
+        except queue.Empty:
+            self._driver.advance(self.live.driver.period)
+        else:
+            job.run(job.stop)
 
     def start(self) -> threading.Thread:
         """Run in a thread of its own."""

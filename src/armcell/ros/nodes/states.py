@@ -41,11 +41,14 @@ class StatePublisher:
             n: advertise(f"/object_pose/{ros_name(n)}", "geometry_msgs/PoseStamped") for n in movable
         }
         self._only = advertise("/object_pose", "geometry_msgs/PoseStamped") if len(movable) == 1 else None
+        self._members = [self._joints, self._tf, self._clock, *self._objects.values()]
+        self._members += [self._only] if self._only is not None else []
         urdf = urdf_text(scene)
         if urdf is not None:
             description = advertise("/robot_description", "std_msgs/String", latch=True)
             description.publish(bus.schema.new("std_msgs/String", urdf))
             bus.parameters.set("/robot_description", urdf)
+            self._members.append(description)
 
     def due(self, now: float) -> bool:
         """Whether it is time again, by the driver's clock [s]."""
@@ -70,6 +73,11 @@ class StatePublisher:
                 publisher.publish(stamped)
                 if self._only is not None:
                     self._only.publish(stamped)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        for member in self._members:
+            member.close()
 
     def _transforms(self, q: np.ndarray, poses: dict[str, SE3]) -> list:
         schema, bus = self._bus.schema, self._bus
