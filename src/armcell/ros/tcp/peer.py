@@ -99,6 +99,7 @@ class Peer:
         if have is not None and have.type == type_name and not have.closed:
             return
         self._check_room()
+        self.codec.prepare(type_name)
         self.withdraw(topic)
 
         def put(message: Any) -> None:
@@ -132,6 +133,7 @@ class Peer:
         if have is not None and have.type == type_name and have.latch == latch:
             return
         self._check_room()
+        self.codec.prepare(type_name)
         self.drop(topic)
         self.taken[topic] = self.bus.advertise(topic, type_name, latch)
         self._undo_if_closed()
