@@ -73,6 +73,19 @@ def test_a_callback_runs_in_its_own_thread_and_survives_its_own_failure(caplog):
     assert not any(t.is_alive() for _, t in seen)
 
 
+def test_joined_topics_come_through_one_queue_in_order():
+    bus = Bus()
+    both = bus.subscribe("a", TEXT, queue_size=100)
+    both.join("b", "std_msgs/Int32")
+    a, b = bus.advertise("a", TEXT), bus.advertise("b", "std_msgs/Int32")
+    for i in range(20):
+        a.publish(text(i))
+        b.publish(schema().new("std_msgs/Int32", i))
+    assert data(both, 40) == [i for i in range(20) for _ in range(2)]
+    both.close()
+    assert a.subscribers == b.subscribers == 0
+
+
 def test_a_slow_callback_does_not_hold_up_the_publisher():
     bus, go = Bus(), threading.Event()
     bus.subscribe("chat", TEXT, lambda _: go.wait(5), queue_size=1)

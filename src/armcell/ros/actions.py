@@ -22,6 +22,7 @@ logger = logging.getLogger(__name__)
 STATUS_PERIOD = 0.2  # [s] actionlib's status_frequency is 5 Hz
 KEPT_FOR = 5.0  # [s] a finished goal stays in the status list: actionlib's status_list_timeout
 GOAL_QUEUE = 50
+INBOX = 256  # a client's results, feedback and status
 MAX_GOALS = 32  # waiting and at work; further ones are rejected
 
 
@@ -255,14 +256,14 @@ class ActionClient:
         self._lock = threading.Lock()
         self._goal = bus.advertise(f"{self.name}/goal", f"{self.type}ActionGoal")
         self._cancel = bus.advertise(f"{self.name}/cancel", "actionlib_msgs/GoalID")
-        self._subs = [
-            bus.subscribe(f"{self.name}/status", "actionlib_msgs/GoalStatusArray", self._on_status),
-            bus.subscribe(f"{self.name}/feedback", f"{self.type}ActionFeedback", self._on_feedback),
-            bus.subscribe(f"{self.name}/result", f"{self.type}ActionResult", self._on_result, GOAL_QUEUE),
-        ]
+        # One queue for the three topics: a goal's feedback must not be overtaken by its result.
+        self._inbox = bus.subscribe(f"{self.name}/result", f"{self.type}ActionResult", None, INBOX)
+        self._inbox.join(f"{self.name}/feedback", f"{self.type}ActionFeedback")
+        self._inbox.join(f"{self.name}/status", "actionlib_msgs/GoalStatusArray")
+        self._inbox.run(self._receive)
 
     def close(self) -> None:
-        for member in [self._goal, self._cancel, *self._subs]:
+        for member in (self._goal, self._cancel, self._inbox):
             member.close()
 
     def __enter__(self) -> ActionClient:
@@ -286,6 +287,14 @@ class ActionClient:
     def cancel_all(self) -> None:
         """Cancel every goal of the server, other clients' too."""
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))
+
+    def _receive(self, message: Any) -> None:
+        if message._type == "actionlib_msgs/GoalStatusArray":
+            self._on_status(message)
+        elif message._type == f"{self.type}ActionFeedback":
+            self._on_feedback(message)
+        else:
+            self._on_result(message)
 
     def _on_status(self, message: Any) -> None:
         for status in message.status_list:

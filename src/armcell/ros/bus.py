@@ -310,6 +310,7 @@ class Subscription(Attachment):
         self._queue: deque[Any] = deque(maxlen=queue_size)
         self._arrived = threading.Condition()
         self._thread: threading.Thread | None = None
+        self._joined: list[Attachment] = []
 
     def _put(self, message: Any) -> None:
         with self._arrived:
@@ -329,6 +330,10 @@ class Subscription(Attachment):
                 self._arrived.wait(left)
             return self._queue.popleft() if self._queue else None
 
+    def join(self, topic: str, type_name: str) -> None:
+        """Put another topic's messages into the same queue, so that their order is kept."""
+        self._joined.append(self._bus.attach(topic, type_name, self._put))
+
     def run(self, callback: Callable[[Any], None]) -> None:
         """Call back with each message, from a thread of its own, until closed."""
         require(self._thread is None, f"the subscription of {self.topic} has a callback already")
@@ -345,6 +350,8 @@ class Subscription(Attachment):
 
     def close(self) -> None:
         super().close()
+        for attachment in self._joined:
+            attachment.close()
         with self._arrived:
             self._arrived.notify_all()
         if self._thread is not None and self._thread is not threading.current_thread():
