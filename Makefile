@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check lint format bench-planning clean FORCE
+.PHONY: help demo test check fuzz bench-planning bench-wires test-interop lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -27,6 +27,15 @@ test: lint ## set up, then lint and run all tests but the interop ones
 
 check: $(VENV)/.stamp ## set up, then run the quick tests
 	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop"
+
+fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at the ROS-TCP server (FRAMES=, SEED=)
+	$(PY) -m tests.ros.fuzz_tcp $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
+
+bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (SECONDS_=60)
+	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),60)
+
+test-interop: $(VENV)/.stamp ## set up, then test against other programs that are installed (Debian's rospy, Mono)
+	$(PY) -m pytest -m interop
 
 lint: $(VENV)/.stamp ## style, types and the layers of the rooms
 	$(BIN)/ruff check .

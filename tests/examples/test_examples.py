@@ -41,8 +41,8 @@ def number(pattern: str, text: str) -> float:
     return float(match[1])
 
 
-def test_all_five_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05"]
+def test_all_are_there():
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "24"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -123,3 +123,12 @@ def test_the_own_cell_is_sound(capsys):
     from armcell.cli.main import main
 
     assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
+
+
+@pytest.mark.slow
+def test_24_two_programs_over_ros_tcp(printed):
+    said = printed("24_two_programs_over_ros_tcp.py")
+    assert "sensed 8 joints of panda" in said and "simulator: done" in said
+    assert number(r"planned (\d+) points", said) > 5
+    assert re.search(r"simulator: executing \d+ points", said)
+    assert number(r"goal: ([\d.]+) rad", said) < 1e-3

@@ -17,6 +17,7 @@ from armcell.core import (
     PoseGoal,
     UnknownNameError,
 )
+from armcell.planning import prepare
 from armcell.scene import PlanningScene
 from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
 
@@ -60,6 +61,7 @@ class LiveCell:
 
     Attributes:
         driver: the robot, simulated or real.
+        scene_at_start: the planning scene before anything has moved.
         ctx: the running task: scene, reports, events.
     """
 
@@ -72,13 +74,15 @@ class LiveCell:
         observers: Sequence[Observer],
         seed: int,
     ):
-        self.name, self.driver = name, driver
+        self.name, self.driver, self.scene_at_start = name, driver, scene
         self.ctx = TaskContext(driver, scene, settings, observers, seed)
         self.model = scene.model
 
     def __enter__(self) -> LiveCell:
         self.driver.__enter__()
         self.ctx.observe()
+        for group in self.arms:
+            prepare(self.ctx.scene(), group)  # not on the time of the first plan
         return self
 
     def __exit__(self, *exc: object) -> None:

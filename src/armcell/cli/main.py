@@ -8,7 +8,7 @@ import sys
 import typer
 
 from armcell import __version__
-from armcell.cli import bench, check, explain, run
+from armcell.cli import bench, check, explain, msg, run, serve, topic
 from armcell.cli.console import err
 from armcell.core import ArmcellError
 
@@ -22,6 +22,8 @@ Examples:
   armcell run my_cell/ --seed 7 --json out.json
 
   armcell check my_cell/                      what is wrong with a cell, and the cure
+
+  armcell serve panda_pick --unity            let Unity join: states out, trajectories in
 
   armcell explain panda_pick --pose 0.5 0 0.3 can the arm get there, and if not, why
 """
@@ -40,6 +42,10 @@ app.command("check")(check.check)
 app.command("explain")(explain.explain)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")
+app.add_typer(msg.app, name="msg")
+app.command("serve")(serve.serve)
+app.command("sim")(serve.sim)
+app.add_typer(topic.app, name="topic")
 
 
 @app.callback(invoke_without_command=True)

@@ -2,7 +2,7 @@
 
 from armcell.planning.cartesian import plan_cartesian
 from armcell.planning.explain import Branch, PoseExplanation, explain_pose
-from armcell.planning.native.warm_up import warm_up
+from armcell.planning.native.warm_up import prepare, warm_up
 from armcell.planning.pipeline import plan
 from armcell.planning.problem import Answer, Problem, find_planner, normalized_planner_id, pipelines
 
@@ -17,5 +17,6 @@ __all__ = [
     "pipelines",
     "plan",
     "plan_cartesian",
+    "prepare",
     "warm_up",
 ]

@@ -19,6 +19,12 @@ from armcell.timing import BlendedPath, parameterize
 logger = logging.getLogger(__name__)
 
 
+def prepare(scene: PlanningScene, group: str) -> None:
+    """Fit and keep what all plans for a group share (sphere covers, groups that can meet), before the first."""
+    warm_up()
+    KernelChecker(scene, scene.model.group(group).joint_names)
+
+
 @lru_cache(maxsize=1)
 def warm_up() -> float:
     """Have every compiled function of the planner ready; returns the seconds it took. Cheap the next time.

@@ -1,0 +1,211 @@
+"""`armcell serve`: a cell for Unity to join. `armcell sim`: a cell in Unity's place at an endpoint."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.live import Live
+from rich.text import Text
+
+from armcell.cli.console import console, err, errors
+from armcell.core import InputError
+
+REFRESH = 1.0  # [s]
+CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file.")
+MODE = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics.")
+SEED = typer.Option(0, min=0, help="Draw of the randomised values.")
+SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: slow motion.")
+RATE = typer.Option(30.0, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
+SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
+
+
+def serve(
+    cell: str = CELL,
+    unity: bool = typer.Option(False, "--unity", help="Serve Unity's ROS-TCP-Connector."),
+    port: int = typer.Option(10000, min=0, max=65535, help="Port for Unity; 0: any free one."),
+    bind: str = typer.Option("127.0.0.1", help="Address to listen on; 0.0.0.0 lets other machines in."),
+    protocol: str = typer.Option("auto", help="auto (as each client speaks), ROS1 or ROS2."),
+    mode: str = MODE,
+    seed: int = SEED,
+    time_scale: float = SCALE,
+    rate: float = RATE,
+    types: Path | None = typer.Option(
+        None, metavar="FOLDER", help="Own message definitions: FOLDER/<package>/msg/<Name>.msg"
+    ),
+    seconds: float | None = SECONDS,
+) -> int:
+    """Run a cell and serve it: joint states, transforms, object poses and clock out; trajectories in.
+
+    Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. Ctrl-C ends it.
+    """
+    if not unity:
+        raise InputError("nothing to serve", cure="give --unity")
+    from armcell.ros import Bus, Schema
+    from armcell.ros.tcp import RosTcpServer, ServerSettings
+
+    bus = Bus(Schema(types) if types is not None else None)
+    server = RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol))
+    with server:  # a port in use is said before the cell is loaded
+        host, number = server.address
+        if bind not in ("127.0.0.1", "localhost"):
+            err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
+        console.print(f"Unity can connect to {host}:{number}; Ctrl-C ends it", markup=False)
+
+        def status() -> str:
+            clients = server.clients()
+            names = ", ".join(f"{c.address} {c.protocol}" for c in clients[:3]) or "no client"
+            dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
+            return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
+
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status)
+
+
+def sim(
+    cell: str = CELL,
+    connect: str = typer.Option(..., metavar="HOST:PORT", help="A ROS-TCP endpoint, e.g. 127.0.0.1:10000."),
+    protocol: str = typer.Option("ROS1", help="Of an endpoint older than 0.7; later ones say it themselves."),
+    mode: str = MODE,
+    seed: int = SEED,
+    time_scale: float = SCALE,
+    rate: float = RATE,
+    seconds: float | None = SECONDS,
+) -> int:
+    """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it."""
+    from armcell.ros import Bus
+    from armcell.ros.codec import CODECS
+    from armcell.ros.nodes.cell_node import GRIPPER, STATUS, TRAJECTORY
+    from armcell.ros.tcp import Bridge, RosTcpClient
+
+    host, number = address(connect)
+    if protocol not in CODECS:
+        raise InputError(f"protocol is {protocol!r}", cure="ROS1 or ROS2")
+    bus = Bus()
+    subscribe = {TRAJECTORY: "trajectory_msgs/JointTrajectory", GRIPPER: "std_msgs/Float64"}
+    client: RosTcpClient | None = None
+
+    def joined() -> None:
+        """Once the cell publishes, its topics are known."""
+        nonlocal client
+        kept = ("/clock", "/joint_states", "/tf", STATUS)
+        publish = {
+            t.name: t.type for t in bus.topics() if t.name in kept or t.name.startswith("/object_pose")
+        }
+        client = RosTcpClient(bus, host, number, Bridge(publish, subscribe), protocol)
+        client.start()
+
+    def status() -> str:
+        peer = client.connection if client else None
+        if client is None or peer is None or not client.wait_connected(0):
+            return f"connecting to {host}:{number}"
+        return f"at {host}:{number}" + _troubles(
+            sum(peer.link.outbox.dropped.values()), sum(peer.complaints.values())
+        )
+
+    try:
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, joined)
+    finally:
+        if client is not None:
+            client.close()
+
+
+def address(text: str) -> tuple[str, int]:
+    """`host:port` in two parts.
+
+    Raises:
+        InputError: it is not of that form.
+    """
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"{text!r} is no address", cure="HOST:PORT, for instance 127.0.0.1:10000")
+    return host, int(port)
+
+
+def _run(
+    cell: str, bus: Any, mode: str, seed: int, time_scale: float, rate: float, seconds: float | None,
+    status: Callable[[], str], joined: Callable[[], None] = lambda: None,
+) -> int:  # fmt: skip
+    from armcell.cell import load
+    from armcell.ros.nodes import CellNode
+
+    node = CellNode(load(cell).connect(mode, seed, time_scale=time_scale), bus, rate)
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            node.run()
+        except BaseException as error:  # said by the main thread
+            failures.append(error)
+
+    thread = threading.Thread(target=run, name="cell", daemon=True)
+    thread.start()
+    line = _StatusLine(bus, node, status)
+    end = None if seconds is None else time.monotonic() + seconds
+    try:
+        while not node.ready.wait(0.1) and thread.is_alive():
+            pass
+        joined()
+        with line:
+            while thread.is_alive() and (end is None or time.monotonic() < end):
+                line.show()
+                thread.join(REFRESH if end is None else max(min(REFRESH, end - time.monotonic()), 0.0))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.close()
+        thread.join(timeout=5.0)
+    if failures:
+        raise failures[0]
+    return 0
+
+
+def _troubles(dropped: int, wrong: int) -> str:
+    return (f"  dropped {dropped}" if dropped else "") + (f"  mistakes {wrong}" if wrong else "")
+
+
+class _StatusLine:
+    """One line that is kept up to date on a terminal; elsewhere a line whenever the peers change."""
+
+    def __init__(self, bus: Any, node: Any, status: Callable[[], str]):
+        self._bus, self._node, self._status = bus, node, status
+        self._live = Live(console=errors, transient=True, auto_refresh=False) if errors.is_terminal else None
+        self._counts: dict[str, int] = {}
+        self._at = (time.monotonic(), bus.clock.now())
+        self._said = ""
+
+    def __enter__(self) -> _StatusLine:
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._live:
+            self._live.stop()
+
+    def show(self) -> None:
+        peers = self._status()
+        if self._live:
+            self._live.update(
+                Text(f"{peers}  {self._numbers()}", overflow="ellipsis", no_wrap=True), refresh=True
+            )
+        elif peers != self._said:
+            console.print(peers, markup=False)
+        self._said = peers
+
+    def _numbers(self) -> str:
+        now, clock = time.monotonic(), self._bus.clock.now()
+        passed = max(now - self._at[0], 1e-3)
+        pace = (clock - self._at[1]) / passed
+        topics = self._bus.topics()
+        rates = []
+        for topic in topics:
+            rate = (topic.messages - self._counts.get(topic.name, 0)) / passed
+            if rate > 0.5 and topic.name in ("/joint_states", "/tf", "/object_pose"):
+                rates.append(f"{topic.name} {rate:.0f} Hz")
+        self._counts = {t.name: t.messages for t in topics}
+        self._at = (now, clock)
+        return f"t {clock:.1f} s ({pace:.2f}x)  {'  '.join(rates)}  trajectories {self._node.executed}"

@@ -1,0 +1,178 @@
+"""`armcell topic`: look at and speak on the topics of a running ROS-TCP endpoint, ours or another."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import typer
+import yaml
+
+from armcell.cli.console import console, err
+from armcell.cli.serve import address
+from armcell.core import InputError, UnknownNameError
+
+app = typer.Typer(help="Topics of a running endpoint: list, echo, hz, pub.", no_args_is_help=True)
+CONNECT = typer.Option("127.0.0.1:10000", metavar="HOST:PORT", help="The ROS-TCP endpoint.")
+TYPE = typer.Option(None, "--type", metavar="TYPE", help="Where the endpoint does not know the topic.")
+COUNT = typer.Option(None, "--count", "-n", min=1, help="End after so many messages.")
+WAIT = 3.0  # [s] to connect, and for the list of topics
+
+
+@app.command("list")
+def list_topics(connect: str = CONNECT) -> None:
+    """List topics and types."""
+    with _joined(connect) as (_, client):
+        for name, type_name in sorted(_topics(client).items()):
+            console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
+
+
+@app.command("echo")
+def echo(topic: str, type_name: str | None = TYPE, connect: str = CONNECT, count: int | None = COUNT) -> None:
+    """Print what is published, as YAML. Ctrl-C ends it."""
+    for n, message in enumerate(_messages(topic, type_name, connect, queue_size=100)):
+        console.print(
+            yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
+        )
+        if n + 1 == count:
+            return
+
+
+@app.command("hz")
+def hz(topic: str, type_name: str | None = TYPE, connect: str = CONNECT, count: int | None = COUNT) -> None:
+    """Print the rate, once a second. Ctrl-C ends it."""
+    arrivals: list[float] = []
+    told = time.monotonic()
+    for n, _ in enumerate(_messages(topic, type_name, connect, queue_size=10_000)):
+        arrivals = [*arrivals[-1000:], time.monotonic()]
+        if len(arrivals) > 1 and (arrivals[-1] - told >= 1.0 or n + 1 == count):
+            told = arrivals[-1]
+            gaps = np.diff(arrivals)
+            console.print(
+                f"{1 / gaps.mean():.2f} Hz  gaps {gaps.min() * 1000:.1f} to {gaps.max() * 1000:.1f} ms  "
+                f"({len(arrivals)} messages)"
+            )
+        if n + 1 == count:
+            return
+
+
+@app.command("pub")
+def pub(
+    topic: str,
+    type_name: str = typer.Argument(..., metavar="TYPE", help="For instance std_msgs/Float64."),
+    values: str = typer.Argument("{}", help="The fields as YAML: '{data: 0.04}'; what is left out is zero."),
+    connect: str = CONNECT,
+    rate: float | None = typer.Option(None, "--rate", "-r", min=0.01, help="Hz; once without."),
+    count: int | None = COUNT,
+) -> None:
+    """Publish a message, once or at a rate."""
+    from armcell.ros import schema
+
+    message = filled(schema().new(type_name), _yaml(values))
+    with _joined(connect, publish={topic: type_name}) as (bus, client):
+        publisher = bus.advertise(topic, type_name)
+        n = 0
+        while True:
+            publisher.publish(message)
+            n += 1
+            if n == (count or (None if rate else 1)):
+                break
+            time.sleep(1.0 / (rate or 1.0))
+        _flush(client)
+        err(f"{n} published")
+
+
+def plain(value: Any) -> Any:
+    """A message as dicts, lists and numbers."""
+    if hasattr(value, "_fields"):
+        return {name: plain(getattr(value, name)) for name in value._fields}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [plain(v) for v in value] if isinstance(value, list) else value
+
+
+def filled(message: Any, values: Any) -> Any:
+    """A message with fields set from a mapping, as deep as it goes.
+
+    Raises:
+        UnknownNameError: no such field.
+        InputError: a field that is a message was given something else.
+    """
+    from armcell.ros import schema
+    from armcell.ros.definitions import field_parts
+
+    if not isinstance(values, dict):
+        raise InputError(f"{values!r} is no set of fields of {message._type}", cure="{field: value, ...}")
+    nodes = dict(schema().definition(message._type).fields)
+    for name, value in values.items():
+        if name not in nodes:
+            raise UnknownNameError(f"field of {message._type}", name, nodes)
+        is_message, kind, length = field_parts(nodes[name])
+        if is_message and length is None:
+            value = filled(schema().new(kind), value)
+        elif is_message:
+            value = [filled(schema().new(kind), v) for v in value]
+        setattr(message, name, value)
+    return message
+
+
+def _yaml(text: str) -> Any:
+    try:
+        return yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"{text!r} is no YAML: {str(error).splitlines()[0]}") from None
+
+
+@contextmanager
+def _joined(connect: str, **bridge: dict[str, str]) -> Iterator[tuple[Any, Any]]:
+    """A bus of our own, joined to the endpoint.
+
+    Raises:
+        InputError: nobody answers there.
+    """
+    from armcell.ros import Bus
+    from armcell.ros.tcp import Bridge, RosTcpClient
+
+    host, port = address(connect)
+    logging.getLogger("armcell.ros.tcp.client").setLevel(logging.ERROR)  # what matters is said below
+    bus = Bus()
+    with RosTcpClient(bus, host, port, Bridge(**bridge)) as client:
+        if not client.wait_connected(WAIT):
+            raise InputError(
+                f"no ROS-TCP endpoint at {connect}", cure="start one: armcell serve CELL --unity; firewall?"
+            )
+        yield bus, client
+
+
+def _topics(client: Any) -> dict[str, str]:
+    found = client.topic_list(WAIT)
+    if found is None:
+        raise InputError("the endpoint sent no list of topics")
+    return found
+
+
+def _messages(topic: str, type_name: str | None, connect: str, queue_size: int) -> Iterator[Any]:
+    from armcell.ros.names import resolve
+
+    topic = resolve(topic)
+    if type_name is None:
+        with _joined(connect) as (_, client):
+            known = _topics(client)
+        if topic not in known:
+            raise UnknownNameError("topic", topic, known)
+        type_name = known[topic]
+    with _joined(connect, subscribe={topic: type_name}) as (bus, _):
+        subscription = bus.subscribe(topic, type_name, queue_size=queue_size)
+        while True:
+            message = subscription.get(timeout=0.2)
+            if message is not None:
+                yield message
+
+
+def _flush(client: Any) -> None:
+    """Wait until the endpoint has what was published: it answers in order."""
+    client.topic_list(WAIT)

@@ -1,0 +1,111 @@
+"""Between armcell's values and messages. Quaternions are xyzw here, as everywhere in ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from armcell.core import SE3, InputError, JointState, JointTrajectory, UnknownNameError
+from armcell.model import RobotModel
+from armcell.ros.schema import Schema
+
+TIME_GAP = 1e-9  # [s] two points closer than a nanosecond are at one time
+
+
+def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
+    """A sensor_msgs/JointState; what is not known stays empty."""
+    empty = np.zeros(0)
+    return schema.new(
+        "sensor_msgs/JointState",
+        header,
+        list(state.joint_names),
+        state.positions,
+        empty if state.velocities is None else state.velocities,
+        empty if state.efforts is None else state.efforts,
+    )
+
+
+def pose_message(schema: Schema, T: SE3) -> Any:
+    """A geometry_msgs/Pose."""
+    point = schema.new("geometry_msgs/Point", *T.translation.tolist())
+    return schema.new("geometry_msgs/Pose", point, schema.new("geometry_msgs/Quaternion", *_xyzw(T)))
+
+
+def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
+    """A geometry_msgs/TransformStamped from the header's frame to `child`."""
+    vector = schema.new("geometry_msgs/Vector3", *T.translation.tolist())
+    rotation = schema.new("geometry_msgs/Quaternion", *_xyzw(T))
+    return schema.new(
+        "geometry_msgs/TransformStamped",
+        header,
+        child,
+        schema.new("geometry_msgs/Transform", vector, rotation),
+    )
+
+
+def _xyzw(T: SE3) -> list[float]:
+    return T.quat_xyzw.tolist()
+
+
+def trajectory_from_message(message: Any, model: RobotModel, now: JointState) -> JointTrajectory:
+    """A trajectory_msgs/JointTrajectory, checked: nothing in it can surprise whoever plays it.
+
+    One whose first point lies ahead in time begins where the robot is `now`, as ROS's
+    joint_trajectory_controller has it. One without points is empty: stop.
+
+    Raises:
+        InputError: joints unknown or named twice, lengths that do not fit, numbers that are not finite,
+            time that does not increase, positions out of limits; says which joint and point.
+    """
+    names = tuple(message.joint_names)
+    _check_names(names, model)
+    n, points = len(names), message.points
+    if not points:
+        return JointTrajectory(names, np.zeros(0), np.zeros((0, n)))
+    times = np.array([p.time_from_start.to_sec() for p in points])
+    if times[0] < 0 or np.any(np.diff(times) < TIME_GAP):
+        i = 0 if times[0] < 0 else int(np.argmax(np.diff(times) < TIME_GAP)) + 1
+        raise InputError(f"point {i} is at {times[i]:g} s: time must begin at 0 or later, and increase")
+    positions = _rows(points, "positions", n)
+    if positions is None:
+        raise InputError("the points have no positions")
+    velocities, accelerations = _rows(points, "velocities", n), _rows(points, "accelerations", n)
+    for i, row in enumerate(positions):
+        try:
+            model.check_positions(row, names, margin=1e-4)
+        except InputError as error:
+            raise InputError(f"point {i}: {error.reason}") from None
+    if times[0] > TIME_GAP:
+        here = now.reindexed(names)
+        times = np.concatenate(([0.0], times))
+        positions = np.vstack((here.positions, positions))
+        moving = np.zeros(n) if here.velocities is None else here.velocities
+        velocities = None if velocities is None else np.vstack((moving, velocities))
+        accelerations = None if accelerations is None else np.vstack((np.zeros(n), accelerations))
+    if velocities is None:
+        accelerations = None  # without velocities they say nothing
+    return JointTrajectory(names, times, positions, velocities, accelerations)
+
+
+def _check_names(names: Sequence[str], model: RobotModel) -> None:
+    for name in names:
+        if name not in model.joint_names:
+            raise UnknownNameError("joint", name, model.joint_names)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if list(names).count(name) > 1)
+        raise InputError(f"joint {twice!r} is named twice")
+
+
+def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
+    """One array (points, n) of a field; None when no point has it."""
+    rows = [np.asarray(getattr(point, field), dtype=float) for point in points]
+    if not any(row.size for row in rows):
+        return None
+    for i, row in enumerate(rows):
+        if row.shape != (n,):
+            raise InputError(f"point {i} has {row.size} {field} for {n} joints")
+        if not np.all(np.isfinite(row)):
+            raise InputError(f"point {i}: {field} has a value that is not finite")
+    return np.array(rows)

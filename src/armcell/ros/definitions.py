@@ -1,0 +1,183 @@
+"""Reading `.msg`, `.srv` and `.action` texts into field lists.
+
+A definition is a list of constants and a list of fields, in rosbags' form. Names are `pkg/Name` here and
+everywhere above; rosbags' own `pkg/msg/Name` is used only inside `ros`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.base import TypesysError
+
+from armcell.core import InputError
+
+FOLDER = Path(__file__).parent / "definitions"
+NOETIC_PACKAGES = (
+    "actionlib",
+    "actionlib_msgs",
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "rosgraph_msgs",
+    "sensor_msgs",
+    "shape_msgs",
+    "std_msgs",
+    "stereo_msgs",
+    "trajectory_msgs",
+    "visualization_msgs",
+)
+"""What we take from rosbags' Noetic set."""
+
+PLACEHOLDER = "structure_needs_at_least_one_member"  # rosbags' (and ROS 2's) field of an empty message
+MAX_FILE_BYTES = 1_000_000
+_NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
+
+Field = tuple[str, Any]  # name, rosbags' type node
+
+
+class Definition(NamedTuple):
+    """A message's constants (name, base type, value) and fields."""
+
+    constants: list[tuple[str, str, Any]]
+    fields: list[Field]
+
+
+class Interfaces(NamedTuple):
+    """What a set of definitions contains: messages by name, and which names are services and actions."""
+
+    messages: dict[str, Definition]
+    services: list[str]
+    actions: list[str]
+
+
+def plain_name(name: str) -> str:
+    """`pkg/msg/Name`, `pkg/srv/Name` or `pkg/Name` as `pkg/Name`."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name
+
+
+def rosbags_name(name: str) -> str:
+    """`pkg/Name` as rosbags' `pkg/msg/Name`."""
+    package, _, item = name.partition("/")
+    return f"{package}/msg/{item}"
+
+
+def field_parts(node: Any) -> tuple[bool, str, int | None]:
+    """A type node as (is a message, base type or `pkg/Name`, length): length None = no array, 0 = any."""
+    length: int | None = None
+    kind, inner = node
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        (kind, inner), size = inner
+        length = size if node[0] == Nodetype.ARRAY else 0
+    if kind == Nodetype.NAME:
+        return True, plain_name(inner), length
+    return False, inner[0], length
+
+
+def noetic() -> Interfaces:
+    """The common packages, as rosbags describes them."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    messages = {
+        plain_name(name): Definition(list(constants), list(fields))
+        for name, (constants, fields) in store.fielddefs.items()
+        if name.split("/")[0] in NOETIC_PACKAGES
+    }
+    actions = [n.removesuffix("ActionGoal") for n in messages if n.endswith("ActionGoal")]
+    return Interfaces(messages, [], actions)
+
+
+def read_folder(folder: Path) -> Interfaces:
+    """Every definition below a folder: `<package>/msg|srv|action/<Name>.msg|srv|action`.
+
+    Raises:
+        InputError: with file and reason.
+    """
+    messages: dict[str, Definition] = {}
+    services: list[str] = []
+    actions: list[str] = []
+    found = False
+    for file in sorted(folder.rglob("*")):
+        if file.suffix not in (".msg", ".srv", ".action") or file.parent.name != file.suffix[1:]:
+            continue
+        found = True
+        name = f"{file.parent.parent.name}/{file.stem}"
+        if not (_NAME.match(file.stem) and _NAME.match(file.parent.parent.name)):
+            raise InputError(f"{name!r} is no message name", file=file, cure="use letters, digits and _")
+        if file.stat().st_size > MAX_FILE_BYTES:
+            raise InputError(f"is larger than {MAX_FILE_BYTES} bytes", file=file)
+        text = file.read_text(encoding="utf-8")
+        try:
+            if file.suffix == ".msg":
+                messages.update(parse(text, name))
+            elif file.suffix == ".srv":
+                messages.update(parse_service(text, name))
+                services.append(name)
+            else:
+                messages.update(parse_action(text, name))
+                actions.append(name)
+        except InputError as error:
+            raise InputError(error.reason, file=file, cure=error.cure) from None
+    if not found:
+        raise InputError(
+            "has no message definitions",
+            file=folder,
+            cure="expected <package>/msg/<Name>.msg (or srv/<Name>.srv, action/<Name>.action)",
+        )
+    return Interfaces(messages, services, actions)
+
+
+def parse(text: str, name: str) -> dict[str, Definition]:
+    """One message's text."""
+    try:
+        constants, fields = get_types_from_msg(text, rosbags_name(name))[rosbags_name(name)]
+    except (TypesysError, KeyError, ValueError) as error:
+        raise InputError(f"{name} is not a message definition: {error}") from None
+    return {name: Definition(list(constants), list(fields) or [(PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))])}
+
+
+def parse_service(text: str, name: str) -> dict[str, Definition]:
+    """`request --- response` as `NameRequest` and `NameResponse`."""
+    request, response = _sections(text, name, 2)
+    return parse(request, f"{name}Request") | parse(response, f"{name}Response")
+
+
+def parse_action(text: str, name: str) -> dict[str, Definition]:
+    """`goal --- result --- feedback` as the seven messages that ROS 1's actionlib makes of them."""
+    goal, result, feedback = _sections(text, name, 3)
+    texts = {
+        "Goal": goal,
+        "Result": result,
+        "Feedback": feedback,
+        "ActionGoal": f"Header header\nactionlib_msgs/GoalID goal_id\n{name}Goal goal",
+        "ActionResult": f"Header header\nactionlib_msgs/GoalStatus status\n{name}Result result",
+        "ActionFeedback": f"Header header\nactionlib_msgs/GoalStatus status\n{name}Feedback feedback",
+        "Action": "\n".join(
+            f"{name}Action{part} action_{part.lower()}" for part in ("Goal", "Result", "Feedback")
+        ),
+    }
+    found: dict[str, Definition] = {}
+    for suffix, section in texts.items():
+        found |= parse(section, name + suffix)
+    return found
+
+
+def _sections(text: str, name: str, count: int) -> list[str]:
+    sections = re.split(r"(?m)^---[ \t]*$", text)
+    if len(sections) != count:
+        raise InputError(f"{name} has {len(sections)} sections, need {count} with '---' between them")
+    return sections
+
+
+def nested(definition: Definition) -> Iterator[str]:
+    """Names of the messages a definition uses."""
+    for _, node in definition.fields:
+        is_message, name, _ = field_parts(node)
+        if is_message:
+            yield name

@@ -1,0 +1,189 @@
+"""Message classes, made from definitions: plain attributes, every field with its default.
+
+A number array is a numpy array of the wire's type. A list (as ROS scripts assign it) is fine too; it is
+turned into an array when the message is encoded.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import keyword
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+
+from armcell.core import InputError
+from armcell.ros.definitions import PLACEHOLDER, Definition, field_parts
+
+DTYPES: dict[str, Any] = {
+    "bool": np.bool_,
+    "byte": np.int8,  # ROS 1: an alias of int8
+    "char": np.uint8,
+    "octet": np.uint8,
+    **{
+        f"{sign}int{bits}": np.dtype(f"{sign}int{bits}").type
+        for sign in ("", "u")
+        for bits in (8, 16, 32, 64)
+    },
+    "float32": np.float32,
+    "float64": np.float64,
+}
+"""numpy types of arrays on the wire."""
+
+
+class Message:
+    """Base of every message class. `_type` is `pkg/Name`; constants are class attributes."""
+
+    __slots__ = ()
+    _type: ClassVar[str]
+    _fields: ClassVar[tuple[str, ...]]
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(_equal(getattr(self, n), getattr(other, n)) for n in self._fields)
+
+    __hash__ = None  # type: ignore[assignment]  # mutable
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return bool(np.array_equal(a, b))
+    return a == b
+
+
+class Stamp:
+    """What time and duration messages can do beside carrying `sec` and `nanosec`."""
+
+    __slots__ = ()
+    sec: int
+    nanosec: int
+
+    def to_sec(self) -> float:
+        return self.sec + self.nanosec * 1e-9
+
+    def to_nsec(self) -> int:
+        return self.sec * 1_000_000_000 + self.nanosec
+
+    @classmethod
+    def from_sec(cls, seconds: float) -> Any:
+        """From seconds, rounded to the nearest nanosecond; nanosec is in 0..999999999."""
+        sec, nanosec = divmod(round(seconds * 1e9), 1_000_000_000)
+        return cls(sec, nanosec)  # type: ignore[call-arg]
+
+    secs = property(lambda self: self.sec, lambda self, value: setattr(self, "sec", value))
+    nsecs = property(lambda self: self.nanosec, lambda self, value: setattr(self, "nanosec", value))
+
+
+STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+
+
+def python_name(field: str) -> str:
+    """A field's attribute: `lambda` would be `lambda_`."""
+    return f"{field}_" if keyword.iskeyword(field) else field
+
+
+def make_class(name: str, definition: Definition, find: Callable[[str], type]) -> type:
+    """The class of message `pkg/Name`.
+
+    Args:
+        find: the class of another message by name, for the fields that nest it.
+    """
+    package, _, item = name.partition("/")
+    specs: list[Any] = []
+    for field, node in definition.fields:
+        if field != PLACEHOLDER:
+            specs.append((python_name(field), Any, dataclasses.field(default_factory=_default(node, find))))
+    namespace: dict[str, Any] = {constant: value for constant, _, value in definition.constants}
+    namespace |= {
+        "_type": name,
+        "_fields": tuple(spec[0] for spec in specs),
+        "__doc__": f"{name}: {', '.join(spec[0] for spec in specs)}",
+        "__module__": f"{package}.msg",
+        PLACEHOLDER: 0,  # read by the CDR encoder where the message has no field
+    }
+    bases = (Stamp, Message) if name in STAMPS else (Message,)
+    return dataclasses.make_dataclass(item, specs, bases=bases, namespace=namespace, eq=False, slots=True)
+
+
+def _default(node: Any, find: Callable[[str], type]) -> Callable[[], Any]:
+    is_message, kind, length = field_parts(node)
+    if is_message:
+        cls = find(kind)
+        return cls if length is None else functools.partial(_several, cls, length)
+    if kind in ("string", "wstring"):
+        return str if length is None else functools.partial(_several, str, length)
+    if length is not None:
+        return functools.partial(np.zeros, length, DTYPES[kind])
+    return {"bool": bool, "float32": float, "float64": float}.get(kind, int)
+
+
+def _several(make: Callable[[], Any], count: int) -> list[Any]:
+    return [make() for _ in range(count)]
+
+
+class Tidy:
+    """Makes what a user has put into a message fit the wire: lists to arrays of the right type.
+
+    The message itself is not changed. What needs no change is not copied.
+    """
+
+    def __init__(self, definition: Definition, find: Callable[[str], Tidy]):
+        self._arrays: list[tuple[str, Any]] = []
+        self._nested: list[tuple[str, bool, Tidy]] = []
+        for field, node in definition.fields:
+            is_message, kind, length = field_parts(node)
+            if is_message:
+                inner = find(kind)
+                if inner.needed:
+                    self._nested.append((python_name(field), length is not None, inner))
+            elif length is not None and kind not in ("string", "wstring"):
+                self._arrays.append((python_name(field), np.dtype(DTYPES[kind])))
+        self.needed = bool(self._arrays or self._nested)
+
+    def __call__(self, message: Any) -> Any:
+        changed: dict[str, Any] = {}
+        for name, dtype in self._arrays:
+            value = getattr(message, name)
+            if not (
+                type(value) is np.ndarray
+                and value.dtype == dtype
+                and value.ndim == 1
+                and value.flags.c_contiguous
+            ):
+                changed[name] = _array(message, name, value, dtype)
+        for name, several, inner in self._nested:
+            value = getattr(message, name)
+            if several:
+                items = [inner(item) for item in value]
+                if any(new is not old for new, old in zip(items, value)):
+                    changed[name] = items
+            elif (new := inner(value)) is not value:
+                changed[name] = new
+        return dataclasses.replace(message, **changed) if changed else message
+
+
+def _array(message: Any, name: str, value: Any, dtype: np.dtype) -> Any:
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return np.frombuffer(value, dtype)
+    try:
+        array = np.asarray(value)
+        if array.dtype != dtype and array.size and not _fits(array, dtype):
+            raise ValueError(f"{array.dtype} values do not fit {dtype}")
+        return np.ascontiguousarray(array, dtype).reshape(-1)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{message._type}.{name}: {error}") from None
+
+
+def _fits(array: Any, dtype: np.dtype) -> bool:
+    """Whether numbers can go into an array of a type without turning into something else."""
+    if dtype.kind == "f":
+        return array.dtype.kind in "fiub"
+    if dtype.kind == "b":
+        return array.dtype.kind in "bui"
+    if array.dtype.kind not in "bui":
+        return False
+    limits = np.iinfo(dtype)
+    return bool(array.min() >= limits.min and array.max() <= limits.max)

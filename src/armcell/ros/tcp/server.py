@@ -1,0 +1,310 @@
+"""The ROS-TCP server: any number of Unity programs on one bus.
+
+Each client has its own registrations, all cleared when it goes. What differs from the reference endpoint
+on purpose: 127.0.0.1 unless told; a cap on frames; types are looked up in the schema and never imported;
+registering again keeps the latched message; every service call is answered; a client's mistake is
+answered with `__error` and touches nobody else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import socket
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from armcell.core import InputError
+from armcell.core.checks import require
+from armcell.ros.bus import Bus
+from armcell.ros.codec import CODECS, Codec
+from armcell.ros.definitions import plain_name
+from armcell.ros.names import resolve
+from armcell.ros.tcp.frames import MAX_BODY, Frame, command
+from armcell.ros.tcp.link import Link
+from armcell.ros.tcp.outbox import Caps
+from armcell.ros.tcp.peer import Params, Peer, need
+
+logger = logging.getLogger(__name__)
+VERSION = "v0.7.0"  # what Unity's connector 0.7 wants to see; 0.6 ignores the handshake
+PORT = 10000
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """Where the server listens and what it bears."""
+
+    host: str = "127.0.0.1"
+    port: int = PORT  # 0: any free one
+    protocol: str = "auto"  # ROS1, ROS2, or as each client speaks
+    max_clients: int = 64
+    max_body: int = MAX_BODY  # [bytes] of one message
+    queue: int = 10  # messages per topic and client; a full queue drops its oldest
+    service_timeout: float = 10.0  # [s] a client has for a service it implements
+    guess_after: float = 0.5  # [s] a client that says nothing is taken for ROS 1
+
+    def __post_init__(self) -> None:
+        require(self.protocol in ("auto", *CODECS), f"protocol is {self.protocol!r}, need auto, ROS1 or ROS2")
+        require(0 <= self.port <= 65535, f"port is {self.port}, need 0 to 65535")
+        require(self.queue > 0 and self.max_clients > 0, "queue and max_clients must be at least 1")
+
+
+@dataclass(frozen=True)
+class ClientStatus:
+    """A connected client, for status lines."""
+
+    address: str
+    protocol: str
+    connected_for: float  # [s]
+    topics_in: dict[str, int]  # messages received, by topic
+    topics_out: dict[str, int]  # messages handed over for sending, by topic
+    dropped: int
+    waiting_bytes: int
+    errors: int
+
+
+class RosTcpServer:
+    """Serves a bus to ROS-TCP clients, from `start` (or `with`) to `close`.
+
+    Raises (start):
+        InputError: the address cannot be listened on.
+    """
+
+    def __init__(self, bus: Bus, settings: ServerSettings = ServerSettings()):
+        self.bus, self.settings = bus, settings
+        self.address = (settings.host, settings.port)
+        self.total_clients = 0
+        self._closing = False
+        self._socket: socket.socket | None = None
+        self._sessions: list[_Session] = []
+        self._lock = threading.Lock()
+        self._encoded: dict[tuple[str, str], tuple[Any, memoryview]] = {}
+        self._thread = threading.Thread(target=self._accept, name="ros-tcp accept", daemon=True)
+
+    def start(self) -> None:
+        try:
+            self._socket = socket.create_server(self.address, backlog=128)
+        except OSError as error:
+            reason = str(error.strerror).split(" (while")[0]  # Python adds the address, which is said already
+            raise InputError(
+                f"cannot listen on {self.address[0]}:{self.address[1]} ({reason})",
+                cure="another program has the port? choose one with --port",
+            ) from None
+        self.address = self._socket.getsockname()[:2]
+        self._thread.start()
+
+    def __enter__(self) -> RosTcpServer:
+        self.start()
+        return self
+
+    def close(self) -> None:
+        """Stop listening, end every connection."""
+        self._closing = True
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+            self._socket.close()
+            self._thread.join(timeout=2.0)
+        with self._lock:
+            sessions = list(self._sessions)
+        for session in sessions:
+            session.link.close()
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def clients(self) -> list[ClientStatus]:
+        """Who is connected now."""
+        with self._lock:
+            sessions = list(self._sessions)
+        return [session.status() for session in sessions]
+
+    # --- for sessions ---
+    def encode(self, topic: str, codec: Codec, message: Any) -> memoryview:
+        """A message's bytes, made once however many clients get them."""
+        key = (resolve(topic), codec.name)
+        have = self._encoded.get(key)
+        if have is None or have[0] is not message:
+            have = self._encoded[key] = (message, codec.encode(message))
+        return have[1]
+
+    def take_over(self, name: str, by: _Session) -> None:
+        """A client serves what another one did: the newer one wins, as when Unity was started again."""
+        with self._lock:
+            others = [s for s in self._sessions if s is not by]
+        for other in others:
+            for spelled in [n for n in other.remote if resolve(n) == resolve(name)]:
+                other.stop_serving(spelled)
+                other.command("__warn", text=f"service {name} is now served by {by.address}")
+
+    def leave(self, session: _Session) -> None:
+        with self._lock:
+            if session in self._sessions:
+                self._sessions.remove(session)
+            if not self._sessions:
+                self._encoded.clear()
+
+    # --- accepting ---
+    def _accept(self) -> None:
+        assert self._socket is not None
+        while True:
+            try:
+                sock, address = self._socket.accept()
+            except OSError as error:
+                if self._closing:
+                    return
+                logger.warning("accept failed: %s", error)
+                time.sleep(0.1)  # out of file descriptors: the next try fails as well
+                continue
+            with self._lock:
+                self.total_clients += 1
+                full = len(self._sessions) >= self.settings.max_clients
+            if full:
+                logger.warning("%s:%d turned away: %d clients", *address[:2], self.settings.max_clients)
+                _turn_away(sock, f"{self.settings.max_clients} clients are connected, that is the most")
+                continue
+            try:
+                session = _Session(self, sock, f"{address[0]}:{address[1]}")
+            except OSError:  # gone before it was set up
+                sock.close()
+                continue
+            with self._lock:
+                self._sessions.append(session)
+            try:
+                session.start()
+            except RuntimeError as error:  # no more threads to be had
+                logger.warning("%s turned away: %s", session.address, error)
+                session.link.close()
+                sock.close()
+
+
+class _Session(Peer):
+    """One client: its registrations and the commands Unity sends."""
+
+    def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):
+        settings = server.settings
+        protocol = "ROS1" if settings.protocol == "auto" else settings.protocol
+        super().__init__(server.bus, CODECS[protocol](server.bus.schema), address, settings.service_timeout)
+        self._server, self._protocol = server, protocol
+        self._decided = settings.protocol != "auto"
+        self._greeting, self._greeted = threading.Lock(), ""
+        self.link = Link(
+            sock,
+            self.on_frame,
+            self._on_end,
+            self.on_fault,
+            settings.max_body,
+            Caps(messages=settings.queue),
+        )
+        self.commands |= {
+            "__subscribe": self._subscribe,
+            "__publish": self._publish,
+            "__ros_service": self._ros_service,
+            "__unity_service": self._unity_service,
+            "__remove_subscriber": lambda p: self.withdraw(need(p, "topic", str)),
+            "__remove_publisher": lambda p: self.drop(need(p, "topic", str)),
+            "__remove_ros_service": lambda p: self._forget_service(need(p, "topic", str)),
+            "__remove_unity_service": lambda p: self.stop_serving(need(p, "topic", str)),
+            "__topic_list": self._topic_list,
+            "__ping": lambda p: self.command("__ping_response", request_time=p.get("request_time", 0)),
+        }
+
+    def start(self) -> None:
+        logger.info("%s connected", self.address)
+        if self._decided:
+            self._greet()
+        else:
+            self._guess = threading.Timer(self._server.settings.guess_after, self._greet)
+            self._guess.daemon = True
+            self._guess.start()
+        self.link.start()
+
+    def encode(self, topic: str, message: Any) -> memoryview:
+        return self._server.encode(topic, self.codec, message)
+
+    def status(self) -> ClientStatus:
+        return ClientStatus(
+            self.address,
+            self._protocol,
+            time.monotonic() - self.link.opened,
+            dict(self.received),
+            dict(self.sent),
+            sum(self.link.outbox.dropped.values()),
+            self.link.outbox.waiting_bytes,
+            sum(self.complaints.values()),
+        )
+
+    # --- the handshake: the first frame a client gets says which encoding it will get ---
+    def _greet(self) -> None:
+        with self._greeting:
+            if self._greeted != self._protocol:  # again only after a wrong guess
+                self._greeted = self._protocol
+                metadata = json.dumps({"protocol": self._protocol})
+                self.command("__handshake", version=VERSION, metadata=metadata)
+
+    def on_frame(self, frame: Frame) -> None:
+        speaks = "ROS2" if frame.terminated else "ROS1"
+        if not self._decided and frame.is_command:
+            self._decided = True
+            self._guess.cancel()
+            self._protocol, self.codec = speaks, CODECS[speaks](self.bus.schema)
+            self._greet()
+        elif frame.is_command and speaks != self._protocol:
+            self.complain(
+                "protocol",
+                f"Unity is in {speaks} mode, the server in {self._protocol} mode: change it in Unity under "
+                f"Robotics > ROS Settings, or start the server with --protocol {speaks}",
+            )
+        super().on_frame(frame)
+
+    # --- commands ---
+    def _subscribe(self, params: Params) -> None:
+        self.offer(*self._registration(params))
+
+    def _publish(self, params: Params) -> None:
+        topic, type_name = self._registration(params)
+        self.take(topic, type_name, bool(params.get("latch", False)))
+
+    def _ros_service(self, params: Params) -> None:
+        name, type_name = self._registration(params)
+        self.bus.schema.service(type_name)
+        served = self.bus.services().get(resolve(name))
+        if served not in (None, type_name):
+            raise InputError(f"service {name} is of type {served}, not {type_name}")
+        self._check_room()
+        self.service_types[name] = type_name
+
+    def _unity_service(self, params: Params) -> None:
+        name, type_name = self._registration(params)
+        have = self.remote.get(name)
+        if have is None or have.type != type_name:
+            self._check_room()
+            self._server.take_over(name, self)
+            self.serve_remote(name, type_name)
+
+    def _registration(self, params: Params) -> tuple[str, str]:
+        return need(params, "topic", str), plain_name(need(params, "message_name", str))
+
+    def _forget_service(self, name: str) -> None:
+        self.service_types.pop(name, None)
+
+    def _topic_list(self, _: Params) -> None:
+        topics = self.bus.topics()
+        self.command("__topic_list", topics=[t.name for t in topics], types=[t.type for t in topics])
+
+    # --- the end ---
+    def _on_end(self, reason: str) -> None:
+        logger.info("%s disconnected: %s", self.address, reason)
+        if hasattr(self, "_guess"):
+            self._guess.cancel()
+        self._server.leave(self)
+        self.close()
+
+
+def _turn_away(sock: socket.socket, text: str) -> None:
+    with contextlib.suppress(OSError), sock:
+        sock.settimeout(1.0)
+        sock.sendall(command("__error", {"text": text}))

@@ -1,0 +1,158 @@
+"""Actions over five topics, with actionlib's states."""
+
+import threading
+import time
+
+import pytest
+
+from armcell.core import UnknownNameError
+from armcell.ros import ActionClient, ActionServer, Bus, Done, State, schema
+
+TYPE = "control_msgs/GripperCommand"
+RESULT = schema().message(f"{TYPE}Result")
+
+
+def goal(position=0.0):
+    message = schema().new(f"{TYPE}Goal")
+    message.command.position = position
+    return message
+
+
+def until_cancelled(g):
+    if g.cancel.wait(5):
+        return Done(State.PREEMPTED, RESULT(position=g.message.command.position))
+    return Done(State.ABORTED, RESULT())
+
+
+def wait_for(condition, timeout=5.0):
+    end = time.monotonic() + timeout
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.002)
+    assert condition()
+
+
+def test_goal_feedback_result():
+    bus, seen = Bus(), []
+
+    def execute(g):
+        for _ in range(20):
+            g.feedback(schema().new(f"{TYPE}Feedback", position=0.5))
+        return Done(State.SUCCEEDED, RESULT(position=g.message.command.position, reached_goal=True), "there")
+
+    with ActionServer(bus, "gripper_cmd", TYPE, execute), ActionClient(bus, "/gripper_cmd", TYPE) as client:
+        sent = client.send(goal(0.25), seen.append)
+        assert sent.wait(5)
+        assert (sent.state, sent.text, sent.result.position) == (State.SUCCEEDED, "there", 0.25)
+        assert [f.position for f in seen] == [0.5] * 20  # all before the result
+
+
+def test_status_is_told_at_five_hertz_and_names_the_goal():
+    bus = Bus()
+    with ActionServer(bus, "a", TYPE, until_cancelled), ActionClient(bus, "a", TYPE) as client:
+        status = bus.subscribe("a/status", "actionlib_msgs/GoalStatusArray", queue_size=100)
+        sent = client.send(goal())
+        wait_for(lambda: sent.state is State.ACTIVE)
+        while status.get(timeout=0):
+            pass
+        start = time.monotonic()
+        for _ in range(5):
+            message = status.get(timeout=2)
+            assert message.status_list[0].goal_id.id == sent.id.id
+        assert 0.7 < time.monotonic() - start < 3.0
+
+
+@pytest.mark.parametrize("how", ["id", "all", "time", "other time"])
+def test_cancelling(how):
+    bus = Bus()
+    with ActionServer(bus, "a", TYPE, until_cancelled), ActionClient(bus, "a", TYPE) as client:
+        sent = client.send(goal(0.1))
+        wait_for(lambda: sent.state is State.ACTIVE)
+        cancel = bus.advertise("a/cancel", "actionlib_msgs/GoalID")
+        stamps = {"time": sent.id.stamp.to_sec() + 0.001, "other time": sent.id.stamp.to_sec() - 1.0}
+        stamp = type(sent.id.stamp).from_sec(stamps.get(how, 0.0))
+        cancel.publish(
+            schema().new("actionlib_msgs/GoalID", stamp=stamp, id=sent.id.id if how == "id" else "")
+        )
+        if how == "other time":
+            assert not sent.wait(0.1)
+            sent.cancel()
+        assert sent.wait(5) and sent.state is State.PREEMPTED and sent.result.position == 0.1
+
+
+def test_a_newer_goal_takes_over_and_the_older_ends_first():
+    bus, order = Bus(), []
+
+    def execute(g):
+        order.append(g.message.command.position)
+        return until_cancelled(g)
+
+    with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
+        sent = [client.send(goal(float(i))) for i in (1,)]
+        wait_for(lambda: sent[0].state is State.ACTIVE)
+        sent.append(client.send(goal(2.0)))
+        assert sent[0].wait(5) and sent[0].state is State.PREEMPTED
+        wait_for(lambda: sent[1].state is State.ACTIVE)
+        assert order == [1.0, 2.0]
+
+
+def test_concurrent_goals_run_side_by_side():
+    bus, both = Bus(), threading.Barrier(2)
+
+    def execute(g):
+        both.wait(5)
+        return Done(State.SUCCEEDED, RESULT())
+
+    with ActionServer(bus, "a", TYPE, execute, concurrent=True), ActionClient(bus, "a", TYPE) as client:
+        sent = [client.send(goal()) for _ in range(2)]
+        assert all(s.wait(5) and s.state is State.SUCCEEDED for s in sent)
+
+
+def test_a_failing_execute_is_aborted_with_the_reason():
+    bus = Bus()
+
+    def execute(g):
+        raise ValueError("no such joint")
+
+    with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
+        sent = client.send(goal())
+        assert sent.wait(5)
+        assert sent.state is State.ABORTED and sent.text == "ValueError: no such joint"
+
+
+def test_the_same_goal_twice_is_taken_once():
+    bus, count = Bus(), []
+
+    def execute(g):
+        count.append(g)
+        return Done(State.SUCCEEDED, RESULT())
+
+    with ActionServer(bus, "a", TYPE, execute):
+        publisher = bus.advertise("a/goal", f"{TYPE}ActionGoal")
+        results = bus.subscribe("a/result", f"{TYPE}ActionResult")
+        message = schema().new(f"{TYPE}ActionGoal")
+        message.goal_id.id = "one"
+        publisher.publish(message)
+        publisher.publish(message)
+        assert results.get(5).status.goal_id.id == "one"
+        assert results.get(0.1) is None and len(count) == 1
+
+
+def test_unknown_action():
+    with pytest.raises(UnknownNameError, match="action type"):
+        ActionServer(Bus(), "a", "control_msgs/GripperComand", until_cancelled)
+
+
+def test_a_flood_of_goals_is_rejected_beyond_a_bound():
+    bus = Bus()
+    with (
+        ActionServer(bus, "a", TYPE, until_cancelled, concurrent=True),
+        ActionClient(bus, "a", TYPE) as client,
+    ):
+        sent = []
+        for _ in range(40):
+            sent.append(client.send(goal()))
+            time.sleep(0.005)  # the goal queue itself is bounded too
+        wait_for(lambda: sum(s.state is State.REJECTED for s in sent) == 8)
+        assert threading.active_count() < 60
+        client.cancel_all()
+        assert all(s.wait(5) for s in sent)
