@@ -54,7 +54,7 @@ class NativePlanner:
         self.trees = new_trees(dof, settings.max_nodes)
         self.path = np.zeros((settings.max_waypoints, dof))
         self.room = np.zeros(4 * L, np.float32)
-        self.space = np.zeros(6 * self.path.size + 2 * len(self.path))
+        self.space = np.zeros(len(self.path) * (6 * dof + 8))
         self.index = np.zeros(4 * len(self.path), np.int64)
         self.ends = np.zeros(5 * dof)
         self.found = np.zeros(4, np.int64)

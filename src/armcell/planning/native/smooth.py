@@ -1,6 +1,7 @@
 """Shorter, smoother paths on the kernel; only edges that are proven free are accepted.
 
-Paths are rows of a flat float64 buffer `p`, behind bare pointers; `k` stands for the kernel's eight arrays.
+Paths are rows of a flat float64 buffer `p`, behind a bare pointer: the joints' positions, then whether the
+edge to the next row is proven (1 or 0).
 """
 
 # pyright: reportCallIssue=false
@@ -32,25 +33,26 @@ def _distance(p, dof, a, b):
 
 
 @njit(cache=True)
-def _copy(p, dof, src, dst):
-    for j in range(dof):
+def _copy(p, width, src, dst):
+    for j in range(width):
         p[dst + j] = p[src + j]
 
 
 @njit(cache=True)
 def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at, mode):
     """Join each vertex with the farthest later one that a proven straight line reaches."""
-    dof, i = I[DOF], 0
+    dof, width, i = I[DOF], I[DOF] + 1, 0
     while i < count - 2:
         for j in range(count - 1, i + 1, -1):
-            first[0], last[0] = i * dof, j * dof
+            first[0], last[0] = i * width, j * width
             if (
                 prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 1, at, mode, COARSE, False)
                 == 0
             ):
                 gone = j - i - 1
                 for k in range(j, count):
-                    _copy(p, dof, k * dof, (k - gone) * dof)
+                    _copy(p, width, k * width, (k - gone) * width)
+                p[i * width + dof] = 1.0
                 count -= gone
                 break
         i += 1
@@ -61,92 +63,98 @@ def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at
 def _round_corners(I, F, D, w, state, s, slack, slack_pair, p, count, room, first, last, at, mode):
     """Move corners towards the middle between the midpoints of their edges, where that is proven free.
 
-    p: rows, count of them, and as many again as `room` behind them for what is tried. Returns count, changed.
+    p: rows, count of them; behind `room` rows there is space for three times as many that are tried, and
+    then for the new path. Returns count, changed.
     """
-    dof, tried = I[DOF], 0
-    base = room * dof  # triples: midpoint before, corner moved, midpoint after
+    dof, width, tried = I[DOF], I[DOF] + 1, 0
+    base = room * width  # triples: midpoint before, corner moved, midpoint after
     for i in range(1, count - 1):
-        a, b, c = (i - 1) * dof, i * dof, (i + 1) * dof
-        t, change = base + 3 * i * dof, 0.0
+        a, b, c = (i - 1) * width, i * width, (i + 1) * width
+        t, change = base + 3 * i * width, 0.0
         for j in range(dof):
             before, after = 0.5 * (p[a + j] + p[b + j]), 0.5 * (p[b + j] + p[c + j])
             corner = 0.5 * p[b + j] + 0.25 * (before + after)
-            p[t + j], p[t + dof + j], p[t + 2 * dof + j] = before, corner, after
+            p[t + j], p[t + width + j], p[t + 2 * width + j] = before, corner, after
             change += (corner - p[b + j]) ** 2
-        at[2 * i] = -1.0
+        p[t + dof], p[t + width + dof], p[t + 2 * width + dof] = 1.0, 1.0, p[b + dof]
         if change > MIN_CHANGE * MIN_CHANGE:
-            first[2 * tried], last[2 * tried] = t, t + dof
-            first[2 * tried + 1], last[2 * tried + 1] = t + dof, t + 2 * dof
+            first[2 * tried], last[2 * tried] = t, t + width
+            first[2 * tried + 1], last[2 * tried + 1] = t + width, t + 2 * width
             tried += 1
     if tried == 0:
         return count, False
     prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 2 * tried, at, mode, COARSE, True)
     # Write the new path behind the triples, then over the old one.
-    out, n, k, changed = base + 3 * count * dof, 0, 0, False
-    _copy(p, dof, 0, out)
-    n = 1
+    out, n, k, changed = base + 3 * count * width, 1, 0, False
+    _copy(p, width, 0, out)
     for i in range(1, count - 1):
-        t = base + 3 * i * dof
-        moved = k < tried and first[2 * k] == t
-        if moved:
+        t = base + 3 * i * width
+        if k < tried and first[2 * k] == t:
             good = at[2 * k] == PROVEN and at[2 * k + 1] == PROVEN
             k += 1
             if good and n + 4 < room:
                 changed = True
-                if _distance(p, dof, out + (n - 1) * dof, t) > 1e-9:
-                    _copy(p, dof, t, out + n * dof)
+                if _distance(p, dof, out + (n - 1) * width, t) > 1e-9:
+                    _copy(p, width, t, out + n * width)
                     n += 1
-                _copy(p, dof, t + dof, out + n * dof)
-                _copy(p, dof, t + 2 * dof, out + (n + 1) * dof)
+                else:
+                    p[out + (n - 1) * width + dof] = 1.0
+                _copy(p, width, t + width, out + n * width)
+                _copy(p, width, t + 2 * width, out + (n + 1) * width)
                 n += 2
                 continue
-        _copy(p, dof, i * dof, out + n * dof)
+        if n + 2 >= room:
+            return count, False
+        _copy(p, width, i * width, out + n * width)
         n += 1
-    if not changed or n + 1 > room:
+    if not changed:
         return count, False
-    if _distance(p, dof, out + (n - 1) * dof, (count - 1) * dof) > 1e-9:
-        _copy(p, dof, (count - 1) * dof, out + n * dof)
-        n += 1
+    _copy(p, width, (count - 1) * width, out + n * width)
+    n += 1
     for i in range(n):
-        _copy(p, dof, out + i * dof, i * dof)
+        _copy(p, width, out + i * width, i * width)
     return n, True
 
 
 @njit(cache=True, nogil=True)
 def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index, room, mode):
-    """Prove path[:count], then shorten it in place; every edge it returns is proven free.
+    """Shorten path[:count] in place; every edge of what it returns is proven free.
 
     Args:
-        path: (m, dof). space: float64 scratch of 6 m dof + 2 m numbers. index: int64 scratch
-            of 4 m. room: (dof,) how far each joint may be off
-            the edges [rad].
+        path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.
+        room: (dof,) how far each joint may be off the edges [rad].
     Returns:
-        The new count; 0 if the path as given cannot be proven.
+        The new count; 0 if an edge that could not be replaced cannot be proven.
     """
     Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s)
     lp, lq = pointer(slack), pointer(slack_pair)
     m, dof = path.shape
-    p, a, f, t = pointer(space), pointer(space[6 * m * dof :]), pointer(index), pointer(index[2 * m :])
+    width = dof + 1
+    p, a, f, t = pointer(space), pointer(space[6 * m * width :]), pointer(index), pointer(index[2 * m :])
     for i in range(count):
         for j in range(dof):
-            p[i * dof + j] = path[i, j]
+            p[i * width + j] = path[i, j]
+        p[i * width + dof] = 0.0
     loosen(Ip, Dp, pointer(room), lp, lq)
-    for i in range(count - 1):
-        f[i], t[i] = i * dof, (i + 1) * dof
-    if prove(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, f, t, count - 1, a, 0, FINEST, False) != 0:
-        return 0
     length = 1e300
     for _ in range(ROUNDS):
         count = _shortcut(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, f, t, a, mode)
         before, length = length, 0.0
         for i in range(count - 1):
-            length += _distance(p, dof, i * dof, (i + 1) * dof)
+            length += _distance(p, dof, i * width, (i + 1) * width)
         if count <= 2 or length > (1 - WORTHWHILE) * before:
             break
         count, changed = _round_corners(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, m, f, t, a, mode)
         if not changed:
             break
+    n = 0  # what is left of the path as it was given is proven last, without padding
+    for i in range(count - 1):
+        if p[i * width + dof] == 0.0:
+            f[n], t[n] = i * width, (i + 1) * width
+            n += 1
+    if n > 0 and prove(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, f, t, n, a, 0, FINEST, False) != 0:
+        return 0
     for i in range(count):
         for j in range(dof):
-            path[i, j] = p[i * dof + j]
+            path[i, j] = p[i * width + j]
     return count

@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 
 def prepare(scene: PlanningScene, group: str) -> None:
-    """Fit and keep what all plans for a group share (sphere covers, groups that can meet), before the first."""
+    """Fit and keep what all plans for a group share (covers, groups that can meet), before the first."""
     warm_up()
     KernelChecker(scene, scene.model.group(group).joint_names)
 
