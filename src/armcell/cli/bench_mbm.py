@@ -86,11 +86,9 @@ def find_robot(robot: str, problems: Path) -> str | Path:
 
 
 def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[bench_plans.PlanTask]:
+    from armcell.planning.problem import sampling_bounds
+
     names = tuple(data["joints"])
-    columns = model.columns(names)
-    lower, upper = model.lower[columns], model.upper[columns]
-    lower = np.where(np.isfinite(lower), lower, -np.pi)
-    upper = np.where(np.isfinite(upper), upper, np.pi)
     for family, some in data["families"].items():
         for i, problem in enumerate(some[: limit or None]):
             try:
@@ -100,6 +98,7 @@ def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[benc
             except (KeyError, TypeError, ValueError) as error:
                 where = f"families/{family}[{i}]"
                 raise InputError(f"{type(error).__name__}: {error}", file=file, element=where) from None
+            lower, upper = sampling_bounds(model, names, start, list(goals))
             yield bench_plans.PlanTask(family, index, scene, names, start, goals, lower, upper)
 
 

@@ -16,7 +16,7 @@ from armcell.planning import planners as _registered  # noqa: F401  (fills the r
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goals import joint_goals
 from armcell.planning.native.warm_up import warm_up
-from armcell.planning.problem import Problem, find_planner, normalized_planner_id
+from armcell.planning.problem import Problem, find_planner, normalized_planner_id, sampling_bounds
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
 from armcell.timing import TorqueLimitError, check_scaling
@@ -70,7 +70,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     goals, outcome = joint_goals(scene, request, checker, rng)
     if not outcome.ok:
         return failed(outcome)
-    lower, upper = _bounds(scene, group.joint_names, start, goals)
+    lower, upper = sampling_bounds(scene.model, group.joint_names, start, goals)
     torque = torque_model(scene, group.joint_names) if request.torque_limits else None
     answer = None
     for round_ in range(MAX_ROUNDS):
@@ -130,21 +130,6 @@ def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene,
     except InputError as error:
         return scene, Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
     return scene, None
-
-
-def _bounds(
-    scene: PlanningScene, names: tuple[str, ...], start: Array, goals: tuple[Array, ...]
-) -> tuple[Array, Array]:
-    """Sampling bounds: the limits, narrowed to one turn around start and goals where they span more."""
-    columns = scene.model.columns(names)
-    low, high = scene.model.lower[columns], scene.model.upper[columns]
-    points = np.vstack([start, *goals])
-    near_low, near_high = points.min(0) - np.pi / 2, points.max(0) + np.pi / 2
-    wide = ~np.isfinite(high - low) | (high - low > 2 * np.pi)
-    return (
-        np.where(wide, np.maximum(low, near_low), np.minimum(low, points.min(0))),
-        np.where(wide, np.minimum(high, near_high), np.maximum(high, points.max(0))),
-    )
 
 
 def _direct(problem: Problem) -> Array | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Registry, UnknownNameError
+from armcell.model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -74,3 +75,18 @@ def normalized_planner_id(planner_id: str) -> str:
     if name.endswith("]") and "[" in name:
         name = name[name.index("[") + 1 : -1]
     return name.removeprefix("geometric::").removesuffix("kConfigDefault") or "RRTConnect"
+
+
+def sampling_bounds(
+    model: RobotModel, joint_names: tuple[str, ...], start: Array, goals: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Bounds (n,) to sample in: the limits, or one turn around start and goals where they span more."""
+    columns = model.columns(joint_names)
+    low, high = model.lower[columns], model.upper[columns]
+    points = np.vstack([start, *goals])
+    near_low, near_high = points.min(0) - np.pi / 2, points.max(0) + np.pi / 2
+    wide = ~np.isfinite(high - low) | (high - low > 2 * np.pi)
+    return (
+        np.where(wide, np.maximum(low, near_low), np.minimum(low, points.min(0))),
+        np.where(wide, np.minimum(high, near_high), np.maximum(high, points.max(0))),
+    )

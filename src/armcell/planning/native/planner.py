@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ class NativeSettings:
     max_nodes: int = 60_000  # per tree
     max_iterations: int = 100_000_000  # the time limit comes first
     max_waypoints: int = 512
+    detour: float = 1.45  # times the straight line: a longer path is searched for once more
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +70,13 @@ class NativePlanner:
         seed: int,
         stop: NDArray[np.int64],
         step: float,
+        max_iterations: int | None = None,
     ) -> tuple[int, int, int]:
         """One search; fills `path` and returns waypoints, iterations, nodes."""
-        c, s = self.checker, self.settings
+        s = self.settings
         shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
         return rrt_connect(
-            *c.arrays,
+            *self.checker.arrays,
             start,
             goals,
             lower,
@@ -87,7 +89,7 @@ class NativePlanner:
             self.ends,
             self.found,
             stop,
-            s.max_iterations,
+            max_iterations or s.max_iterations,
             self.path,
         )
 
@@ -107,24 +109,38 @@ class NativePlanner:
             goals: (g, dof). stop: an int64 array (1,); another thread that writes to it ends the search.
             rounds: how often a path that cannot be proven is replaced by another one.
         """
-        c, stop = self.checker, np.zeros(1, np.int64) if stop is None else stop
-        plan_s = certify_s = simplify_s = 0.0
-        iterations = nodes = 0
+        stop = np.zeros(1, np.int64) if stop is None else stop
+        best = NativeAnswer(None)
+        straight = float(np.min(np.linalg.norm(goals - start, axis=1)))
         for round_ in range(rounds):
+            detour = best.waypoints is not None  # found, but a long way round: look once more, not for long
             t0 = time.thread_time()
-            step = self.settings.step / 2**round_
-            count, more, nodes = self.search(start, goals, lower, upper, seed + 7919 * round_, stop, step)
-            iterations += more
+            count, iterations, nodes = self.search(
+                start, goals, lower, upper, seed + 7919 * round_, stop, self.settings.step / 2**round_,
+                2 * best.iterations + 100 if detour else None,
+            )  # fmt: skip
             t1 = time.thread_time()
-            plan_s += t1 - t0
-            if count == 0:
-                break
             raw = self.path[:count].copy()
-            count = simplify(*c.arrays, self.path, count, self.space, self.index, self.slack, PADDED)
-            simplify_s += time.thread_time() - t1
-            if count == 0:
-                continue
-            return NativeAnswer(
-                self.path[:count].copy(), raw, plan_s, simplify_s, certify_s, iterations, nodes
+            if count:
+                count = simplify(
+                    *self.checker.arrays, self.path, count, self.space, self.index, self.slack, PADDED
+                )
+            t2 = time.thread_time()
+            best = replace(
+                best,
+                plan_s=best.plan_s + t1 - t0,
+                simplify_s=best.simplify_s + t2 - t1,
+                iterations=best.iterations + iterations,
+                nodes=nodes,
             )
-        return NativeAnswer(None, None, plan_s, simplify_s, certify_s, iterations, nodes)
+            if count and (not detour or _length(self.path[:count]) < _length(best.waypoints)):
+                best = replace(best, waypoints=self.path[:count].copy(), raw=raw)
+            if detour or stop[0] or len(raw) == 0:
+                break
+            if best.waypoints is not None and _length(best.waypoints) <= self.settings.detour * straight:
+                break
+        return best
+
+
+def _length(path: Array | None) -> float:
+    return np.inf if path is None else float(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).sum())
