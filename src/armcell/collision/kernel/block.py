@@ -10,8 +10,11 @@ for just the pair and the lanes in question (undecided).
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
+
 import numpy as np
-from numba import njit
+from numba import cfunc, njit, types
 
 from armcell.collision.kernel.frames import (
     ALIVE,
@@ -26,11 +29,14 @@ from armcell.collision.kernel.frames import (
     twist_block,
 )
 from armcell.collision.kernel.pairs import pairs_block
-from armcell.collision.kernel.simd import L, pointer
+from armcell.collision.kernel.simd import L, at_address, call, pointer
 from armcell.collision.kernel.undecided import decide
 from armcell.collision.kernel.world import world_block
 
 EVERY = np.int64((1 << L) - 1)  # all lanes
+
+# What a handle holds.
+AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SELF = range(10)
 
 
 @njit(cache=True)
@@ -59,16 +65,63 @@ def check_block(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
     return lanes & ~state[ALIVE]
 
 
+def _check(handle, lanes, mode):
+    k = at_address(np.int64, handle)
+    return check_block(
+        at_address(np.int32, k[AT_I]), at_address(np.float32, k[AT_F]), at_address(np.float64, k[AT_D]),
+        at_address(np.float32, k[AT_W]), at_address(np.int64, k[AT_STATE]), at_address(np.float64, k[AT_S]),
+        at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR]), lanes, mode,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def check_address() -> int:
+    """Where `check_block` lies in memory as a C function of a handle's address, lanes and mode.
+
+    Everything that asks calls this one: Numba would compile a copy into each, and take minutes.
+    """
+    return int(cfunc(types.int64(types.int64, types.int64, types.int64), cache=True)(_check).address or 0)
+
+
+def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """The addresses of the pack (I, F, D), the workspace (w, state, s), slack and slack_pair, and of `check`.
+
+    One argument instead of nine: Python takes half a microsecond for each. Keep the arrays as long as it.
+    """
+    handle = np.zeros(10, np.int64)
+    handle[:8] = [array.ctypes.data for array in arrays]
+    handle[AT_CHECK] = check_address()
+    handle[AT_SELF] = handle.ctypes.data
+    return handle
+
+
+@njit(cache=True, forceinline=True)
+def ask(k, lanes, mode):
+    """`check_block` by handle."""
+    return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
+
+
+@njit(cache=True, forceinline=True)
+def ints(k):
+    """The integers of the pack, I."""
+    return at_address(np.int32, k[AT_I])
+
+
+@njit(cache=True, forceinline=True)
+def lanes_of(k):
+    """The lanes' workspace, w."""
+    return at_address(np.float32, k[AT_W])
+
+
 @njit(cache=True, nogil=True)
-def check(I, F, D, w, state, s, slack, slack_pair, mode, q):
+def touches(handle, mode, q):
     """Whether one configuration (dof,) is not free. On arrays."""
+    k = pointer(handle)
+    w = lanes_of(k)
     for j in range(len(q)):
         for lane in range(L):
             w[j * L + lane] = q[j]
-    return check_block(
-        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
-        pointer(slack_pair), np.int64(1), mode,
-    ) != 0  # fmt: skip
+    return ask(k, np.int64(1), np.int64(mode)) != 0
 
 
-__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "check", "check_block"]
+__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "ask", "handle_of", "touches"]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
-from armcell.collision.kernel.block import EXACT, PADDED, check
+from armcell.collision.kernel.block import EXACT, PADDED, handle_of, touches
 from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.layout import flat_of, flatten
 from armcell.collision.kernel.motion import free_edge, prove_points, proven_clearance
@@ -40,6 +40,7 @@ class KernelChecker:
         self.slack = np.zeros(max(len(self.pack.frame), 1), np.float32)
         self.slack_pair = np.zeros(max(len(self.pack.pairs), 1), np.float32)
         self._exact: ExactChecker | None = None
+        self._take_hold()
 
     @property
     def exact(self) -> ExactChecker:
@@ -47,10 +48,11 @@ class KernelChecker:
             self._exact = ExactChecker(self.scene, self.joint_names)
         return self._exact
 
-    @property
-    def arrays(self) -> tuple:
-        """What every kernel function takes first: pack, workspace, slack."""
-        return (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
+    def _take_hold(self) -> None:
+        """Make the handle that every kernel function takes first, from the arrays as they are now."""
+        self.handle = handle_of(
+            (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
+        )
 
     def relax_margins(self, q: ArrayLike) -> None:
         """Lower the padding of pairs that are closer than it at q, but do not touch (see the exact one)."""
@@ -65,14 +67,15 @@ class KernelChecker:
                         margins[k, o] = min(margins[k, o], margin)
         self.pack = self.pack._replace(margin=margins)
         self.flat = flatten(self.pack)
+        self._take_hold()
 
     def is_free(self, q: ArrayLike) -> bool:
         """Whether nothing that the group can move touches anything (padding included)."""
-        return not check(*self.arrays, EXACT | PADDED, np.ascontiguousarray(q, dtype=float))
+        return not touches(self.handle, EXACT | PADDED, np.ascontiguousarray(q, dtype=float))
 
     def touches(self, q: ArrayLike) -> bool:
         """Whether anything is in contact (padding left out)."""
-        return bool(check(*self.arrays, EXACT, np.ascontiguousarray(q, dtype=float)))
+        return bool(touches(self.handle, EXACT, np.ascontiguousarray(q, dtype=float)))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
         """Distance [m] that a piecewise linear motion (k, n) is proven to keep from everything.
@@ -82,11 +85,11 @@ class KernelChecker:
         points = np.ascontiguousarray(waypoints, dtype=float)
         if len(points) == 1:
             points = np.vstack([points, points])
-        return float(proven_clearance(*self.arrays, points, most, tolerance))
+        return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
         """Whether a straight motion is free at samples at most `step` [rad] apart."""
-        return bool(free_edge(*self.arrays, np.array([a, b], dtype=float), step))
+        return bool(free_edge(self.handle, np.array([a, b], dtype=float), step))
 
     def certify(
         self,
@@ -106,7 +109,7 @@ class KernelChecker:
         if len(points) == 1:
             points = np.vstack([points, points])
         room = np.zeros(len(self.joint_names)) if slack is None else np.ascontiguousarray(slack, dtype=float)
-        at = float(prove_points(*self.arrays, points, room, PADDED if padded else 0))
+        at = float(prove_points(self.handle, points, room, PADDED if padded else 0))
         if at < 0:
             return Certificate(True)
         i, edges = min(int(at), len(points) - 2), len(points) - 1

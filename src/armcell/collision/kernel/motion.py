@@ -7,10 +7,24 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.collision.kernel.block import EVERY, EXACT, FIRST, PADDED, PROVE, check_block
+from armcell.collision.kernel.block import (
+    AT_D,
+    AT_S,
+    AT_SLACK,
+    AT_SLACK_PAIR,
+    AT_STATE,
+    EVERY,
+    EXACT,
+    FIRST,
+    PADDED,
+    PROVE,
+    ask,
+    ints,
+    lanes_of,
+)
 from armcell.collision.kernel.frames import CLOSE, TOUCHING, half_at, rate_at
 from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REACH
-from armcell.collision.kernel.simd import L, fma, iota, pointer, splat, store
+from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
 
 FINEST = 1e-4
 """[rad] Half intervals shorter than this are not cut further: closer than their motion counts as touching."""
@@ -34,24 +48,24 @@ def spread(I, w, p, a, b, at, step):
 
 
 @njit(cache=True)
-def edge_free(I, F, D, w, state, s, slack, slack_pair, p, a, b, step):
+def edge_free(k, p, a, b, step):
     """Whether the motion from p[a:] to p[b:] is free at samples at most `step` [rad] apart, b included.
 
     The first 16 samples are spread over the whole edge, so a blocked one is mostly found at once.
     """
-    length = 0.0
+    I, w, length = ints(k), lanes_of(k), 0.0
     for j in range(I[DOF]):
         length += (p[b + j] - p[a + j]) ** 2
     blocks = max(int(np.ceil(np.sqrt(length) / (L * step))), 1)
-    for k in range(blocks):
-        spread(I, w, p, a, b, (1.0 - k / blocks) / L, 1.0 / L)
-        if check_block(I, F, D, w, state, s, slack, slack_pair, EVERY, EXACT | PADDED) != 0:
+    for n in range(blocks):
+        spread(I, w, p, a, b, (1.0 - n / blocks) / L, 1.0 / L)
+        if ask(k, EVERY, np.int64(EXACT | PADDED)) != 0:
             return False
     return True
 
 
 @njit(cache=True)
-def prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, count, at, mode, finest, all_of_them):
+def prove(k, p, first, last, count, at, mode, finest, all_of_them):
     """Prove straight motions free, several at once; returns how many are not.
 
     Each edge is cut into intervals. Around the middle of each every body is grown by the most that its
@@ -63,6 +77,7 @@ def prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, count, at, mo
         at: out, (count,) PROVEN, or the fraction of the edge where the proof failed.
         finest: [rad], see FINEST. all_of_them: False to stop at the first edge that fails.
     """
+    I, w, state = ints(k), lanes_of(k), at_address(np.int64, k[AT_STATE])
     dof, bad, edge, waiting = I[DOF], 0, 0, 0
     which, middle, half = np.empty(ROOM, np.int64), np.empty(ROOM), np.empty(ROOM)
     for e in range(count):
@@ -74,8 +89,8 @@ def prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, count, at, mo
             for j in range(dof):
                 length += (p[last[edge] + j] - p[first[edge] + j]) ** 2
             n = min(max(int(np.ceil(np.sqrt(length) / WIDEST)), 1), L)
-            for k in range(n):
-                which[waiting], middle[waiting], half[waiting] = edge, (k + 0.5) / n, 0.5 / n
+            for i in range(n):
+                which[waiting], middle[waiting], half[waiting] = edge, (i + 0.5) / n, 0.5 / n
                 waiting += 1
             edge += 1
         n = 0
@@ -102,7 +117,7 @@ def prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, count, at, mo
                 w[rate_at(I, j) + lane] = np.float32(rate)
             w[half_at(I) + lane] = np.float32(half[slot])
         lanes = (np.int64(1) << n) - 1
-        left = check_block(I, F, D, w, state, s, slack, slack_pair, lanes, mode)
+        left = ask(k, lanes, np.int64(mode))
         if left == 0:
             continue
         for lane in range(n):
@@ -128,57 +143,53 @@ def prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, count, at, mo
 
 
 @njit(cache=True)
-def loosen(I, D, room, slack, slack_pair):
+def loosen(k, room):
     """Fill the slack of bodies and pairs [m] from how far each joint may be off the edge, room (dof,)."""
+    I, D = ints(k), at_address(np.float64, k[AT_D])
+    slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
     dof = I[DOF]
-    for k in range(I[BODIES]):
+    for b in range(I[BODIES]):
         m = 0.0
         for j in range(dof):
-            m += D[I[REACH] + dof * k + j] * room[j]
-        slack[k] = np.float32(m) + CERTAIN
-    for k in range(I[PAIRS]):
+            m += D[I[REACH] + dof * b + j] * room[j]
+        slack[b] = np.float32(m) + CERTAIN
+    for b in range(I[PAIRS]):
         m = 0.0
         for j in range(dof):
-            m += D[I[PAIR_REACH] + dof * k + j] * room[j]
-        slack_pair[k] = np.float32(m) + CERTAIN
+            m += D[I[PAIR_REACH] + dof * b + j] * room[j]
+        slack_pair[b] = np.float32(m) + CERTAIN
 
 
 @njit(cache=True, nogil=True)
-def free_edge(I, F, D, w, state, s, slack, slack_pair, ends, step):
+def free_edge(handle, ends, step):
     """`edge_free` on arrays: ends (2, dof)."""
-    return edge_free(
-        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
-        pointer(slack_pair), pointer(ends), 0, ends.shape[1], step,
-    )  # fmt: skip
+    return edge_free(pointer(handle), pointer(ends), 0, ends.shape[1], step)
 
 
 @njit(cache=True, nogil=True)
-def prove_points(I, F, D, w, state, s, slack, slack_pair, points, room, mode):
+def prove_points(handle, points, room, mode):
     """Where on a piecewise linear motion (k, dof) the proof fails, counted in edges; -1.0 if nowhere."""
-    k, dof = points.shape
-    rows, at = np.arange(k) * dof, np.empty(k)  # both are used after the call: pointers do not keep them
-    loosen(pointer(I), pointer(D), pointer(room), pointer(slack), pointer(slack_pair))
-    prove(
-        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
-        pointer(slack_pair), pointer(points), pointer(rows), pointer(rows[1:]), k - 1, pointer(at), mode,
-        FINEST, False,
-    )  # fmt: skip
-    for e in range(k - 1):
+    k, (n, dof) = pointer(handle), points.shape
+    rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
+    loosen(k, pointer(room))
+    prove(k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), mode, FINEST, False)
+    for e in range(n - 1):
         if at[e] != PROVEN:
             return rows[e] / dof + at[e]
     return -1.0
 
 
 @njit(cache=True, nogil=True)
-def proven_clearance(I, F, D, w, state, s, slack, slack_pair, points, most, tolerance):
+def proven_clearance(handle, points, most, tolerance):
     """Largest distance [m] that a motion (k, dof) can be proven to keep from everything, by bisection.
 
     At most `most`; within `tolerance` of the true smallest distance, and not above it.
     """
-    k, dof = points.shape
-    rows, at = np.arange(k) * dof, np.empty(k)
-    low, high = 0.0, most
-    trial = most
+    k, (n, dof) = pointer(handle), points.shape
+    I, s = ints(k), at_address(np.float64, k[AT_S])
+    slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
+    rows, at = np.arange(n) * dof, np.empty(n)
+    low, high, trial = 0.0, most, most
     while high - low > tolerance:
         for b in range(I[BODIES]):
             slack[b] = np.float32(trial) + CERTAIN
@@ -186,9 +197,8 @@ def proven_clearance(I, F, D, w, state, s, slack, slack_pair, points, most, tole
             slack_pair[b] = np.float32(trial) + CERTAIN
         s[CLOSE] = trial
         bad = prove(
-            pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
-            pointer(slack_pair), pointer(points), pointer(rows), pointer(rows[1:]), k - 1, pointer(at), 0,
-            0.5 * tolerance, False,
+            k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), 0, 0.5 * tolerance,
+            False,
         )  # fmt: skip
         if bad == 0:
             low = trial

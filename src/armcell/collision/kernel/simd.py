@@ -71,6 +71,29 @@ def pointer(typingctx, array):
 
 
 @intrinsic
+def at_address(typingctx, dtype, address):
+    """A bare pointer to numbers of a type from their address (int64)."""
+    kind = dtype.instance_type
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[1], context.get_data_type(kind).as_pointer())
+
+    return PointerType(kind)(dtype, types.int64), codegen
+
+
+@intrinsic
+def call(typingctx, function, a, b, c):
+    """Call a compiled function of three int64 that returns one, by its address."""
+
+    def codegen(context, builder, signature, args):
+        number = ir.IntType(64)
+        kind = ir.FunctionType(number, [number] * 3).as_pointer()
+        return builder.call(builder.inttoptr(args[0], kind), args[1:])
+
+    return types.int64(types.int64, types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
 def _get(typingctx, at, index):
     def codegen(context, builder, signature, args):
         return builder.load(builder.gep(args[0], [args[1]]))

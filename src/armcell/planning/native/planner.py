@@ -76,7 +76,7 @@ class NativePlanner:
         s = self.settings
         shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
         return rrt_connect(
-            *self.checker.arrays,
+            self.checker.handle,
             start,
             goals,
             lower,
@@ -123,7 +123,7 @@ class NativePlanner:
             raw = self.path[:count].copy()
             if count:
                 count = simplify(
-                    *self.checker.arrays, self.path, count, self.space, self.index, self.slack, PADDED
+                    self.checker.handle, self.path, count, self.space, self.index, self.slack, PADDED
                 )
             t2 = time.thread_time()
             best = replace(

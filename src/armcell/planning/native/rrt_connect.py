@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
@@ -36,12 +37,13 @@ def kronecker_steps(dof, out):
 
 
 @njit(cache=True)
-def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample, edge, reach, step, nodes,
+def _search(k, lower, upper, steps, sample, edge, reach, step, nodes,
             parents, radii, capacity, goals, room, stop, max_iterations, found):  # fmt: skip
     """`rrt_connect` on pointers. Tree 0 grows from the start, tree 1 from the goals; node i of tree t is
     node t * capacity + i. Writes into found: node of tree 0, node of tree 1, iterations, nodes.
     """
-    dof, q = I[DOF], 2 * I[DOF]  # edge: its two ends, then the sample
+    dof = ints(k)[DOF]
+    q = 2 * dof  # edge: its two ends, then the sample
     n0, n1, tree = 1, goals, 1
     apart = 0.0
     for j in range(dof):
@@ -73,7 +75,7 @@ def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample
         f = min(1.0, longest / max(distance, 1e-9))
         for j in range(dof):
             edge[dof + j] = edge[j] + f * (edge[q + j] - edge[j])
-        if not edge_free(I, F, D, w, state, s, slack, slack_pair, edge, 0, dof, step):
+        if not edge_free(k, edge, 0, dof, step):
             shrunk = max(radius * (1 - DOMAIN_STEP), domain_min)
             radii[first + i] = domain if radius == UNLIMITED else shrunk
             continue
@@ -83,8 +85,8 @@ def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample
         parents[first + mine], radii[first + mine] = i, UNLIMITED
         mine += 1
         # On towards the nearest node of the other tree, as far as it is free.
-        k = nearest(nodes, dof, first_other, other, edge, dof, room)
-        get(nodes, dof, first_other + k, edge, q)
+        near = nearest(nodes, dof, first_other, other, edge, dof, room)
+        get(nodes, dof, first_other + near, edge, q)
         distance = 0.0
         for j in range(dof):
             edge[j] = edge[dof + j]
@@ -95,7 +97,7 @@ def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample
         for c in range(count):
             for j in range(dof):
                 edge[dof + j] = edge[j] + edge[q + j] / count
-            if not edge_free(I, F, D, w, state, s, slack, slack_pair, edge, 0, dof, step):
+            if not edge_free(k, edge, 0, dof, step):
                 reached = False
                 break
             if c < count - 1:
@@ -106,21 +108,14 @@ def _search(I, F, D, w, state, s, slack, slack_pair, lower, upper, steps, sample
                 edge[j] = edge[dof + j]
         n0, n1 = (mine, other) if tree == 0 else (other, mine)
         if reached:
-            found[0], found[1] = (mine - 1, k) if tree == 0 else (k, mine - 1)
+            found[0], found[1] = (mine - 1, near) if tree == 0 else (near, mine - 1)
             return True
     return False
 
 
 @njit(cache=True, nogil=True)
 def rrt_connect(
-    I,
-    F,
-    D,
-    w,
-    state,
-    s,
-    slack,
-    slack_pair,
+    handle,
     start,
     goals,
     lower,
@@ -160,8 +155,7 @@ def rrt_connect(
     kronecker_steps(dof, space[3 * dof :])
     space[4 * dof : 5 * dof] = shift
     if not _search(
-        pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s), pointer(slack),
-        pointer(slack_pair), pointer(lower), pointer(upper), pointer(space[3 * dof :]),
+        pointer(handle), pointer(lower), pointer(upper), pointer(space[3 * dof :]),
         pointer(space[4 * dof :]), pointer(space), reach, step, n, p, c, capacity, len(goals), pointer(room),
         pointer(stop), max_iterations, pointer(found),
     ):  # fmt: skip

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
 from armcell.collision.kernel.simd import pointer
@@ -39,19 +40,17 @@ def _copy(p, width, src, dst):
 
 
 @njit(cache=True)
-def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at, mode):
+def _shortcut(k, p, count, first, last, at, mode):
     """Join each vertex with the farthest later one that a proven straight line reaches."""
-    dof, width, i = I[DOF], I[DOF] + 1, 0
+    dof = ints(k)[DOF]
+    width, i = dof + 1, 0
     while i < count - 2:
         for j in range(count - 1, i + 1, -1):
             first[0], last[0] = i * width, j * width
-            if (
-                prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 1, at, mode, COARSE, False)
-                == 0
-            ):
+            if prove(k, p, first, last, 1, at, mode, COARSE, False) == 0:
                 gone = j - i - 1
-                for k in range(j, count):
-                    _copy(p, width, k * width, (k - gone) * width)
+                for row in range(j, count):
+                    _copy(p, width, row * width, (row - gone) * width)
                 p[i * width + dof] = 1.0
                 count -= gone
                 break
@@ -60,13 +59,14 @@ def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at
 
 
 @njit(cache=True)
-def _round_corners(I, F, D, w, state, s, slack, slack_pair, p, count, room, first, last, at, mode):
+def _round_corners(k, p, count, room, first, last, at, mode):
     """Move corners towards the middle between the midpoints of their edges, where that is proven free.
 
     p: rows, count of them; behind `room` rows there is space for three times as many that are tried, and
     then for the new path. Returns count, changed.
     """
-    dof, width, tried = I[DOF], I[DOF] + 1, 0
+    dof = ints(k)[DOF]
+    width, tried = dof + 1, 0
     base = room * width  # triples: midpoint before, corner moved, midpoint after
     for i in range(1, count - 1):
         a, b, c = (i - 1) * width, i * width, (i + 1) * width
@@ -83,15 +83,15 @@ def _round_corners(I, F, D, w, state, s, slack, slack_pair, p, count, room, firs
             tried += 1
     if tried == 0:
         return count, False
-    prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 2 * tried, at, mode, COARSE, True)
+    prove(k, p, first, last, 2 * tried, at, mode, COARSE, True)
     # Write the new path behind the triples, then over the old one.
-    out, n, k, changed = base + 3 * count * width, 1, 0, False
+    out, n, done, changed = base + 3 * count * width, 1, 0, False
     _copy(p, width, 0, out)
     for i in range(1, count - 1):
         t = base + 3 * i * width
-        if k < tried and first[2 * k] == t:
-            good = at[2 * k] == PROVEN and at[2 * k + 1] == PROVEN
-            k += 1
+        if done < tried and first[2 * done] == t:
+            good = at[2 * done] == PROVEN and at[2 * done + 1] == PROVEN
+            done += 1
             if good and n + 4 < room:
                 changed = True
                 if _distance(p, dof, out + (n - 1) * width, t) > 1e-9:
@@ -117,7 +117,7 @@ def _round_corners(I, F, D, w, state, s, slack, slack_pair, p, count, room, firs
 
 
 @njit(cache=True, nogil=True)
-def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index, room, mode):
+def simplify(handle, path, count, space, index, room, mode):
     """Shorten path[:count] in place; every edge of what it returns is proven free.
 
     Args:
@@ -126,8 +126,7 @@ def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index,
     Returns:
         The new count; 0 if an edge that could not be replaced cannot be proven.
     """
-    Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s)
-    lp, lq = pointer(slack), pointer(slack_pair)
+    k = pointer(handle)
     m, dof = path.shape
     width = dof + 1
     p, a, f, t = pointer(space), pointer(space[6 * m * width :]), pointer(index), pointer(index[2 * m :])
@@ -135,16 +134,16 @@ def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index,
         for j in range(dof):
             p[i * width + j] = path[i, j]
         p[i * width + dof] = 0.0
-    loosen(Ip, Dp, pointer(room), lp, lq)
+    loosen(k, pointer(room))
     length = 1e300
     for _ in range(ROUNDS):
-        count = _shortcut(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, f, t, a, mode)
+        count = _shortcut(k, p, count, f, t, a, mode)
         before, length = length, 0.0
         for i in range(count - 1):
             length += _distance(p, dof, i * width, (i + 1) * width)
         if count <= 2 or length > (1 - WORTHWHILE) * before:
             break
-        count, changed = _round_corners(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, m, f, t, a, mode)
+        count, changed = _round_corners(k, p, count, m, f, t, a, mode)
         if not changed:
             break
     n = 0  # what is left of the path as it was given is proven last, without padding
@@ -152,7 +151,7 @@ def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index,
         if p[i * width + dof] == 0.0:
             f[n], t[n] = i * width, (i + 1) * width
             n += 1
-    if n > 0 and prove(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, f, t, n, a, 0, FINEST, False) != 0:
+    if n > 0 and prove(k, p, f, t, n, a, 0, FINEST, False) != 0:
         return 0
     for i in range(count):
         for j in range(dof):
