@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult
+from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult, PoseGoal
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goals import joint_goals
-from armcell.planning.native.warm_up import warm_up
+from armcell.planning.native.warm_up import warm_up, warm_up_ik
 from armcell.planning.problem import Problem, find_planner, normalized_planner_id, sampling_bounds
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
@@ -39,6 +39,9 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
         InputError: misuse: unknown group, planner, link or joint; scaling outside (0, 1].
     """
     warm_up()
+    for goal in request.goals:
+        if isinstance(goal, PoseGoal) and request.group in scene.model.groups:
+            warm_up_ik(scene.model, request.group, goal.link)
     began = time.monotonic()
     check_scaling(request.velocity_scaling, "velocity scaling")
     check_scaling(request.acceleration_scaling, "acceleration scaling")

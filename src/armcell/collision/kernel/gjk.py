@@ -84,9 +84,9 @@ def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, a
     ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
     ay = s[T + 1] * dx + s[T + 5] * dy + s[T + 9] * dz
     az = s[T + 2] * dx + s[T + 6] * dy + s[T + 10] * dz
-    support(F, D, ka, sa, fa, ga, na, ax, ay, az, s, 48)
+    support(F, D, ka, sa, fa, ga, na, ax, ay, az, s, np.int64(48))
     x, y, z = s[48], s[49], s[50]
-    support(F, D, kb, sb, fb, gb, nb, -dx, -dy, -dz, s, 51)
+    support(F, D, kb, sb, fb, gb, nb, -dx, -dy, -dz, s, np.int64(51))
     s[at] = s[T] * x + s[T + 1] * y + s[T + 2] * z + s[T + 3] - s[51]
     s[at + 1] = s[T + 4] * x + s[T + 5] * y + s[T + 6] * z + s[T + 7] - s[52]
     s[at + 2] = s[T + 8] * x + s[T + 9] * y + s[T + 10] * z + s[T + 11] - s[53]
@@ -199,7 +199,7 @@ def _tetrahedron(s, v):
             continue
         for m in range(3):
             s[12 + m], s[15 + m], s[18 + m] = s[i + m], s[j + m], s[k + m]
-        n = _triangle(s, 12, 45)
+        n = _triangle(s, np.int64(12), np.int64(45))
         d = s[45] * s[45] + s[46] * s[46] + s[47] * s[47]
         if d < best:
             best, size = d, n
@@ -258,7 +258,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
         elif n == 2:
             n = _segment(s, v)
         elif n == 3:
-            n = _triangle(s, 0, v)
+            n = _triangle(s, np.int64(0), np.int64(v))
         else:
             n = _tetrahedron(s, v)
             if n == 4:  # around the origin; a separation proven before is the better witness

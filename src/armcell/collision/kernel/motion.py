@@ -65,7 +65,7 @@ def edge_free(k, p, a, b, step):
 
 
 @njit(cache=True)
-def prove(k, p, first, last, count, at, mode, finest, all_of_them):
+def prove(k, p, first, last, count, at, mode, finest):
     """Prove straight motions free, several at once; returns how many are not.
 
     Each edge is cut into intervals. Around the middle of each every body is grown by the most that its
@@ -75,14 +75,14 @@ def prove(k, p, first, last, count, at, mode, finest, all_of_them):
     Args:
         p: configurations; edge e goes from p[first[e]:] to p[last[e]:].
         at: out, (count,) PROVEN, or the fraction of the edge where the proof failed.
-        finest: [rad], see FINEST. all_of_them: False to stop at the first edge that fails.
+        mode: PADDED, and FIRST to stop at the first edge that fails. finest: [rad], see FINEST.
     """
     I, w, state = ints(k), lanes_of(k), at_address(np.int64, k[AT_STATE])
     dof, bad, edge, waiting = I[DOF], 0, 0, 0
     which, middle, half = np.empty(ROOM, np.int64), np.empty(ROOM), np.empty(ROOM)
     for e in range(count):
         at[e] = PROVEN
-    mode |= EXACT | PROVE if all_of_them else EXACT | PROVE | FIRST
+    mode |= EXACT | PROVE
     while True:
         while waiting < L and edge < count:
             length = 0.0
@@ -134,7 +134,7 @@ def prove(k, p, first, last, count, at, mode, finest, all_of_them):
             if state[TOUCHING] & (np.int64(1) << lane) or h * length < finest or waiting + 2 * L > ROOM - L:
                 at[e] = t
                 bad += 1
-                if not all_of_them:
+                if mode & FIRST:
                     return bad
                 continue
             which[waiting], middle[waiting], half[waiting] = e, t + h, h
@@ -172,7 +172,16 @@ def prove_points(handle, points, room, mode):
     k, (n, dof) = pointer(handle), points.shape
     rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
     loosen(k, pointer(room))
-    prove(k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), mode, FINEST, False)
+    prove(
+        k,
+        pointer(points),
+        pointer(rows),
+        pointer(rows[1:]),
+        n - 1,
+        pointer(at),
+        np.int64(mode | FIRST),
+        FINEST,
+    )
     for e in range(n - 1):
         if at[e] != PROVEN:
             return rows[e] / dof + at[e]
@@ -197,8 +206,8 @@ def proven_clearance(handle, points, most, tolerance):
             slack_pair[b] = np.float32(trial) + CERTAIN
         s[CLOSE] = trial
         bad = prove(
-            k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), 0, 0.5 * tolerance,
-            False,
+            k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), np.int64(FIRST),
+            0.5 * tolerance,
         )  # fmt: skip
         if bad == 0:
             low = trial

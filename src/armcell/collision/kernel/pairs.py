@@ -95,7 +95,14 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
             if mode & EXACT:
                 close = splat(np.float32(s[CLOSE]))
                 surely = hit & _near(
-                    I, w, state, first_sphere + k, first_sphere + m, F[sk + 4] + F[sm + 4], close, EXACT
+                    I,
+                    w,
+                    state,
+                    first_sphere + k,
+                    first_sphere + m,
+                    F[sk + 4] + F[sm + 4],
+                    close,
+                    np.int64(EXACT),
                 )
                 if surely != 0 and touch(state, surely, mode):
                     return DONE

@@ -95,10 +95,13 @@ def call(typingctx, function, a, b, c):
 
 @intrinsic
 def _get(typingctx, at, index):
-    def codegen(context, builder, signature, args):
-        return builder.load(builder.gep(args[0], [args[1]]))
+    # Short integers are widened: else every function would be compiled for int32 and int64 arguments.
+    wide = types.int64 if isinstance(at.dtype, types.Integer) else at.dtype
 
-    return at.dtype(at, types.intp), codegen
+    def codegen(context, builder, signature, args):
+        return context.cast(builder, builder.load(builder.gep(args[0], [args[1]])), at.dtype, wide)
+
+    return wide(at, types.intp), codegen
 
 
 @intrinsic

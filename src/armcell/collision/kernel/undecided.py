@@ -185,7 +185,7 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
     ga, gb = I[POINTS32] + 3 * I[pa], I[POINTS32] + 3 * I[pb]
     if kb == gjk.HALFSPACE:  # the lowest point of a along the plane's normal
         nx, ny, nz = s[R + 8], s[R + 9], s[R + 10]
-        gjk.support(F, D, ka, sa, fa, ga, I[pa + 1], -nx, -ny, -nz, s, 48)
+        gjk.support(F, D, ka, sa, fa, ga, I[pa + 1], -nx, -ny, -nz, s, np.int64(48))
         s[gjk.NORMAL], s[gjk.NORMAL + 1], s[gjk.NORMAL + 2] = 0.0, 0.0, 1.0
         return max(nx * s[48] + ny * s[49] + nz * s[50] + s[R + 11], 0.0)
     return gjk.distance(F, D, R, ka, sa, fa, ga, I[pa + 1], kb, sb, fb, gb, I[pb + 1], enough, warm, s)

@@ -202,8 +202,8 @@ def ur_branches(geometry, goal, reference, out):
         reference: (6,) where joints stay that are free in a singular pose.
     """
     g = geometry
-    tip5, axis6 = _turned(goal, 18, g), _turned(goal, 15, g)
-    C = _turned(goal, 12, g)
+    tip5, axis6 = _turned(goal, np.int64(18), g), _turned(goal, np.int64(15), g)
+    C = _turned(goal, np.int64(12), g)
     tx, ty, tz = goal[3] - g[9], goal[7] - g[10], goal[11] - g[11]
     C = (
         C[0] + g[0] * tx + g[1] * ty + g[2] * tz,

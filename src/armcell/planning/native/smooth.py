@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.collision.kernel.block import ints
+from armcell.collision.kernel.block import FIRST, ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
 from armcell.collision.kernel.simd import pointer
@@ -47,7 +47,7 @@ def _shortcut(k, p, count, first, last, at, mode):
     while i < count - 2:
         for j in range(count - 1, i + 1, -1):
             first[0], last[0] = i * width, j * width
-            if prove(k, p, first, last, 1, at, mode, COARSE, False) == 0:
+            if prove(k, p, first, last, np.int64(1), at, mode | FIRST, COARSE) == 0:
                 gone = j - i - 1
                 for row in range(j, count):
                     _copy(p, width, row * width, (row - gone) * width)
@@ -83,7 +83,7 @@ def _round_corners(k, p, count, room, first, last, at, mode):
             tried += 1
     if tried == 0:
         return count, False
-    prove(k, p, first, last, 2 * tried, at, mode, COARSE, True)
+    prove(k, p, first, last, 2 * tried, at, mode, COARSE)
     # Write the new path behind the triples, then over the old one.
     out, n, done, changed = base + 3 * count * width, 1, 0, False
     _copy(p, width, 0, out)
@@ -151,7 +151,7 @@ def simplify(handle, path, count, space, index, room, mode):
         if p[i * width + dof] == 0.0:
             f[n], t[n] = i * width, (i + 1) * width
             n += 1
-    if n > 0 and prove(k, p, f, t, n, a, 0, FINEST, False) != 0:
+    if n > 0 and prove(k, p, f, t, n, a, np.int64(FIRST), FINEST) != 0:
         return 0
     for i in range(count):
         for j in range(dof):

@@ -10,7 +10,7 @@ import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.kinematics import ik_solver
-from armcell.model import load_robot
+from armcell.model import RobotModel, load_robot
 from armcell.planning.finish import clearance_along
 from armcell.planning.native.planner import NativePlanner
 from armcell.scene import PlanningScene
@@ -23,6 +23,17 @@ def prepare(scene: PlanningScene, group: str) -> None:
     """Fit and keep what all plans for a group share (covers, groups that can meet), before the first."""
     warm_up()
     KernelChecker(scene, scene.model.group(group).joint_names)
+    if scene.model.group(group).tip_link:
+        warm_up_ik(scene.model, group)
+
+
+@lru_cache(maxsize=64)
+def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
+    """Have the inverse kinematics of a chain ready; arms that are solved in closed form need another one."""
+    ik, home = ik_solver(model, group, link), model.default_positions()
+    pose = ik.tree.link_pose(home, ik.tip_link)
+    ik.solve(pose, home)
+    ik.descend(home.copy(), pose)
 
 
 @lru_cache(maxsize=1)
@@ -43,11 +54,6 @@ def warm_up() -> float:
     path = BlendedPath(np.array([[0.01], [0.02], [0.04]]), 0.0)
     path.polyline()
     clearance_along(checker, parameterize(path, checker.joint_names, [0.1], [1.0]))
-    for name in ("ur10", "panda"):  # the analytic solver and the numeric one
-        arm = load_robot(name)
-        home, ik = arm.default_positions(), ik_solver(arm, "arm")
-        ik.solve(ik.tree.link_pose(home, ik.tip_link), home)
-        ik.descend(home.copy(), ik.tree.link_pose(home, ik.tip_link))
     seconds = time.monotonic() - began
     if seconds > 2.0:
         logger.info("compiled the planner in %.0f s; it is kept for later runs", seconds)
