@@ -1,4 +1,4 @@
-"""The picture of docs/timing.md: one path timed three ways. Run: python docs/plot_timing.py"""
+"""The picture of docs/timing.md: one path timed three ways. Run: python docs/pictures/plot_timing.py"""
 
 from __future__ import annotations
 
