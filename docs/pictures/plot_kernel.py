@@ -68,7 +68,9 @@ def picture_of_proof() -> None:
     top.fill_between(t, 0, np.array(gap) * 1000, color="#9fb8d0")
     top.set_ylabel("smallest distance [mm]")
     for middle, half, level in looked:
-        bottom.barh(level, 2 * half, left=middle - half, height=0.8, color="#e0a96d", edgecolor="#8a5a20", lw=0.4)
+        bottom.barh(
+            level, 2 * half, left=middle - half, height=0.8, color="#e0a96d", edgecolor="#8a5a20", lw=0.4
+        )
     bottom.invert_yaxis()
     bottom.set_ylabel("times halved")
     bottom.set_xlabel("along the motion")

@@ -32,8 +32,10 @@ def mbm(
 ) -> int:
     """Plan MotionBenchMaker's problems: search, shorten, prove, time.
 
-    Times are CPU time of one thread in microseconds. A problem whose start or goal touches something by the
-    exact checker is left out and counted apart. Exit status 1 if one of the others was not solved.
+    Times are CPU time of one thread in microseconds. The native planner proves
+    every edge as it shortens: its certify_us is 0, simplify_us has it all. A problem
+    whose start or goal touches something by the exact checker is left out and counted apart. Exit
+    status 1 if one of the others was not solved.
     """
     for file in (paths, json_file):
         if file is not None:
