@@ -84,6 +84,12 @@ def is_convex(mesh: Mesh) -> bool:
     )
 
 
+@lru_cache(maxsize=1024)
+def is_closed(mesh: Mesh) -> bool:
+    """Whether a mesh has no rim: what it encloses is solid. One with a rim is a surface, nothing more."""
+    return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
+
+
 def _points(vertices: Array) -> coal.StdVec_Vec3s:
     points = coal.StdVec_Vec3s()
     for vertex in vertices:
