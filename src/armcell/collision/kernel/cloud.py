@@ -20,8 +20,10 @@ from armcell.collision.kernel.frames import (
     LISTED,
     MAX_LISTED,
     MAX_STACK,
+    PLACED,
     PROVE,
     STACK,
+    ball_at,
     centre,
     half_at,
     local_at,
@@ -203,11 +205,22 @@ def _spheres_to_parts(I, F, w, g, kind, at, lane, more, mode):
 
 
 @njit(cache=True)
-def _parts_block(I, F, w, state, g, kind, at, lanes, open_lanes, more_at, mode):
-    """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE."""
+def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
+    """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE.
+
+    The group's balls are at w[ball_at:]; its spheres are placed (see `_local`) when one of those touches.
+    """
+    ball = ball_at(I)
     while lanes != 0:
         lane = trailing_zeros(lanes)
         lanes &= lanes - 1
+        b = ball + lane
+        gap, _x, _y, _z = _apart(F, kind, at, splat(w[b]), splat(w[b + L]), splat(w[b + 2 * L]))
+        if mask_lt(gap, splat(w[b + 3 * L])) == 0:
+            continue
+        if state[PLACED] != g:
+            _local(I, F, w, state, o, g, f, mode)
+            state[PLACED] = g
         near, sure, close = _spheres_to_parts(I, F, w, g, kind, at, lane, w[more_at + lane], mode)
         if near == 0:
             continue
@@ -237,8 +250,12 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
     zero, open_lanes = splat(np.float32(0.0)), np.int64(0)
     lx, ly, lz = hmin(x - reach), hmin(y - reach), hmin(z - reach)
     hx, hy, hz = hmax(x + reach), hmax(y + reach), hmax(z + reach)
-    reach2, placed = reach * reach, False
-    top = 1
+    reach2, ball, top = reach * reach, ball_at(I), 1
+    store(w, ball, x)
+    store(w, ball + L, y)
+    store(w, ball + 2 * L, z)
+    store(w, ball + 3 * L, reach)
+    state[PLACED] = NO_GROUP
     state[stack] = 0
     while top > 0:
         top -= 1
@@ -267,12 +284,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
                 continue
             if g == NO_GROUP:
                 return here
-            if not placed:
-                _local(I, F, w, state, o, g, f, mode)
-                placed = True
-            open_lanes = _parts_block(
-                I, F, w, state, g, I[c], _block_at(I, c, child), here, open_lanes, more_at, mode
-            )
+            first = _block_at(I, c, child)
+            open_lanes = _parts_block(I, F, w, state, o, g, f, I[c], first, here, open_lanes, more_at, mode)
             if open_lanes == DONE:
                 return DONE
     return open_lanes

@@ -25,10 +25,10 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
-TRIANGLE_SHARE = 1 / 8
-"""Of a mesh's largest extent: edges longer than this (and than `TRIANGLE_EDGE`) are cut, or the boxes around
-long triangles would be all over the mesh."""
-TRIANGLE_EDGE = 0.05  # [m]
+TRIANGLE_EDGE = 0.03  # [m]
+TRIANGLES = 10000
+"""Edges longer than `TRIANGLE_EDGE`, or than those of so many squares in a mesh's area if that is more, are
+cut: the boxes around long triangles would be all over the mesh."""
 
 ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 """Numbers of a part: centre and radius or half edge; corners and unit normal."""
@@ -68,7 +68,7 @@ def cloud_of(shape: Shape) -> Cloud | None:
             cells, edge = shape.centres - centre, shape.sizes[:, None] / 2
             return _cloud(gjk.CELL, centre, half, np.column_stack([cells, edge]), cells - edge, cells + edge)
         case Mesh() if not is_convex(shape):
-            edge = max(TRIANGLE_EDGE, TRIANGLE_SHARE * 2 * float(half.max()))
+            edge = max(TRIANGLE_EDGE, float(np.sqrt(_area(shape) / TRIANGLES)))
             corners = small_triangles(shape.vertices - centre, shape.faces.astype(np.int64), edge)
             corners = corners.astype(np.float32).astype(float)  # as the kernel sees them
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -79,12 +79,19 @@ def cloud_of(shape: Shape) -> Cloud | None:
     return None
 
 
+def _area(mesh: Mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
 def _cloud(kind: int, centre: F64, half: F64, parts: F64, low: F64, high: F64, closed: bool = False) -> Cloud:
     T = np.eye(4)
     T[:3, 3] = centre
     box = Box(*(2 * np.maximum(half, 1e-6)))
     if len(parts) == 0:
-        return Cloud(kind, box, T, np.zeros((0, ROWS[kind], L), np.float32), *tree_of(low, high, np.arange(0)))
+        return Cloud(
+            kind, box, T, np.zeros((0, ROWS[kind], L), np.float32), *tree_of(low, high, np.arange(0))
+        )
     order = z_order(low, high)
     starts = np.arange(0, len(order), L)
     low, high = np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)
@@ -96,7 +103,9 @@ def _cloud(kind: int, centre: F64, half: F64, parts: F64, low: F64, high: F64, c
         blocks[-1, 9:, L - surplus] = 0
     else:  # rounding to float32 may not shrink a part
         blocks[:, 3] += np.float32(2e-7) * (np.abs(blocks[:, :3]).max() + np.abs(blocks[:, 3]))
-    return Cloud(kind, box, T, np.ascontiguousarray(blocks), *tree_of(low, high, np.arange(len(starts))), closed)
+    return Cloud(
+        kind, box, T, np.ascontiguousarray(blocks), *tree_of(low, high, np.arange(len(starts))), closed
+    )
 
 
 def join_clouds(clouds: list[Cloud]) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """Exact distance of convex solids (GJK), float64 and scalar: the second tier of the kernel.
 
 Solids are a type with numbers: 0 points (hull of vertices), 1 sphere, 2 box, 3 capsule, 4 cylinder, 5 cone,
-6 half space; and parts of clouds, whose numbers are in the scratch: 7 ball, 8 cell (cube), 9 triangle. The algorithm is Gilbert, Johnson and Keerthi's with Ericson's closest points of simplices
-("Real-Time Collision Detection", 5.1 and 9.5); checked against coal in the tests.
+6 half space; and parts of clouds, whose numbers are in the scratch: 7 ball, 8 cell (cube), 9 triangle. The
+algorithm is Gilbert, Johnson and Keerthi's with Ericson's closest points of simplices ("Real-Time Collision
+Detection", 5.1 and 9.5); checked against coal in the tests.
 """
 
 # pyright: reportCallIssue=false

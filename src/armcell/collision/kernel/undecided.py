@@ -3,7 +3,7 @@
 Last, because another pair of the same block may touch for certain, and then none of this is needed.
 """
 
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
@@ -332,7 +332,7 @@ def _is_inside(I, F, D, w, state, s, body, other, lane):
         px = np.float32(F[m] * x + F[m + 1] * y + F[m + 2] * z + F[m + 3])
         py = np.float32(F[m + 4] * x + F[m + 5] * y + F[m + 6] * z + F[m + 7])
         pz = np.float32(F[m + 8] * x + F[m + 9] * y + F[m + 10] * z + F[m + 11])
-        if abs(px) < F[size] and abs(py) < F[size + 1] and abs(pz) < F[size + 2]:
-            if encloses(I, F, state, other, px, py, pz):
-                return True
+        within = abs(px) < F[size] and abs(py) < F[size + 1] and abs(pz) < F[size + 2]
+        if within and encloses(I, F, state, other, px, py, pz):
+            return True
     return False

@@ -71,8 +71,8 @@ def object_part(item: CollisionObject) -> ObjectPart:
         pieces_end.append(count)
     return ObjectPart(
         np.array(kinds, np.int32),
-        np.array(poses, np.float32),
-        np.array(sizes, np.float32),
+        np.array(poses, np.float32).reshape(-1, 12),
+        np.array(sizes, np.float32).reshape(-1, 3),
         np.concatenate([np.zeros((0, 4)), *planes]).astype(np.float32),
         np.array(planes_end, np.int32),
         np.array(low).reshape(-1, 3),
