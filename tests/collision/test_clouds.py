@@ -147,7 +147,7 @@ def surface_points(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 class BareMeshes:
-    """Distance of a robot's links (pinocchio's reader, coal on bare triangles) to a cloud's parts near them."""
+    """Distance of a robot's links (pinocchio's reader, coal on bare triangles) to the parts near them."""
 
     def __init__(self, scene: PlanningScene, name: str, shape: PointCloud | Octree):
         model, self.geometry = pin_geometry(name)
