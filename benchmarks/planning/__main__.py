@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.planning import commands, report
+from benchmarks.planning import commands, memory, report
 from benchmarks.planning.bars import lines
 from benchmarks.planning.peers import NATIVE, OmplCoal, all_peers
 from benchmarks.planning.pose_goals import pose_goals
@@ -100,6 +100,7 @@ def _others(results: dict[str, Any]) -> None:
         "timing": lambda: commands.bench("timing", "--robot", "panda", "--peer"),
         "pose_goals": lambda: pose_goals(50),
         "compile": commands.compile_times,
+        "memory": memory.measure,
     }
     for name, measure in sections.items():
         print(f"{name} ...", file=sys.stderr)

@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 import pytest
-from benchmarks.planning import commands
+from benchmarks.planning import commands, memory
 from benchmarks.planning.__main__ import main
 from benchmarks.planning.bars import lines
 from benchmarks.planning.pinocchio_world import PinocchioWorld
@@ -95,6 +95,12 @@ def test_without_problems_the_lines_say_where_they_are_expected(tmp_path, capsys
     verdicts = [line.verdict for line in lines(json.loads(out.read_text()))]
     assert all(verdict.startswith("skipped: ") for verdict in verdicts)
     assert sum("MBM=/path" in verdict for verdict in verdicts) == 8
+
+
+def test_memory_with_a_cloud():
+    found = memory.measure()
+    assert found["points"] == 200_000 and 0 < found["mb"] <= 300 and found["build_ms"] < 1000
+    assert found["solved"] == found["tasks"] > 20
 
 
 def test_the_second_look_agrees_with_the_exact_checker(folder):

@@ -7,7 +7,20 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Sphere, UnknownNameError
+from armcell.core import (
+    SE3,
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    InputError,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Sphere,
+    UnknownNameError,
+)
 from armcell.kinematics import kinematic_tree
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
@@ -115,6 +128,14 @@ def test_every_shape_becomes_a_body():
     world.step(1000)
     assert all(abs(world.object_twist(name)[2]) < 0.1 for name in shapes)  # all lie on the floor
     assert {c.body_a for c in world.contacts()} | {c.body_b for c in world.contacts()} == {*shapes, "floor"}
+
+
+def test_physics_says_that_it_does_not_see_clouds(caplog):
+    cloud = CollisionObject.single("scan", PointCloud(np.zeros((5, 3)), 0.01))
+    map_ = CollisionObject.single("map", Octree(np.zeros((1, 3)), [0.1]))
+    world = SimWorld(PlanningScene.of(load_robot("ur10"), objects=[cloud, map_]))
+    world.step(10)
+    assert "scan:0 is a PointCloud" in caplog.text and "map:0 is a Octree" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,9 @@ from armcell.core import (
     JointState,
     JointTrajectory,
     Mesh,
+    Octree,
     Plane,
+    PointCloud,
     Sphere,
     StateSample,
 )  # fmt: skip
@@ -203,6 +205,17 @@ def test_a_cone_points_up_and_a_plane_lies_below_zero():
     cone = g.shape_part(Cone(0.1, 0.3), (1, 0, 0, 1)).vertices
     np.testing.assert_allclose(cone[cone[:, 2] > 0.149][:, :2], 0, atol=1e-9)
     assert g.shape_part(Plane(), (1, 0, 0, 1)).vertices[:, 2].max() == 0
+
+
+def test_clouds_are_drawn(viewer):
+    api, T = viewer._server.scene, SE3.from_xyz(1.0, 2.0, 3.0)
+    points = np.random.default_rng(0).random((300_000, 3))
+    drawn = g.add_object_shape(api, "/cloud", PointCloud(points, 0.01), T, (1.0, 0.5, 0.0, 1.0))
+    assert len(drawn.points) <= g.MAX_POINTS * 1.5 and drawn.point_size == pytest.approx(0.02)
+    cells = Octree([[0.0, 0, 0], [1.0, 0, 0]], [0.1, 0.2])
+    drawn = g.add_object_shape(api, "/cells", cells, T, (1.0, 0.5, 0.0, 1.0))
+    np.testing.assert_allclose(np.sort(drawn.batched_scales.ravel()), [0.1, 0.2])
+    np.testing.assert_allclose(drawn.position, T.translation)
 
 
 def test_decimation_keeps_the_size_and_its_budget():

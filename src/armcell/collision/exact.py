@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.collision.broad import box_gaps, world_boxes
 from armcell.collision.certificate import Certificate
 from armcell.collision.certify import certify_path
+from armcell.collision.many import distance_to_many, touches_many
 from armcell.collision.shapes import Solid, solid
 from armcell.core import SE3, Contact
 from armcell.kinematics import kinematic_tree
@@ -151,6 +152,9 @@ class ExactChecker:
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._request.security_margin = margin
         self._result.clear()
+        if gb.many is not None:  # it stands in the world, so that it is the second of a pair
+            here, there = self._transform(a), self._transform(b)
+            return touches_many(ga, here, gb.many, there, self._request, self._result)
         hit = coal.collide(
             ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result
         )
@@ -160,7 +164,7 @@ class ExactChecker:
         """Whether one of two geometries whose surfaces do not touch lies wholly inside the other."""
         for outer, inner in ((a, b), (b, a)):
             around, other = self.geometries[outer].solid, self.geometries[inner].solid
-            if around.hollow is None:
+            if around.hollow is None or not self._solid_inside(outer):
                 continue
             point = other.hollow.vertices[0] if other.hollow is not None else other.centre
             here, there = self._transform(inner), self._transform(outer)
@@ -169,10 +173,18 @@ class ExactChecker:
                 return True
         return False
 
+    def _solid_inside(self, i: int) -> bool:
+        """What a mesh of the world encloses is solid if it has no rim; a robot's links always are."""
+        return self._link[i] >= 0 or self.geometries[i].solid.closed
+
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
         """Signed distance [m] of two geometries by index; `outer` measures the convex outer shapes."""
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._distance_result.clear()
+        if gb.many is not None:
+            here, there = self._transform(a), self._transform(b)
+            request, result = self._distance_request, self._distance_result
+            return distance_to_many(ga, here, gb.many, there, request, result, outer)
         distance = float(
             coal.distance(
                 ga.outer if outer else ga.exact, self._transform(a),
@@ -310,13 +322,17 @@ def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.Dista
         for shape_b, T_b in b.shapes:
             B = b.T_world_object @ T_b
             result.clear()
-            best = min(
-                best,
-                coal.distance(
-                    solid(shape_a).exact, coal.Transform3s(A.rotation.matrix, A.translation),
-                    solid(shape_b).exact, coal.Transform3s(B.rotation.matrix, B.translation), request, result,
-                ),
-            )  # fmt: skip
+            one = (solid(shape_a), coal.Transform3s(A.rotation.matrix, A.translation))
+            two = (solid(shape_b), coal.Transform3s(B.rotation.matrix, B.translation))
+            if one[0].many is not None:
+                one, two = two, one
+            if one[0].many is not None:
+                continue  # clouds stand where they are: nobody asks
+            if two[0].many is not None:
+                found = distance_to_many(*one, two[0].many, two[1], request, result)
+            else:
+                found = coal.distance(one[0].exact, one[1], two[0].exact, two[1], request, result)
+            best = min(best, found)
     return float(best)
 
 

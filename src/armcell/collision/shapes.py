@@ -11,8 +11,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from armcell.collision.many import Many
 from armcell.collision.winding import winding_numbers
-from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 from armcell.core.geometry import local_bounds
 
 Array = NDArray[np.float64]
@@ -27,7 +28,9 @@ no vertex is deeper than `CONVEX_DENT` [m] inside it."""
 class Solid:
     """A shape ready for coal. `outer` is a convex geometry around it (itself, if it is convex).
 
-    coal sees only the surface of a mesh that is not convex: `hollow` is that mesh, to ask what is inside.
+    coal sees only the surface of a mesh that is not convex: `hollow` is that mesh, to ask what is inside, and
+    `closed` says that it has no rim. What has very many parts is `many` (and `exact` the box around it, not
+    to be used).
     """
 
     exact: coal.CollisionGeometry
@@ -35,12 +38,14 @@ class Solid:
     centre: Array  # (3,) of the box around it, in the shape's frame [m]
     half: Array  # (3,) half extents of that box [m]
     hollow: Mesh | None = None
+    many: Many | None = None
+    closed: bool = True
 
     def holds(self, point: Array) -> bool:
         """Whether a point (3,) of the shape's frame is inside a mesh that is not convex."""
         if self.hollow is None or np.any(np.abs(point - self.centre) > self.half):
             return False
-        return bool(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0] > 0.5)
+        return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
 
 
 @lru_cache(maxsize=1024)
@@ -60,13 +65,16 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             exact = coal.Cone(shape.radius * scale, shape.length * scale)
         case Plane():
             exact = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+        case PointCloud() | Octree():
+            around = coal.Box(*np.maximum(2 * half * scale, 1e-6))
+            return Solid(around, around, centre * scale, half * scale, None, Many.of(shape, scale))
         case Mesh():
             outer = _hull(shape.vertices * scale)
             if is_convex(shape):
                 return Solid(outer, outer, centre * scale, half * scale)
             hollow = Mesh(shape.vertices * scale, shape.faces)
             exact = triangle_model(hollow.vertices, hollow.faces)
-            return Solid(exact, outer, centre * scale, half * scale, hollow)
+            return Solid(exact, outer, centre * scale, half * scale, hollow, closed=is_closed(shape))
     return Solid(exact, exact, centre * scale, half * scale)
 
 
@@ -82,6 +90,12 @@ def is_convex(mesh: Mesh) -> bool:
     return all(
         float(np.max(planes[:, :3] @ vertex + planes[:, 3])) >= -CONVEX_DENT for vertex in mesh.vertices
     )
+
+
+@lru_cache(maxsize=1024)
+def is_closed(mesh: Mesh) -> bool:
+    """Whether a mesh has no rim: what it encloses is solid. One with a rim is a surface, nothing more."""
+    return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
 
 
 def _points(vertices: Array) -> coal.StdVec_Vec3s:

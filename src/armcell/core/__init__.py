@@ -1,5 +1,6 @@
 """Values and names shared by every room: poses, joints, shapes, results, errors, registry."""
 
+from armcell.core.clouds import Octree, PointCloud, finite_points
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
 from armcell.core.events import Event, Observer, StateSample
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
@@ -33,14 +34,17 @@ __all__ = [
     "MissingExtraError",
     "NamedGoal",
     "Observer",
+    "Octree",
     "Outcome",
     "PlanRequest",
     "PlanResult",
     "Plane",
+    "PointCloud",
     "PoseGoal",
     "Registry",
     "Shape",
     "Sphere",
     "StateSample",
     "UnknownNameError",
+    "finite_points",
 ]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.core.clouds import Octree, PointCloud
 from armcell.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -132,7 +133,7 @@ class Mesh:
         return np.maximum(np.abs(self.vertices.min(0)), np.abs(self.vertices.max(0)))
 
 
-Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh
+Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | Octree
 
 
 def extent(shape: Shape, direction: Array) -> tuple[float, float]:
@@ -143,6 +144,13 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
         case Mesh():
             along = shape.vertices @ np.asarray(direction)
             return float(along.min()), float(along.max())
+        case PointCloud():
+            along = shape.points @ np.asarray(direction)
+            return float(along.min(initial=0.0)) - shape.radius, float(along.max(initial=0.0)) + shape.radius
+        case Octree():
+            along = shape.centres @ np.asarray(direction)
+            reach = float(np.abs(direction).sum()) * shape.sizes / 2
+            return float((along - reach).min(initial=0.0)), float((along + reach).max(initial=0.0))
         case Box():
             half = float(np.abs(direction) @ shape.half_extents)
         case Sphere():
@@ -163,6 +171,9 @@ def local_bounds(shape: Shape) -> tuple[Array, Array]:
     """Centre and half extents (3,), (3,) [m] of the axis-aligned box around a shape, in its frame."""
     if isinstance(shape, Mesh):
         low, high = shape.vertices.min(0), shape.vertices.max(0)
+        return (low + high) / 2, (high - low) / 2
+    if isinstance(shape, PointCloud | Octree):
+        low, high = shape.bounds
         return (low + high) / 2, (high - low) / 2
     if isinstance(shape, Plane):  # everything below z = 0
         return np.array([0.0, 0.0, -PLANE_EXTENT_M]), shape.half_extents

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 from armcell.scene.objects import shape_volume
 
 Array = NDArray[np.float64]
@@ -42,8 +42,8 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
             if not (mesh.is_watertight and abs(mesh.volume) > 0):
                 mesh = mesh.convex_hull
             return np.array(mesh.center_mass), np.array(mesh.moment_inertia) / mesh.volume
-        case Plane():
-            raise ValueError("a plane has no inertia")
+        case Plane() | PointCloud() | Octree():
+            raise ValueError(f"a {type(shape).__name__} does not move: it has no inertia")
 
 
 def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Array, Array]:

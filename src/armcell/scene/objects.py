@@ -7,13 +7,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+from armcell.core import (
+    SE3,
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    InputError,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+)
 from armcell.core.geometry import extent, local_bounds
 
 Color = tuple[float, float, float, float]
 
 DEFAULT_DENSITY = 600.0
 """[kg/m^3] where no mass is given: between softwood and plastic parts."""
+
+
+CLOUDS_STAND = "point clouds and octrees are obstacles that stand in the world; they cannot move or be held"
+USE_A_SOLID = "describe what moves by solids or a mesh"
 
 
 @dataclass(frozen=True)
@@ -58,6 +75,8 @@ class CollisionObject:
             raise InputError(f"object {self.name!r}: mass is {self.mass:g} kg, it must be positive")
         if self.movable and any(isinstance(s, Plane) for s, _ in self.shapes):
             raise InputError(f"object {self.name!r}: a plane cannot move")
+        if self.movable and self.has_cloud:
+            raise InputError(f"object {self.name!r}: {CLOUDS_STAND}", cure=USE_A_SOLID)
 
     @staticmethod
     def single(name: str, shape: Shape, pose: SE3 | None = None, **properties) -> CollisionObject:
@@ -66,6 +85,11 @@ class CollisionObject:
 
     def at(self, T_world_object: SE3) -> CollisionObject:
         return replace(self, T_world_object=T_world_object)
+
+    @property
+    def has_cloud(self) -> bool:
+        """Whether one of its shapes is a point cloud or octree."""
+        return any(isinstance(shape, PointCloud | Octree) for shape, _ in self.shapes)
 
     @property
     def volume(self) -> float:
@@ -97,7 +121,10 @@ class CollisionObject:
 
 
 def shape_volume(shape: Shape) -> float:
-    """[m^3]; a plane has none, a mesh that is not closed takes its convex hull's."""
+    """[m^3]; a plane has none, a mesh that is not closed takes its convex hull's.
+
+    Parts of clouds count as often as they overlap.
+    """
     match shape:
         case Box():
             return shape.x * shape.y * shape.z
@@ -114,5 +141,9 @@ def shape_volume(shape: Shape) -> float:
 
             mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
             return float(abs(mesh.volume) if mesh.is_watertight else mesh.convex_hull.volume)
+        case Octree():
+            return float(np.sum(shape.sizes**3))
+        case PointCloud():
+            return float(len(shape.points) * 4 / 3 * np.pi * shape.radius**3)
         case Plane():
             return 0.0

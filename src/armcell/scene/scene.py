@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, InputError, JointState, UnknownNameError
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
-from armcell.scene.objects import CollisionObject
+from armcell.scene.objects import CLOUDS_STAND, USE_A_SOLID, CollisionObject
 
 Array = NDArray[np.float64]
 WORLD = "world"
@@ -113,6 +113,8 @@ class PlanningScene:
         for touch in touches:
             self.model.link(touch)
         item = self.objects[name]
+        if item.has_cloud:
+            raise InputError(f"object {name!r}: {CLOUDS_STAND}", cure=USE_A_SOLID)
         T_link_object = self.frame_pose(link).inv() @ item.T_world_object
         body = AttachedBody(item, link, T_link_object, touches)
         return replace(self.without_object(name), attached={**self.attached, name: body})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,9 @@ import mujoco
 import numpy as np
 
 from armcell.collision.convex import convex_pieces
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
+
+logger = logging.getLogger(__name__)
 
 GEOM = mujoco.mjtGeom
 _CONE_EDGES = 48
@@ -32,7 +35,13 @@ class GeomAdder:
         self._kept: list[Mesh] = []  # ids stay valid while the meshes live
 
     def add_solid(self, body: Any, shape: Shape, T_body_shape: SE3, name: str, **values: Any) -> list[Any]:
-        """Colliding geoms of one shape: a primitive stays one, a mesh becomes its convex pieces."""
+        """Colliding geoms of one shape: a primitive stays one, a mesh becomes its convex pieces.
+
+        Point clouds and octrees have none: physics takes no part in them.
+        """
+        if isinstance(shape, PointCloud | Octree):
+            logger.warning("%s is a %s: physics does not see it", name, type(shape).__name__)
+            return []
         kind = _PRIMITIVES.get(type(shape))
         if kind is not None:
             return [self._geom(body, T_body_shape, name, type=kind[0], size=kind[1](shape), **values)]

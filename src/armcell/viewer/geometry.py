@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 from armcell.model.assets import DEFAULT_COLOR, load_visual_parts
 from armcell.model.robot import Link, Visual
 
@@ -32,6 +32,8 @@ MAX_FACES = 10_000
 """Per coloured part of a mesh file: beyond this it is decimated, or a software-rendered browser crawls."""
 SMOOTH_ANGLE = np.deg2rad(35.0)
 """Edges sharper than this keep their crease when shaded."""
+MAX_POINTS = 100_000
+"""Of a cloud that are drawn."""
 PLANE_DRAWN_M = 6.0
 PLANE_THICKNESS_M = 0.01
 _SECTIONS = 32
@@ -176,8 +178,40 @@ def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]
     return visuals, collisions
 
 
+def _add_points(api: SceneApi, name: str, shape: PointCloud, T: SE3, color: Color) -> Any:
+    points = shape.points[:: max(len(shape.points) // MAX_POINTS, 1)]
+    return api.add_point_cloud(
+        name,
+        points.astype(np.float32),
+        tuple(round(255 * c) for c in color[:3]),  # pyright: ignore[reportArgumentType]
+        point_size=2 * shape.radius,
+        wxyz=T.quat_wxyz,
+        position=T.translation,
+    )
+
+
+def _add_cells(api: SceneApi, name: str, shape: Octree, T: SE3, color: Color) -> Any:
+    cube = trimesh.creation.box((1.0, 1.0, 1.0))
+    some = np.argsort(-shape.sizes, kind="stable")[:MAX_POINTS]  # the largest of very many
+    return api.add_batched_meshes_simple(
+        name,
+        np.asarray(cube.vertices, np.float32),
+        np.asarray(cube.faces),
+        batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (len(some), 1)),
+        batched_positions=shape.centres[some],
+        batched_scales=shape.sizes[some],
+        batched_colors=tuple(round(255 * c) for c in color[:3]),  # pyright: ignore[reportArgumentType]
+        wxyz=T.quat_wxyz,
+        position=T.translation,
+    )
+
+
 def add_object_shape(api: SceneApi, name: str, shape: Shape, T: SE3, color: Color) -> Any:
-    """Draw one shape of an object; a plane gets a grid on top."""
+    """Draw one shape of an object; a plane gets a grid on top. Clouds are points, octrees cubes."""
+    if isinstance(shape, PointCloud):
+        return _add_points(api, name, shape, T, color)
+    if isinstance(shape, Octree):
+        return _add_cells(api, name, shape, T, color)
     handle = add_part(api, name, shape_part(shape, color), T)
     if isinstance(shape, Plane):
         api.add_grid(

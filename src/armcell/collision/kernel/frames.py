@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.cover import GROUP
 from armcell.collision.kernel.layout import (
     BODIES,
     COLUMN,
@@ -34,12 +35,15 @@ EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `check_block`
 
 # What `state` holds: the block's number, the lanes still to be decided (bits), whether one of them certainly
 # touches, and the pairs that wait for the exact tier (three numbers each); then the blocks in which the
-# centres were computed, and the stack of the walk through the world's boxes.
+# centres were computed, and the stack of the walk through the world's boxes (a cloud's lie above those).
 NOW, ALIVE, TOUCHING, WAITING, ENTRIES = 0, 1, 2, 3, 4
 MAX_WAITING = 64
 STACK = ENTRIES + 3 * MAX_WAITING
 MAX_STACK = 256
-STAMPS = STACK + MAX_STACK
+LISTED = STACK + MAX_STACK  # parts of a cloud that wait for the exact tier, in one lane
+MAX_LISTED = 512
+PLACED = LISTED + MAX_LISTED  # the group whose spheres are placed in a cloud's frame
+STAMPS = PLACED + 1
 
 # Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
 AT_A, AT_B, AT_RELATIVE = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24
@@ -55,11 +59,12 @@ def workspace(flat: Flat) -> Workspace:
     The lanes hold, in this order: positions (dof), what each joint moves by per unit of the edge (dof), half
     the width of each lane's interval in that unit, the turning of all joints in it, the exact tier's 8,
     frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centres (3 each), and
-    in a proof the centres' velocities and speeds (4 each) and what the bodies' margins have beside them.
+    in a proof the centres' velocities and speeds (4 each) and what the bodies' margins have beside them; then
+    centres and velocities (6 each) of one group's spheres in a cloud's frame, and the ball around them (4).
     """
     I = flat[0]
     centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
-    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centres + I[BODIES]) * L
+    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centres + I[BODIES] + 6 * GROUP + 4) * L
     raw = np.zeros(size + 16, np.float32)
     start = (-raw.ctypes.data % 64) // 4
     return raw[start : start + size], np.zeros(STAMPS + centres, np.int64), np.zeros(SCRATCH, np.float64)
@@ -110,6 +115,18 @@ def velocity_at(I, i):
 def more_at(I, body):
     """Where a proof keeps what body's margins have beside its speed (see bend), seen from the world."""
     return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
+
+
+@njit(cache=True, forceinline=True)
+def local_at(I):
+    """Where centres and velocities of a group's spheres are kept in a cloud's frame: 6 vectors each."""
+    return more_at(I, I[BODIES])
+
+
+@njit(cache=True, forceinline=True)
+def ball_at(I):
+    """Where centre and radius of the ball around them are kept."""
+    return local_at(I) + 6 * GROUP * L
 
 
 @njit(cache=True, forceinline=True)

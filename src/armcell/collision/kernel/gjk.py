@@ -1,8 +1,9 @@
 """Exact distance of convex solids (GJK), float64 and scalar: the second tier of the kernel.
 
 Solids are a type with numbers: 0 points (hull of vertices), 1 sphere, 2 box, 3 capsule, 4 cylinder, 5 cone,
-6 half space. The algorithm is Gilbert, Johnson and Keerthi's with Ericson's closest points of simplices
-("Real-Time Collision Detection", 5.1 and 9.5); checked against coal in the tests.
+6 half space; and parts of clouds, whose numbers are in the scratch: 7 ball, 8 cell (cube), 9 triangle. The
+algorithm is Gilbert, Johnson and Keerthi's with Ericson's closest points of simplices ("Real-Time Collision
+Detection", 5.1 and 9.5); checked against coal in the tests.
 """
 
 # pyright: reportCallIssue=false
@@ -25,10 +26,11 @@ from armcell.collision.kernel.simd import (
     vmax,
 )
 
-POINTS, SPHERE, BOX, CAPSULE, CYLINDER, CONE, HALFSPACE = range(7)
+POINTS, SPHERE, BOX, CAPSULE, CYLINDER, CONE, HALFSPACE, BALL, CELL, TRIANGLE = range(10)
 MAX_ITERATIONS = 64
-SCRATCH = 64  # float64 numbers that `distance` needs
+SCRATCH = 68  # float64 numbers that `distance` needs
 NORMAL = 54
+PART = 58  # of a cloud: radius, half the edge, or three corners
 TOLERANCE = 1e-6  # [m] of the distance, beside this share of what is enough:
 SHARE = 0.05
 TOUCHING = 1e-7  # [m] solids closer than this touch: points are chosen in float32
@@ -50,11 +52,34 @@ def _farthest(F, first, count, dx, dy, dz):
 
 
 @njit(cache=True)
+def _part_support(kind, dx, dy, dz, s, out):
+    """`support` of the part of a cloud whose numbers are at s[PART:]."""
+    a = s[PART]
+    if kind == BALL:
+        n = a / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300)
+        s[out], s[out + 1], s[out + 2] = n * dx, n * dy, n * dz
+    elif kind == CELL:
+        s[out] = a if dx >= 0 else -a
+        s[out + 1] = a if dy >= 0 else -a
+        s[out + 2] = a if dz >= 0 else -a
+    else:
+        best, most = PART, -1e300
+        for k in range(PART, PART + 9, 3):
+            along = s[k] * dx + s[k + 1] * dy + s[k + 2] * dz
+            if along > most:
+                best, most = k, along
+        s[out], s[out + 1], s[out + 2] = s[best], s[best + 1], s[best + 2]
+
+
+@njit(cache=True)
 def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
     """Farthest point of a solid, in its own frame, along (dx, dy, dz); into s[out : out + 3].
 
     `size` is where its three numbers are in D, `first` where its points are, `first32` where they are in F.
     """
+    if kind >= BALL:
+        _part_support(kind, dx, dy, dz, s, out)
+        return
     a, b = D[size], D[size + 1]
     if kind == POINTS:
         best = first + 3 * _farthest(F, first32, count, dx, dy, dz)

@@ -38,7 +38,10 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     CHILD,
     PIECE_KIND,
     PIECE_POINTS,
-) = range(7, 26)
+    SHAPE_CLOUD,
+    CLOUD,
+    CLOUD_CHILD,
+) = range(7, 29)
 # of floats in F
 (
     FIXED,
@@ -56,7 +59,9 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     PLANES,
     BOXES,
     POINTS32,
-) = range(26, 41)
+    CLOUD_BOXES,
+    CLOUD_PARTS,
+) = range(29, 46)
 # of doubles in D
 (
     PIECE_SIZE,
@@ -65,8 +70,8 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     POINTS,
     REACH,
     PAIR_REACH,
-) = range(41, 47)
-HEADER = 48
+) = range(46, 52)
+HEADER = 52
 
 _INTS = (
     "parent",
@@ -88,6 +93,9 @@ _INTS = (
     "child",
     "piece_kind",
     "piece_points",
+    "shape_cloud",
+    "cloud",
+    "cloud_child",
 )
 _FLOATS = (
     "fixed",
@@ -105,6 +113,8 @@ _FLOATS = (
     "planes",
     "boxes",
     "points32",
+    "cloud_boxes",
+    "cloud_parts",
 )
 _DOUBLES = (
     "piece_size",
@@ -141,7 +151,7 @@ def flatten(p: Pack) -> Flat:
     def table(names: tuple[str, ...], first: int, dtype: type, begin: int) -> list[np.ndarray]:
         parts, at = [], begin
         for i, name in enumerate(names):
-            flat = np.ascontiguousarray(getattr(p, name)).astype(dtype).ravel()
+            flat = np.ascontiguousarray(getattr(p, name)).astype(dtype, copy=False).ravel()
             header[first + i] = at
             at += len(flat)
             parts.append(flat)

@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel.box_tree import box_tree
+from armcell.collision.kernel.cloud_part import join_clouds
 from armcell.collision.kernel.pieces import join_pieces
 from armcell.collision.kernel.robot_part import RobotPart, kept, robot_part
-from armcell.collision.kernel.world_part import box_tree, object_part
+from armcell.collision.kernel.world_part import object_part
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
@@ -56,6 +58,12 @@ class Pack(NamedTuple):
     boxes: F32  # (blocks, 6, L) axis-aligned boxes, 16 a block, block 0 outermost; unused lanes are empty
     child: I32  # (blocks, L) the shape in each box, or minus the block of boxes inside it
     shape_pieces: I32  # (o + 1,) first exact piece of each world shape
+    shape_cloud: I32  # (o,) the cloud that a shape is the box of, or -1
+    # clouds: shapes of very many parts, in the frame of their box (see cloud_part)
+    cloud: I32  # (c, 4) kind of part, first block of boxes, first number in cloud_parts, whether closed
+    cloud_boxes: F32  # (blocks, 6, L) as boxes
+    cloud_child: I32  # (blocks, L) the block of parts in each box, or minus the block of boxes in it
+    cloud_parts: F32  # blocks of L parts
     # exact pieces: convex solids of bodies (in their frame) and of world shapes (in the world)
     piece_kind: I32  # (e,)
     piece_size: F64  # (e, 3)
@@ -102,12 +110,14 @@ def _packed(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
         np.vstack(lows) if lows else np.zeros((0, 3)),
         np.vstack([part.high for part in objects]) if lows else np.zeros((0, 3)),
     )
-    first_plane, first_piece, planes = [0], [len(robot.pieces.kind)], 0
+    first_plane, first_piece, planes, cloud, clouds = [0], [len(robot.pieces.kind)], 0, [], 0
     pieces = first_piece[0]
     for part in objects:
         first_plane += (part.planes_end + planes).tolist()
         first_piece += (part.pieces_end + pieces).tolist()
         planes, pieces = first_plane[-1], first_piece[-1]
+        cloud += [k if k < 0 else k + clouds for k in part.cloud.tolist()]
+        clouds += len(part.clouds)
 
     def joined(name: str, dtype: type, *shape: int) -> NDArray:
         return np.concatenate([np.zeros((0, *shape), dtype), *(getattr(part, name) for part in objects)])
@@ -125,6 +135,8 @@ def _packed(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
         boxes=boxes,
         child=child,
         shape_pieces=np.array(first_piece, np.int32),
+        shape_cloud=np.array(cloud, np.int32),
+        **join_clouds([cloud for part in objects for cloud in part.clouds]),
     ), Names(robot.bodies, names)
 
 

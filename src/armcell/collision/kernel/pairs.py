@@ -37,7 +37,8 @@ from armcell.collision.kernel.layout import (
     SPHERE,
 )
 from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat, vabs, vsqrt
-from armcell.collision.kernel.undecided import fail, touch, wait
+from armcell.collision.kernel.undecided import wait
+from armcell.collision.kernel.verdict import fail, touch
 
 DONE = np.int64(-1)
 

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from armcell.collision.shapes import triangle_model
 from armcell.collision.winding import winding_numbers
-from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 
 Array = NDArray[np.float64]
 
@@ -39,8 +39,10 @@ def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
         case Sphere():
             mesh = trimesh.creation.icosphere(3, shape.radius)
             gap = shape.radius * 0.01
-        case Plane():
-            raise ValueError("a plane has no cover: it is not a part of robots or moving objects")
+        case Plane() | PointCloud() | Octree():
+            raise ValueError(
+                f"a {type(shape).__name__} has no cover: it is no part of robots or moving objects"
+            )
     return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64), float(gap)
 
 

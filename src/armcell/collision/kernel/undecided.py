@@ -3,7 +3,7 @@
 Last, because another pair of the same block may touch for certain, and then none of this is needed.
 """
 
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.cloud import encloses, next_parts
 from armcell.collision.kernel.frames import (
     ALIVE,
     AT_A,
@@ -18,11 +19,10 @@ from armcell.collision.kernel.frames import (
     AT_RELATIVE,
     CLOSE,
     ENTRIES,
-    FIRST,
+    LISTED,
     MAX_WAITING,
     PADDED,
     PROVE,
-    TOUCHING,
     WAITING,
     bend,
     centre_at,
@@ -33,8 +33,10 @@ from armcell.collision.kernel.frames import (
     velocity_at,
 )
 from armcell.collision.kernel.layout import (
+    BODY_GROUPS,
     BODY_PIECES,
     BODY_SPHERE,
+    CLOUD,
     DOF,
     FRAME,
     MARGIN,
@@ -49,31 +51,25 @@ from armcell.collision.kernel.layout import (
     POINTS,
     POINTS32,
     RATE,
+    SHAPE_CLOUD,
     SHAPE_OBJECT,
     SHAPE_PIECES,
+    SHAPE_POSE,
+    SHAPE_SIZE,
 )
 from armcell.collision.kernel.simd import L, fma, load, splat, store, trailing_zeros, vsqrt
+from armcell.collision.kernel.verdict import CONTACT, FREE, UNPROVEN, fail, touch
 
-FREE, UNPROVEN, CONTACT = 0, 1, 2
-
-
-@njit(cache=True)
-def fail(state, lanes, mode):
-    """Note that these lanes are not free; True where nothing is left to find out."""
-    state[ALIVE] &= ~lanes
-    return mode & PROVE == 0 or state[ALIVE] == 0
-
-
-@njit(cache=True)
-def touch(state, lanes, mode):
-    """As `fail`, for lanes that touch for certain."""
-    state[TOUCHING] |= lanes
-    return fail(state, lanes, mode) or mode & FIRST != 0
+INSIDE = np.int64(1) << 40
+"""Added to a world shape that waits: whether a body is wholly inside its closed mesh."""
 
 
 @njit(cache=True)
 def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
-    """Have the exact tier decide these lanes of a body against world shape `other` (or pair -1 - `other`)."""
+    """Have the exact tier decide these lanes of a body against world shape `other` (or pair -1 - `other`).
+
+    With `INSIDE` added to `other` it asks only whether the body is inside that shape's mesh.
+    """
     if state[WAITING] == MAX_WAITING and decide(I, F, D, w, state, s, slack, slack_pair, mode):
         return True
     entry = ENTRIES + 3 * state[WAITING]
@@ -92,12 +88,18 @@ def decide(I, F, D, w, state, s, slack, slack_pair, mode):
         lanes = state[ENTRIES + 3 * k + 2] & state[ALIVE]
         if lanes == 0:
             continue
-        _needs(I, F, w, slack, slack_pair, body, other, mode)
+        if other < INSIDE:
+            _needs(I, F, w, slack, slack_pair, body, other, mode)
         warm = False
         while lanes != 0:
             lane = trailing_zeros(lanes)
             lanes &= lanes - 1
-            answer = _exact_lane(I, F, D, w, s, body, other, lane, warm, mode)
+            if other >= INSIDE:
+                answer = CONTACT if _is_inside(I, F, D, w, state, s, body, other - INSIDE, lane) else FREE
+            elif other >= 0 and I[I[SHAPE_CLOUD] + other] >= 0:
+                answer = _cloud_lane(I, F, D, w, state, s, body, other, lane, mode)
+            else:
+                answer = _exact_lane(I, F, D, w, s, body, other, lane, warm, mode)
             warm = True
             bit = np.int64(1) << lane
             if answer != FREE and (touch(state, bit, mode) if answer == CONTACT else fail(state, bit, mode)):
@@ -161,6 +163,17 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 
 @njit(cache=True)
+def _relative(s):
+    """A in B's frame."""
+    A, B, R = AT_A, AT_B, AT_RELATIVE
+    for i in range(3):
+        for j in range(3):
+            s[R + 4 * i + j] = s[B + i] * s[A + j] + s[B + 4 + i] * s[A + 4 + j] + s[B + 8 + i] * s[A + 8 + j]
+        x, y, z = s[A + 3] - s[B + 3], s[A + 7] - s[B + 7], s[A + 11] - s[B + 11]
+        s[R + 4 * i + 3] = s[B + i] * x + s[B + 4 + i] * y + s[B + 8 + i] * z
+
+
+@njit(cache=True)
 def _piece_distance(I, F, D, a, b, enough, warm, s):
     """Distance of piece a at s[AT_A:] to piece b at s[AT_B:] [m]; above `enough` a lower bound."""
     A, B, R = AT_A, AT_B, AT_RELATIVE
@@ -173,11 +186,7 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
     apart = enough + D[ball_a + 3] + D[ball_b + 3]
     if gap2 > apart * apart:
         return np.sqrt(gap2) - D[ball_a + 3] - D[ball_b + 3]
-    for i in range(3):
-        for j in range(3):
-            s[R + 4 * i + j] = s[B + i] * s[A + j] + s[B + 4 + i] * s[A + 4 + j] + s[B + 8 + i] * s[A + 8 + j]
-        x, y, z = s[A + 3] - s[B + 3], s[A + 7] - s[B + 7], s[A + 11] - s[B + 11]
-        s[R + 4 * i + 3] = s[B + i] * x + s[B + 4 + i] * y + s[B + 8 + i] * z
+    _relative(s)
     ka, kb = I[I[PIECE_KIND] + a], I[I[PIECE_KIND] + b]
     sa, sb = I[PIECE_SIZE] + 3 * a, I[PIECE_SIZE] + 3 * b
     pa, pb = I[PIECE_POINTS] + 2 * a, I[PIECE_POINTS] + 2 * b
@@ -245,3 +254,86 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
                 return UNPROVEN
     return FREE
+
+
+@njit(cache=True)
+def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
+    """As `_exact_lane`, against the cloud of a world shape."""
+    group, end = I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]
+    top = np.int64(0)
+    while group < end:
+        group, top, count = next_parts(I, F, w, state, body, other, lane, mode, group, top, 0)
+        if count > 0:
+            answer = _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode)
+            if answer != FREE:
+                return answer
+    return FREE
+
+
+@njit(cache=True)
+def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
+    """As `_exact_lane`, against `count` parts of a cloud at state[LISTED:]."""
+    need, frame, R = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), AT_RELATIVE
+    kind, box = I[I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + other]], I[I[SHAPE_PIECES] + other]
+    for k in range(12):
+        s[AT_B + k] = D[I[PIECE_POSE] + 12 * box + k]
+    for a in range(I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]):
+        _world_piece(I, D, w, a, frame, lane, s, AT_A)
+        _relative(s)
+        x, y, z = s[R + 3], s[R + 7], s[R + 11]
+        ball = I[PIECE_BALL] + 4 * a
+        cx = x + s[R] * D[ball] + s[R + 1] * D[ball + 1] + s[R + 2] * D[ball + 2]
+        cy = y + s[R + 4] * D[ball] + s[R + 5] * D[ball + 1] + s[R + 6] * D[ball + 2]
+        cz = z + s[R + 8] * D[ball] + s[R + 9] * D[ball + 1] + s[R + 10] * D[ball + 2]
+        points, warm = I[PIECE_POINTS] + 2 * a, False
+        for k in range(count):
+            at = state[LISTED + k]
+            px, py, pz = float(F[at]), float(F[at + L]), float(F[at + 2 * L])
+            radius = float(F[at + 3 * L])
+            if kind == gjk.TRIANGLE:  # put it at its first corner
+                radius = 0.0
+                for j in range(3):
+                    p = at + 3 * j * L
+                    s[gjk.PART + 3 * j] = F[p] - px
+                    s[gjk.PART + 3 * j + 1] = F[p + L] - py
+                    s[gjk.PART + 3 * j + 2] = F[p + 2 * L] - pz
+                    b = gjk.PART + 3 * j
+                    radius = max(radius, np.sqrt(s[b] * s[b] + s[b + 1] * s[b + 1] + s[b + 2] * s[b + 2]))
+            else:
+                s[gjk.PART] = radius
+                radius *= 1.7320509 if kind == gjk.CELL else 1.0
+            apart = need + D[ball + 3] + radius
+            if (cx - px) ** 2 + (cy - py) ** 2 + (cz - pz) ** 2 > apart * apart:
+                continue
+            s[R + 3], s[R + 7], s[R + 11] = x - px, y - py, z - pz
+            d = gjk.distance(
+                F, D, R, I[I[PIECE_KIND] + a], I[PIECE_SIZE] + 3 * a, I[POINTS] + 3 * I[points],
+                I[POINTS32] + 3 * I[points], I[points + 1], kind, 0, 0, 0, 0, need, warm, s,
+            )  # fmt: skip
+            warm = True  # the next part is mostly near this one
+            if d <= 0.0:
+                return CONTACT
+            if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
+                return UNPROVEN
+    return FREE
+
+
+@njit(cache=True)
+def _is_inside(I, F, D, w, state, s, body, other, lane):
+    """Whether a piece of a body, none of which touches a world shape's closed mesh, is inside it."""
+    frame, m, size = frame_at(I, I[I[FRAME] + body]), I[SHAPE_POSE] + 12 * other, I[SHAPE_SIZE] + 3 * other
+    for a in range(I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]):
+        _world_piece(I, D, w, a, frame, lane, s, AT_A)
+        x, y, z = s[AT_A + 3], s[AT_A + 7], s[AT_A + 11]  # the middle of a simple solid
+        if I[I[PIECE_KIND] + a] == gjk.POINTS:  # a corner of a hull
+            p = I[POINTS] + 3 * I[I[PIECE_POINTS] + 2 * a]
+            x += s[AT_A] * D[p] + s[AT_A + 1] * D[p + 1] + s[AT_A + 2] * D[p + 2]
+            y += s[AT_A + 4] * D[p] + s[AT_A + 5] * D[p + 1] + s[AT_A + 6] * D[p + 2]
+            z += s[AT_A + 8] * D[p] + s[AT_A + 9] * D[p + 1] + s[AT_A + 10] * D[p + 2]
+        px = np.float32(F[m] * x + F[m + 1] * y + F[m + 2] * z + F[m + 3])
+        py = np.float32(F[m + 4] * x + F[m + 5] * y + F[m + 6] * z + F[m + 7])
+        pz = np.float32(F[m + 8] * x + F[m + 9] * y + F[m + 10] * z + F[m + 11])
+        within = abs(px) < F[size] and abs(py) < F[size + 1] and abs(pz) < F[size + 2]
+        if within and encloses(I, F, state, other, px, py, pz):
+            return True
+    return False

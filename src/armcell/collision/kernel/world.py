@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.cloud import DONE, body_to_cloud
 from armcell.collision.kernel.frames import (
     ALIVE,
     CLOSE,
@@ -18,6 +19,7 @@ from armcell.collision.kernel.frames import (
     STACK,
     bend,
     centre,
+    centre_at,
     half_at,
     more_at,
     velocity_at,
@@ -28,6 +30,7 @@ from armcell.collision.kernel.layout import (
     BODY_SPHERE,
     BOXES,
     CHILD,
+    CLOUD,
     DOF,
     FRAME,
     GROUP_SPHERE,
@@ -38,6 +41,7 @@ from armcell.collision.kernel.layout import (
     PADDING,
     PLANES,
     RATE,
+    SHAPE_CLOUD,
     SHAPE_KIND,
     SHAPE_OBJECT,
     SHAPE_PLANES,
@@ -61,7 +65,8 @@ from armcell.collision.kernel.simd import (
     vmin,
     vsqrt,
 )
-from armcell.collision.kernel.undecided import fail, touch, wait
+from armcell.collision.kernel.undecided import INSIDE, wait
+from armcell.collision.kernel.verdict import fail, touch
 
 
 @njit(cache=True)
@@ -180,8 +185,25 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 
 @njit(cache=True)
+def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
+    """`_body_to_shape` for a shape that is the box around a cloud."""
+    lanes = body_to_cloud(I, F, w, state, body, o, more, state[ALIVE], mode)
+    if lanes == DONE:
+        return True
+    if lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o, lanes, mode):
+        return True
+    if I[I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o] + 3] == 0:
+        return False
+    gap = shape_gap(I, F, o, w, centre_at(I, body))  # a closed mesh
+    lanes = mask_lt(gap, splat(F[I[BODY_SPHERE] + 4 * body + 3])) & state[ALIVE]
+    return lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o + INSIDE, lanes, mode)
+
+
+@njit(cache=True)
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
     """A body against one world shape, from its groups down; True where nothing is left to find out."""
+    if I[I[SHAPE_CLOUD] + o] >= 0:
+        return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
     first_sphere = bodies + I[GROUPS]
     # The inner ball proves contact only where the gap is no mere lower bound.

@@ -1,0 +1,428 @@
+"""Bodies against clouds: shapes of very many parts (see cloud_part).
+
+Groups of spheres go down the cloud's tree of boxes, sixteen boxes at a time against all lanes together and
+then one box against every lane. At a block of parts it is the other way round: the lanes of a vector are
+sixteen parts, and one sphere in one configuration is held against them. Which parts wait for the exact tier
+is not kept: it finds them again, for just the configurations in question.
+"""
+
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel import gjk
+from armcell.collision.kernel.frames import (
+    ALIVE,
+    EXACT,
+    LISTED,
+    MAX_LISTED,
+    MAX_STACK,
+    PLACED,
+    PROVE,
+    STACK,
+    ball_at,
+    centre,
+    half_at,
+    local_at,
+    need_at,
+    velocity_at,
+)
+from armcell.collision.kernel.layout import (
+    BODIES,
+    BODY_GROUPS,
+    BODY_SPHERE,
+    CLOUD,
+    CLOUD_BOXES,
+    CLOUD_CHILD,
+    CLOUD_PARTS,
+    FRAME,
+    GROUP_SPHERE,
+    GROUP_SPHERES,
+    GROUPS,
+    SHAPE_CLOUD,
+    SHAPE_POSE,
+    SPHERE,
+)
+from armcell.collision.kernel.simd import (
+    L,
+    fma,
+    hmax,
+    hmin,
+    load,
+    mask_lt,
+    select_lt,
+    splat,
+    store,
+    trailing_zeros,
+    vabs,
+    vmax,
+    vmin,
+    vsqrt,
+)
+from armcell.collision.kernel.verdict import fail, touch
+
+NO_GROUP = -1
+DONE = np.int64(-1)
+
+
+@njit(cache=True, forceinline=True)
+def _cloud_of(I, o):
+    """Where the numbers of world shape o's cloud are in I."""
+    return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
+
+
+@njit(cache=True, forceinline=True)
+def _into(F, m, cx, cy, cz):
+    """World points in the frame whose rows are at F[m:]."""
+    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
+    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
+    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
+    return x, y, z
+
+
+@njit(cache=True, forceinline=True)
+def _turned(F, m, cx, cy, cz):
+    """World vectors in the frame whose rows are at F[m:]."""
+    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
+    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), cz * splat(F[m + 6])))
+    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), cz * splat(F[m + 10])))
+    return x, y, z
+
+
+@njit(cache=True, forceinline=True)
+def _side(F, at, u, v, x, y, z):
+    """Vectors from the nearest points of edges u-v of 16 triangles at F[at:] to a point."""
+    ux, uy, uz = load(F, at + 3 * u * L), load(F, at + (3 * u + 1) * L), load(F, at + (3 * u + 2) * L)
+    ex = load(F, at + 3 * v * L) - ux
+    ey = load(F, at + (3 * v + 1) * L) - uy
+    ez = load(F, at + (3 * v + 2) * L) - uz
+    px, py, pz = x - ux, y - uy, z - uz
+    along = fma(px, ex, fma(py, ey, pz * ez))
+    length2 = vmax(fma(ex, ex, fma(ey, ey, ez * ez)), splat(np.float32(1e-30)))
+    t = vmax(vmin(along / length2, splat(np.float32(1.0))), splat(np.float32(0.0)))
+    nx, ny, nz = (
+        load(F, at + 9 * L),
+        load(F, at + 10 * L),
+        load(F, at + 11 * L),
+    )
+    inside = fma(nx, ey * pz - ez * py, fma(ny, ez * px - ex * pz, nz * (ex * py - ey * px)))
+    return px - t * ex, py - t * ey, pz - t * ez, inside
+
+
+@njit(cache=True, forceinline=True)
+def _apart(F, kind, at, x, y, z):
+    """Of a point, for the 16 parts at F[at:]: the distance to each, and the vector from what is nearest.
+
+    All these distances are convex functions of the point. The vectors' lengths are the distances, but for
+    balls (from their centre).
+    """
+    zero = splat(np.float32(0.0))
+    if kind == gjk.TRIANGLE:
+        # Nearest on a side, or above the face where the point is on the inner side of all three sides
+        # (n . edge x point > 0). The normal is worked out in float64: slivers have a good one, too.
+        ax, ay, az, a = _side(F, at, 0, 1, x, y, z)
+        bx, by, bz, b = _side(F, at, 1, 2, x, y, z)
+        cx, cy, cz, c = _side(F, at, 2, 0, x, y, z)
+        a2 = fma(ax, ax, fma(ay, ay, az * az))
+        b2 = fma(bx, bx, fma(by, by, bz * bz))
+        c2 = fma(cx, cx, fma(cy, cy, cz * cz))
+        dx, dy, dz = select_lt(b2, a2, bx, ax), select_lt(b2, a2, by, ay), select_lt(b2, a2, bz, az)
+        best = vmin(a2, b2)
+        dx, dy, dz = select_lt(c2, best, cx, dx), select_lt(c2, best, cy, dy), select_lt(c2, best, cz, dz)
+        nx, ny, nz = load(F, at + 9 * L), load(F, at + 10 * L), load(F, at + 11 * L)
+        px, py, pz = x - load(F, at), y - load(F, at + L), z - load(F, at + 2 * L)
+        h = fma(nx, px, fma(ny, py, nz * pz))
+        inner = vmin(a, vmin(b, c))
+        dx = select_lt(zero, inner, h * nx, dx)
+        dy = select_lt(zero, inner, h * ny, dy)
+        dz = select_lt(zero, inner, h * nz, dz)
+        return vsqrt(fma(dx, dx, fma(dy, dy, dz * dz))), dx, dy, dz
+    dx, dy, dz = x - load(F, at), y - load(F, at + L), z - load(F, at + 2 * L)
+    r = load(F, at + 3 * L)
+    if kind == gjk.CELL:
+        dx = dx - vmax(vmin(dx, r), zero - r)
+        dy = dy - vmax(vmin(dy, r), zero - r)
+        dz = dz - vmax(vmin(dz, r), zero - r)
+        return vsqrt(fma(dx, dx, fma(dy, dy, dz * dz))), dx, dy, dz
+    return vsqrt(fma(dx, dx, fma(dy, dy, dz * dz))) - r, dx, dy, dz
+
+
+@njit(cache=True, forceinline=True)
+def _block_at(I, c, block):
+    """Where block `block` of cloud c's parts is in F."""
+    rows = 12 if I[c] == gjk.TRIANGLE else 4
+    return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
+
+
+@njit(cache=True)
+def _local(I, F, w, state, o, g, f, mode):
+    """Put the centres (and velocities) of group g's spheres, in shape o's frame, to w[local_at:]."""
+    m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
+    for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
+        at = centre(I, F, w, state, first + k, f, I[SPHERE] + 5 * k, mode)
+        x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+        store(w, out, x)
+        store(w, out + L, y)
+        store(w, out + 2 * L, z)
+        if mode & PROVE:
+            v = velocity_at(I, first + k)
+            x, y, z = _turned(F, m, load(w, v), load(w, v + L), load(w, v + 2 * L))
+            store(w, out + 3 * L, x)
+            store(w, out + 4 * L, y)
+            store(w, out + 5 * L, z)
+        out += 6 * L
+
+
+@njit(cache=True)
+def _spheres_to_parts(I, F, w, g, kind, at, lane, more, mode):
+    """Group g's spheres in one lane (see `_local`) against the 16 parts at F[at:].
+
+    Returns bits of parts: that a sphere is not clear of, that one touches for certain, that are too near for
+    any exact test. `more`: what the gap must exceed beside the radius and, in a proof, its own falling.
+    """
+    near, sure, close = np.int64(0), np.int64(0), np.int64(0)
+    b, tiny = local_at(I) + lane, splat(np.float32(1e-12))
+    for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
+        sphere = I[SPHERE] + 5 * k
+        gap, dx, dy, dz = _apart(F, kind, at, splat(w[b]), splat(w[b + L]), splat(w[b + 2 * L]))
+        need = splat(more)
+        if mode & PROVE:
+            rate = fma(dx, splat(w[b + 3 * L]), fma(dy, splat(w[b + 4 * L]), dz * splat(w[b + 5 * L])))
+            length = vsqrt(fma(dx, dx, fma(dy, dy, fma(dz, dz, tiny))))
+            need = fma(splat(w[half_at(I) + lane]), vabs(rate) / length, need)
+        b += 6 * L
+        hit = mask_lt(gap, splat(F[sphere + 3]) + need)
+        if hit == 0:
+            continue
+        near |= hit
+        if F[sphere + 4] > 0:
+            sure |= mask_lt(gap, splat(F[sphere + 4]))
+            close |= mask_lt(gap, splat(F[sphere + 4]) + need)
+    return near, sure, close
+
+
+@njit(cache=True)
+def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
+    """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE.
+
+    The group's balls are at w[ball_at:]; its spheres are placed (see `_local`) when one of those touches.
+    """
+    ball = ball_at(I)
+    while lanes != 0:
+        lane = trailing_zeros(lanes)
+        lanes &= lanes - 1
+        b = ball + lane
+        gap, _x, _y, _z = _apart(F, kind, at, splat(w[b]), splat(w[b + L]), splat(w[b + 2 * L]))
+        if mask_lt(gap, splat(w[b + 3 * L])) == 0:
+            continue
+        if state[PLACED] != g:
+            _local(I, F, w, state, o, g, f, mode)
+            state[PLACED] = g
+        near, sure, close = _spheres_to_parts(I, F, w, g, kind, at, lane, w[more_at + lane], mode)
+        if near == 0:
+            continue
+        bit = np.int64(1) << lane
+        if mode & EXACT == 0:
+            if fail(state, bit, mode):
+                return DONE
+        elif sure != 0:
+            if touch(state, bit, mode):
+                return DONE
+        elif close != 0:
+            if fail(state, bit, mode):
+                return DONE
+        else:
+            open_lanes |= bit
+    return open_lanes
+
+
+@njit(cache=True)
+def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
+    """Balls of radius `reach` around (x, y, z) in shape o's frame down its cloud's tree.
+
+    Returns:
+        With NO_GROUP the first lanes found at a block of parts, else what `_parts_block` says of group g.
+    """
+    c, stack = _cloud_of(I, o), STACK + MAX_STACK // 2
+    zero, open_lanes = splat(np.float32(0.0)), np.int64(0)
+    lx, ly, lz = hmin(x - reach), hmin(y - reach), hmin(z - reach)
+    hx, hy, hz = hmax(x + reach), hmax(y + reach), hmax(z + reach)
+    reach2, ball, top = reach * reach, ball_at(I), 1
+    store(w, ball, x)
+    store(w, ball + L, y)
+    store(w, ball + 2 * L, z)
+    store(w, ball + 3 * L, reach)
+    state[PLACED] = NO_GROUP
+    state[stack] = 0
+    while top > 0:
+        top -= 1
+        block = I[c + 1] + state[stack + top]
+        at = I[CLOUD_BOXES] + block * 6 * L
+        hit = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
+        hit &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))
+        hit &= mask_lt(splat(ly), load(F, at + 4 * L)) & mask_lt(splat(lz), load(F, at + 5 * L))
+        while hit != 0:
+            k = trailing_zeros(hit)
+            hit &= hit - 1
+            low = at + k
+            dx = vmax(vmax(splat(F[low]) - x, x - splat(F[low + 3 * L])), zero)
+            dy = vmax(vmax(splat(F[low + L]) - y, y - splat(F[low + 4 * L])), zero)
+            dz = vmax(vmax(splat(F[low + 2 * L]) - z, z - splat(F[low + 5 * L])), zero)
+            here = mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), reach2) & lanes & state[ALIVE]
+            if mode & PROVE:  # what is open is for the exact tier
+                here &= ~open_lanes
+            if here == 0:
+                continue
+            child = I[I[CLOUD_CHILD] + block * L + k]
+            if child < 0:
+                if top < MAX_STACK // 2:  # 16 ** 8 parts fit
+                    state[stack + top] = -child
+                    top += 1
+                continue
+            if g == NO_GROUP:
+                return here
+            first = _block_at(I, c, child)
+            open_lanes = _parts_block(I, F, w, state, o, g, f, I[c], first, here, open_lanes, more_at, mode)
+            if open_lanes == DONE:
+                return DONE
+    return open_lanes
+
+
+@njit(cache=True, forceinline=True)
+def _grown(I, w, i, radius, more, mode):
+    """Radius of a ball that holds all that the ball around centre i needs."""
+    reach = splat(radius) + more
+    return fma(load(w, half_at(I)), load(w, velocity_at(I, i) + 3 * L), reach) if mode & PROVE else reach
+
+
+@njit(cache=True)
+def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
+    """A body against the cloud of world shape o: lanes (bits) for the exact tier, or DONE."""
+    f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
+    more_at = need_at(I) + L
+    store(w, more_at, more)
+    at = centre(I, F, w, state, body, f, I[BODY_SPHERE] + 4 * body, mode)
+    x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+    reach = _grown(I, w, body, F[I[BODY_SPHERE] + 4 * body + 3], more, mode)
+    if _walk(I, F, w, state, o, NO_GROUP, f, x, y, z, reach, lanes, more_at, mode) == 0:
+        return open_lanes
+    for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
+        sphere = I[GROUP_SPHERE] + 4 * g
+        at = centre(I, F, w, state, bodies + g, f, sphere, mode)
+        x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+        reach = _grown(I, w, bodies + g, F[sphere + 3], more, mode)
+        left = lanes & ~open_lanes if mode & PROVE else lanes
+        found = _walk(I, F, w, state, o, g, f, x, y, z, reach, left, more_at, mode)
+        if found == DONE:
+            return DONE
+        open_lanes |= found
+    return open_lanes & state[ALIVE]
+
+
+@njit(cache=True)
+def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
+    """List parts of a cloud that the exact tier has to look at: those a sphere of the body is not clear of.
+
+    Called again and again with what it returned; begin with the body's first group, 0 and 0. The parts are
+    in state[LISTED:] (where each begins in F).
+
+    Returns:
+        group, top: where the walk stopped (group beyond the body's last: at its end); count of the parts.
+    """
+    f, bodies, m, c = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, _cloud_of(I, o)
+    need, more = w[need_at(I) + lane], w[need_at(I) + (L if mode & PROVE else 0) + lane]
+    zero, stack = splat(np.float32(0.0)), STACK + MAX_STACK // 2
+    while group < I[I[BODY_GROUPS] + body + 1]:
+        sphere = I[GROUP_SPHERE] + 4 * group
+        at = centre(I, F, w, state, bodies + group, f, sphere, mode)
+        x, y, z = _into(F, m, splat(w[at + lane]), splat(w[at + L + lane]), splat(w[at + 2 * L + lane]))
+        reach = splat(F[sphere + 3] + need)
+        if top == 0:
+            state[stack] = 0
+            top = 1
+        _local(I, F, w, state, o, group, f, mode)
+        while top > 0:
+            if count + L * L > MAX_LISTED:
+                return group, top, count
+            top -= 1
+            block = I[c + 1] + state[stack + top]
+            at = I[CLOUD_BOXES] + block * 6 * L
+            dx = vmax(vmax(load(F, at) - x, x - load(F, at + 3 * L)), zero)
+            dy = vmax(vmax(load(F, at + L) - y, y - load(F, at + 4 * L)), zero)
+            dz = vmax(vmax(load(F, at + 2 * L) - z, z - load(F, at + 5 * L)), zero)
+            hit = mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), reach * reach)
+            while hit != 0:
+                k = trailing_zeros(hit)
+                hit &= hit - 1
+                child = I[I[CLOUD_CHILD] + block * L + k]
+                if child < 0:
+                    if top < MAX_STACK // 2:
+                        state[stack + top] = -child
+                        top += 1
+                    continue
+                first = _block_at(I, c, child)
+                near, _sure, _close = _spheres_to_parts(I, F, w, group, I[c], first, lane, more, mode)
+                while near != 0:
+                    state[LISTED + count] = first + trailing_zeros(near)
+                    near &= near - 1
+                    count += 1
+        group += 1
+    return group, top, count
+
+
+@njit(cache=True, forceinline=True)
+def _turns(F, at, u, v, x, y):
+    """How edges u-v of 16 triangles wind around a point, seen along z: 1 counter-clockwise, -1, 0.
+
+    Each edge is computed from its lower end, so that the two triangles at it agree to the last bit.
+    """
+    ux, uy = load(F, at + 3 * u * L), load(F, at + (3 * u + 1) * L)
+    vx, vy = load(F, at + 3 * v * L), load(F, at + (3 * v + 1) * L)
+    one, zero = splat(np.float32(1.0)), splat(np.float32(0.0))
+    lx, ly = select_lt(uy, vy, ux, vx), vmin(uy, vy)
+    hx, hy = select_lt(uy, vy, vx, ux), vmax(uy, vy)
+    spans = select_lt(y, ly, zero, select_lt(y, hy, one, zero))  # low end at or below, high end above
+    left = fma(hx - lx, y - ly, zero - (x - lx) * (hy - ly))
+    counts = select_lt(uy, vy, select_lt(zero, left, spans, zero), zero - select_lt(zero, left, spans, zero))
+    return counts
+
+
+@njit(cache=True)
+def encloses(I, F, state, o, px, py, pz):
+    """Whether a point in shape o's frame is inside its cloud of triangles, by what lies above it."""
+    c, stack = _cloud_of(I, o), STACK + MAX_STACK // 2
+    x, y, z, half = splat(px), splat(py), splat(pz), splat(np.float32(0.5))
+    count, top = 0, 1
+    state[stack] = 0
+    while top > 0:
+        top -= 1
+        block = I[c + 1] + state[stack + top]
+        at = I[CLOUD_BOXES] + block * 6 * L
+        hit = mask_lt(load(F, at), x) & mask_lt(load(F, at + L), y)
+        hit &= mask_lt(x, load(F, at + 3 * L)) & mask_lt(y, load(F, at + 4 * L))
+        hit &= mask_lt(z, load(F, at + 5 * L))
+        while hit != 0:
+            k = trailing_zeros(hit)
+            hit &= hit - 1
+            child = I[I[CLOUD_CHILD] + block * L + k]
+            if child < 0:
+                if top < MAX_STACK // 2:
+                    state[stack + top] = -child
+                    top += 1
+                continue
+            t = _block_at(I, c, child)
+            turns = _turns(F, t, 0, 1, x, y) + _turns(F, t, 1, 2, x, y) + _turns(F, t, 2, 0, x, y)
+            nx, ny, nz = load(F, t + 9 * L), load(F, t + 10 * L), load(F, t + 11 * L)
+            h = fma(nx, x - load(F, t), fma(ny, y - load(F, t + L), nz * (z - load(F, t + 2 * L))))
+            above = mask_lt(h * nz, splat(np.float32(0.0)))
+            out, into = mask_lt(half, turns) & above, mask_lt(turns, splat(np.float32(-0.5))) & above
+            while out != 0:
+                count += 1
+                out &= out - 1
+            while into != 0:
+                count -= 1
+                into &= into - 1
+    return count != 0

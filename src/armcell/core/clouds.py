@@ -1,0 +1,131 @@
+"""Shapes of very many parts, as cameras and maps give them: points with a radius, occupied cells.
+
+They are obstacles: they stand in the world and are not carried. They may be empty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def finite_points(points: ArrayLike) -> tuple[Array, int]:
+    """Those of some points (n, 3) that have no NaN or infinity in them, and how many were left out.
+
+    Depth cameras mark what they do not see by NaN.
+    """
+    every = np.asarray(points, dtype=float).reshape(-1, 3)
+    kept = np.all(np.isfinite(every), axis=1)
+    return every[kept], int(len(every) - kept.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Balls of one radius [m] around points (n, 3) [m] in the shape's frame.
+
+    Raises:
+        InputError: a point is not finite (see `finite_points`), or the radius is not positive.
+    """
+
+    points: Array
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.radius) or self.radius <= 0:
+            raise InputError(
+                f"point cloud has radius {self.radius:g}, it must be a positive number of metres"
+            )
+        object.__setattr__(self, "points", _rows("point cloud", "points", self.points))
+
+    @property
+    def half_extents(self) -> Array:
+        return np.abs(self.points).max(axis=0, initial=0.0) + (self.radius if len(self.points) else 0.0)
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,), (3,) [m]; zeros where there is nothing."""
+        return _bounds(self.points, self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Octree:
+    """Occupied cells: cubes along the axes of the shape's frame, as an octomap's leaves.
+
+    centres (n, 3) [m], sizes (n,) full edge lengths [m]. They may overlap; they need not lie on a grid.
+    """
+
+    centres: Array
+    sizes: Array
+
+    def __post_init__(self) -> None:
+        centres = _rows("octree", "centres", self.centres)
+        sizes = np.ascontiguousarray(self.sizes, dtype=float)
+        if sizes.shape != (len(centres),):
+            raise InputError(f"octree has {len(centres)} centres but sizes of shape {sizes.shape}")
+        bad = int(np.sum(~np.isfinite(sizes) | (sizes <= 0)))
+        if bad:
+            raise InputError(f"octree has {bad} cells whose size is not a positive number of metres")
+        sizes.setflags(write=False)
+        object.__setattr__(self, "centres", centres)
+        object.__setattr__(self, "sizes", sizes)
+
+    @staticmethod
+    def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
+        """From a grid of bool (i, j, k) of cells of one size [m]; full cubes of eight become one cell.
+
+        Args:
+            origin: the lowest corner of cell (0, 0, 0) [m].
+        """
+        left = np.asarray(occupied, dtype=bool)
+        if left.ndim != 3:
+            raise InputError(f"an occupancy grid has three dimensions, this one {left.ndim}")
+        centres, sizes, edge = [], [], float(size)
+        while left.any():
+            left = np.pad(left, [(0, n % 2) for n in left.shape])
+            i, j, k = (n // 2 for n in left.shape)
+            full = left.reshape(i, 2, j, 2, k, 2).all(axis=(1, 3, 5))
+            single = left & ~full.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+            cells = np.argwhere(single)
+            centres.append((cells + 0.5) * edge + np.asarray(origin, dtype=float))
+            sizes.append(np.full(len(cells), edge))
+            left, edge = full, edge * 2
+        return Octree(np.vstack([np.zeros((0, 3)), *centres]), np.concatenate([np.zeros(0), *sizes]))
+
+    @property
+    def half_extents(self) -> Array:
+        low, high = self.bounds
+        return np.maximum(np.abs(low), np.abs(high))
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,), (3,) [m]; zeros where there is nothing."""
+        return _bounds(self.centres, self.sizes[:, None] / 2)
+
+
+def _rows(what: str, name: str, values: ArrayLike) -> Array:
+    rows = np.ascontiguousarray(values, dtype=float)
+    if rows.size == 0:
+        rows = rows.reshape(0, 3)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InputError(f"{what} needs {name} of shape (n, 3), not {rows.shape}")
+    bad = int(len(rows) - np.isfinite(rows).all(axis=1).sum())
+    if bad:
+        raise InputError(
+            f"{what}: {bad} of {len(rows)} {name} have a NaN or infinity in them",
+            cure="leave them out with finite_points()",
+        )
+    rows.setflags(write=False)
+    return rows
+
+
+def _bounds(rows: Array, half: Array | float) -> tuple[Array, Array]:
+    if len(rows) == 0:
+        return np.zeros(3), np.zeros(3)
+    return (rows - half).min(axis=0), (rows + half).max(axis=0)
