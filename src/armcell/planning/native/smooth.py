@@ -38,11 +38,13 @@ def _copy(p, dof, src, dst):
 
 
 @njit(cache=True)
-def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at, mode):
+def _shortcut(I, F, D, w, state, s, slack, slack_pair, p, count, first, last, at, mode, stop):
     """Join each vertex with the farthest later one that a proven straight line reaches."""
     dof, i = I[DOF], 0
-    while i < count - 2:
+    while i < count - 2 and stop[0] == 0:
         for j in range(count - 1, i + 1, -1):
+            if stop[0] != 0:
+                break
             first[0], last[0] = i * dof, j * dof
             if (
                 prove(I, F, D, w, state, s, slack, slack_pair, p, first, last, 1, at, mode, COARSE, False)
@@ -113,18 +115,18 @@ def _round_corners(I, F, D, w, state, s, slack, slack_pair, p, count, room, firs
 
 
 @njit(cache=True, nogil=True)
-def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index, room, mode):
+def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index, room, mode, stop):
     """Prove path[:count], then shorten it in place; every edge it returns is proven free.
 
     Args:
         path: (m, dof). space: float64 scratch of 6 m dof + 2 m numbers. index: int64 scratch
             of 4 m. room: (dof,) how far each joint may be off
-            the edges [rad].
+            the edges [rad]. stop: stop[0] != 0 ends the shortening; set by another thread.
     Returns:
         The new count; 0 if the path as given cannot be proven.
     """
     Ip, Fp, Dp, wp, tp, sp = pointer(I), pointer(F), pointer(D), pointer(w), pointer(state), pointer(s)
-    lp, lq = pointer(slack), pointer(slack_pair)
+    lp, lq, h = pointer(slack), pointer(slack_pair), pointer(stop)
     m, dof = path.shape
     p, a, f, t = pointer(space), pointer(space[6 * m * dof :]), pointer(index), pointer(index[2 * m :])
     for i in range(count):
@@ -137,11 +139,11 @@ def simplify(I, F, D, w, state, s, slack, slack_pair, path, count, space, index,
         return 0
     length = 1e300
     for _ in range(ROUNDS):
-        count = _shortcut(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, f, t, a, mode)
+        count = _shortcut(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, f, t, a, mode, h)
         before, length = length, 0.0
         for i in range(count - 1):
             length += _distance(p, dof, i * dof, (i + 1) * dof)
-        if count <= 2 or length > (1 - WORTHWHILE) * before:
+        if h[0] != 0 or count <= 2 or length > (1 - WORTHWHILE) * before:
             break
         count, changed = _round_corners(Ip, Fp, Dp, wp, tp, sp, lp, lq, p, count, m, f, t, a, mode)
         if not changed:
