@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +49,12 @@ def stream(
 
 
 def candidates(scene: PlanningScene, group: str, goal: PoseGoal, rng: np.random.Generator) -> Iterator[Array]:
-    """Positions (n,) within limits that reach a pose goal: the pose itself, by every solution and their
-    equivalents by whole turns, then random poses within its tolerances, from random references."""
+    """Positions (n,) within limits that reach a pose goal, in turns: the pose itself, by every solution and
+    their equivalents by whole turns; a random pose within its tolerances, from a random reference."""
     ik = ik_solver(scene.model, group, goal.link)
-    yield from ik.solutions(goal.T_world_link, scene.positions, rng, equivalents=True)
+    exact = ik.solutions(goal.T_world_link, scene.positions, rng, equivalents=True)
     for _ in range(ATTEMPTS):
+        yield from islice(exact, 1)
         reference = scene.positions.copy()
         reference[ik.columns] = _random(ik, rng)
         yield from ik.nearest(_within(goal, rng), reference, rng, among=1)
