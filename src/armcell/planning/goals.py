@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +19,13 @@ from armcell.core import (
     PoseGoal,
 )
 from armcell.kinematics import ik_solver
+from armcell.planning.goal_stream import candidates
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
+
+WIDE = (1e-3, 1e-2)  # [m], [rad] a pose goal with larger tolerances is a region to be sampled
+MORE = 100  # solutions that are looked at where none of the first is free
 
 
 def joint_goals(scene: PlanningScene, request: PlanRequest, checker: KernelChecker,
@@ -75,6 +81,10 @@ def _from_pose(scene, group, goal: PoseGoal, checker, rng) -> tuple[Outcome, lis
                 break
         if valid:
             break
+    if not valid:  # another posture, or elsewhere within the tolerances
+        wide = goal.position_tolerance > WIDE[0] or goal.orientation_tolerance > WIDE[1]
+        some = islice(candidates(scene, group, goal, rng), MORE) if blocked or wide else ()
+        valid = list(islice((q for q in some if checker.is_free(q)), 1))
     if valid:
         return Outcome(ErrorCode.SUCCESS), valid
     contacts = [c for c in map(checker.exact.contacts, blocked) if c] if blocked else []

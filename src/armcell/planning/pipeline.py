@@ -14,6 +14,7 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult, PoseGoal
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
 from armcell.planning.finish import clearance_along, finish, torque_model
+from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
 from armcell.planning.native.warm_up import warm_up, warm_up_ik
 from armcell.planning.problem import Problem, find_planner, normalized_planner_id, sampling_bounds
@@ -87,6 +88,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             seed,
             began + request.planning_time,
             cancel or threading.Event(),
+            stream(scene, request, checker.exact, goals),
         )
         waypoints = _direct(problem) if round_ == 0 else None
         used = "straight line" if waypoints is not None else planner_id
@@ -95,6 +97,8 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             if answer.waypoints is None:
                 break
             waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints, rng)
+        if cancel is not None and cancel.is_set():
+            break
         try:
             finished = finish(
                 checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
@@ -118,9 +122,11 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     code = (
         ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
     )
-    message = (
-        answer.message if answer else ""
-    ) or "found paths, but none could be proven free between its samples"
+    message = (answer.message if answer else "") or (
+        f"{planner_id}: cancelled"
+        if cancelled
+        else "found paths, but none could be proven free between its samples"
+    )
     return failed(Outcome(code, message, {"goals": len(goals), **(answer.statistics if answer else {})}))
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ class Problem:
     seed: int
     deadline: float  # [s] of time.monotonic()
     cancel: threading.Event = field(default_factory=threading.Event)
+    more_goals: Iterator[Array] | None = None  # further ones (n,), worked out when they are asked for
 
     @property
     def stopped(self) -> bool:
@@ -45,7 +47,7 @@ class Answer:
 
     waypoints: Array | None
     message: str = ""
-    statistics: dict[str, float] = field(default_factory=dict)
+    statistics: dict[str, Any] = field(default_factory=dict)
     simplified: bool = False
 
 

@@ -13,12 +13,27 @@ from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
-from armcell.planning.native.tree import get, nearest, put
+from armcell.planning.native.leaves import forget, nearest_of
+from armcell.planning.native.tree import get, put, trace
 
 DOMAIN = 0.75  # radius of a node's domain after its first failure, and the smallest it becomes, as shares
 DOMAIN_MIN = 0.19  # of how far apart two random configurations are (4 and 1 rad for a Panda)
 DOMAIN_STEP = 1e-4
 UNLIMITED = 1e9
+
+# What `found` holds: the nodes of trees 0 and 1 that have met, and what a search that goes on needs:
+# iterations, nodes, nodes of each tree, whose turn it is.
+FROM, TO, ITERATIONS, NODES, NODES_0, NODES_1, TURN, FOUND = range(8)
+
+
+def space_size(dof: int) -> int:
+    """Doubles of scratch: edge and sample, sample steps, sample, closest approach (see `CLOSEST`)."""
+    return 7 * dof + 1
+
+
+def closest_at(dof: int) -> int:
+    """Where in the scratch the closest approach of the trees is: its length [rad], then its two ends."""
+    return 5 * dof
 
 
 @njit(cache=True)
@@ -37,32 +52,34 @@ def kronecker_steps(dof, out):
 
 
 @njit(cache=True)
-def _search(k, lower, upper, steps, sample, edge, reach, step, nodes,
-            parents, radii, capacity, goals, room, stop, max_iterations, found):  # fmt: skip
+def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
+            nodes, parents, radii, leaves, leaf_ints, capacity, room, stop, max_iterations,
+            found):  # fmt: skip
     """`rrt_connect` on pointers. Tree 0 grows from the start, tree 1 from the goals; node i of tree t is
-    node t * capacity + i. Writes into found: node of tree 0, node of tree 1, iterations, nodes.
+    node t * capacity + i.
     """
     dof = ints(k)[DOF]
     q = 2 * dof  # edge: its two ends, then the sample
-    n0, n1, tree = 1, goals, 1
+    n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]
     apart = 0.0
     for j in range(dof):
         apart += (upper[j] - lower[j]) ** 2 / 6
     domain, domain_min = DOMAIN * np.sqrt(apart), DOMAIN_MIN * np.sqrt(apart)
-    for iteration in range(1, max_iterations + 1):
+    for iteration in range(found[ITERATIONS] + 1, found[ITERATIONS] + max_iterations + 1):
         if stop[0] != 0 or n0 + 64 > capacity or n1 + 64 > capacity:
             break
-        found[2], found[3] = iteration, n0 + n1
+        found[ITERATIONS], found[NODES], found[NODES_0], found[NODES_1] = iteration, n0 + n1, n0, n1
         mine, other = (n1, n0) if tree == 1 else (n0, n1)
         if abs(mine - other) < mine:  # take turns, unless the other tree is twice as large
             tree = 1 - tree
             mine, other = other, mine
+        found[TURN] = tree
         first, first_other = tree * capacity, (1 - tree) * capacity
         for j in range(dof):
             u = sample[j] + steps[j]
             sample[j] = u - 1.0 if u >= 1.0 else u
             edge[q + j] = lower[j] + (upper[j] - lower[j]) * sample[j]
-        i = nearest(nodes, dof, first, mine, edge, q, room)
+        i = nearest_of(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, edge, q, room)
         get(nodes, dof, first + i, edge, 0)
         distance = 0.0
         for j in range(dof):
@@ -85,7 +102,7 @@ def _search(k, lower, upper, steps, sample, edge, reach, step, nodes,
         parents[first + mine], radii[first + mine] = i, UNLIMITED
         mine += 1
         # On towards the nearest node of the other tree, as far as it is free.
-        near = nearest(nodes, dof, first_other, other, edge, dof, room)
+        near = nearest_of(nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, edge, dof, room)
         get(nodes, dof, first_other + near, edge, q)
         distance = 0.0
         for j in range(dof):
@@ -97,8 +114,14 @@ def _search(k, lower, upper, steps, sample, edge, reach, step, nodes,
         for c in range(count):
             for j in range(dof):
                 edge[dof + j] = edge[j] + edge[q + j] / count
-            if not edge_free(k, edge, 0, dof, step):
+            if stop[0] != 0 or not edge_free(k, edge, 0, dof, step):
                 reached = False
+                left = np.sqrt(distance) * (count - c) / count
+                if left < closest[0]:
+                    closest[0] = left
+                    for j in range(dof):
+                        closest[1 + j] = edge[j]
+                        closest[1 + dof + j] = edge[j] + edge[q + j] * (count - c) / count
                 break
             if c < count - 1:
                 put(nodes, dof, first + mine, edge, dof)
@@ -108,8 +131,9 @@ def _search(k, lower, upper, steps, sample, edge, reach, step, nodes,
                 edge[j] = edge[dof + j]
         n0, n1 = (mine, other) if tree == 0 else (other, mine)
         if reached:
-            found[0], found[1] = (mine - 1, near) if tree == 0 else (near, mine - 1)
+            found[FROM], found[TO] = (mine - 1, near) if tree == 0 else (near, mine - 1)
             return True
+    found[NODES_0], found[NODES_1] = n0, n1
     return False
 
 
@@ -126,6 +150,8 @@ def rrt_connect(
     nodes,
     parents,
     radii,
+    leaves,
+    leaf_ints,
     room,
     space,
     found,
@@ -138,47 +164,36 @@ def rrt_connect(
     Args:
         goals: (g, dof). shift: (dof,) in [0, 1), where the samples begin (the seed).
         reach: longest edge [rad]. step: between validity checks [rad].
-        nodes, parents, radii: room for both trees (see tree.new_trees). room: float32 scratch.
-        space: float64 scratch, 5 dof. found: int64 scratch, 4.
+        nodes, parents, radii: room for both trees (see tree.new_trees). leaves, leaf_ints: see
+            leaves.new_leaves. room: float32 scratch.
+        space: float64 scratch, see `space_size`. found: int64, see FOUND. Both keep the search between
+            calls: it begins anew where found[ITERATIONS] is 0, else it goes on.
         stop: stop[0] != 0 ends the search at once; set by another thread.
+        max_iterations: of this call.
     Returns:
-        Number of waypoints (0: none found), iterations, nodes.
+        Number of waypoints (0: none found), iterations and nodes of all calls.
     """
     dof, capacity = len(start), len(parents) // 2
-    found[:] = 0
-    n, p, c = pointer(nodes), pointer(parents), pointer(radii)
-    put(n, dof, 0, pointer(start), 0)
-    parents[0], radii[0] = -1, UNLIMITED
-    for g in range(len(goals)):
-        put(n, dof, capacity + g, pointer(goals), g * dof)
-        parents[capacity + g], radii[capacity + g] = -1, UNLIMITED
-    kronecker_steps(dof, space[3 * dof :])
-    space[4 * dof : 5 * dof] = shift
+    n, p, c, x = pointer(nodes), pointer(parents), pointer(radii), pointer(space)
+    if found[ITERATIONS] == 0:
+        put(n, dof, 0, pointer(start), 0)
+        parents[0], radii[0] = -1, UNLIMITED
+        for g in range(len(goals)):
+            put(n, dof, capacity + g, pointer(goals), g * dof)
+            parents[capacity + g], radii[capacity + g] = -1 - g, UNLIMITED
+        found[NODES_0], found[NODES_1], found[TURN] = 1, len(goals), 1
+        forget(pointer(leaf_ints), capacity)
+        kronecker_steps(dof, space[3 * dof :])
+        space[4 * dof : 5 * dof] = shift
+        space[5 * dof] = np.inf
     if not _search(
         pointer(handle), pointer(lower), pointer(upper), pointer(space[3 * dof :]),
-        pointer(space[4 * dof :]), pointer(space), reach, step, n, p, c, capacity, len(goals), pointer(room),
-        pointer(stop), max_iterations, pointer(found),
+        pointer(space[4 * dof :]), x, pointer(space[5 * dof :]), reach, step, n, p, c, pointer(leaves),
+        pointer(leaf_ints), capacity, pointer(room), pointer(stop), max_iterations, pointer(found),
     ):  # fmt: skip
-        return 0, found[2], found[3]
-    before, after = 0, 0
-    i, k = found[0], found[1]
-    while i >= 0:
-        before += 1
-        i = parents[i]
-    while k >= 0:
-        after += 1
-        k = parents[capacity + k]
-    if before + after > len(path):
-        return 0, found[2], found[3]
-    i, k = found[0], found[1]
-    for row in range(before - 1, -1, -1):
-        get(n, dof, i, pointer(path), row * dof)
-        i = parents[i]
-    for row in range(before, before + after):
-        get(n, dof, capacity + k, pointer(path), row * dof)
-        if row < before + after - 1:
-            k = parents[capacity + k]
-    # The trees are kept in float32; the ends are the caller's own.
-    path[0] = start
-    path[before + after - 1] = goals[k]
-    return before + after, found[2], found[3]
+        return 0, found[ITERATIONS], found[NODES]
+    count, goal = trace(n, p, dof, capacity, found[FROM], found[TO], dof, x, pointer(path), len(path))
+    if count > 0:  # the trees are kept in float32; the ends are the caller's own
+        path[0] = start
+        path[count - 1] = goals[goal]
+    return count, found[ITERATIONS], found[NODES]

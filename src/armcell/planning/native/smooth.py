@@ -40,12 +40,14 @@ def _copy(p, width, src, dst):
 
 
 @njit(cache=True)
-def _shortcut(k, p, count, first, last, at, mode):
+def _shortcut(k, p, count, first, last, at, mode, stop):
     """Join each vertex with the farthest later one that a proven straight line reaches."""
     dof = ints(k)[DOF]
     width, i = dof + 1, 0
-    while i < count - 2:
+    while i < count - 2 and stop[0] == 0:
         for j in range(count - 1, i + 1, -1):
+            if stop[0] != 0:
+                break
             first[0], last[0] = i * width, j * width
             if prove(k, p, first, last, np.int64(1), at, mode | FIRST, COARSE) == 0:
                 gone = j - i - 1
@@ -117,12 +119,13 @@ def _round_corners(k, p, count, room, first, last, at, mode):
 
 
 @njit(cache=True, nogil=True)
-def simplify(handle, path, count, space, index, room, mode):
+def simplify(handle, path, count, space, index, room, mode, stop):
     """Shorten path[:count] in place; every edge of what it returns is proven free.
 
     Args:
         path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.
         room: (dof,) how far each joint may be off the edges [rad].
+        stop: stop[0] != 0 ends the shortening; set by another thread.
     Returns:
         The new count; 0 if an edge that could not be replaced cannot be proven.
     """
@@ -137,11 +140,11 @@ def simplify(handle, path, count, space, index, room, mode):
     loosen(k, pointer(room))
     length = 1e300
     for _ in range(ROUNDS):
-        count = _shortcut(k, p, count, f, t, a, mode)
+        count = _shortcut(k, p, count, f, t, a, mode, pointer(stop))
         before, length = length, 0.0
         for i in range(count - 1):
             length += _distance(p, dof, i * width, (i + 1) * width)
-        if count <= 2 or length > (1 - WORTHWHILE) * before:
+        if stop[0] != 0 or count <= 2 or length > (1 - WORTHWHILE) * before:
             break
         count, changed = _round_corners(k, p, count, m, f, t, a, mode)
         if not changed:

@@ -25,11 +25,12 @@ FAR = 1e9
 
 def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Room for two trees of `capacity` nodes each (a multiple of L): nodes (blocks, dof, L) as one float32
-    array, parents, and radii of the dynamic domain."""
+    array, parents (-1 - r of root r), and radii of the dynamic domain. Empty: `put` fills it block by block.
+    """
     return (
-        np.full(2 * capacity * dof, FAR, np.float32),
-        np.full(2 * capacity, -1, np.int32),
-        np.full(2 * capacity, FAR),
+        np.empty(2 * capacity * dof, np.float32),
+        np.empty(2 * capacity, np.int32),
+        np.empty(2 * capacity),
     )
 
 
@@ -74,3 +75,33 @@ def nearest(nodes, dof, first, count, q, at, room):
     # The smallest of the lanes; a hair is added so that it is found in spite of "less than".
     lane = trailing_zeros(mask_lt(best, splat(hmin(best) * np.float32(1.000001) + np.float32(1e-30))))
     return int(room[lane]) * L + lane
+
+
+@njit(cache=True)
+def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
+    """Write the way from tree 0's root to its node i and on from tree 1's node k to its root.
+
+    Args:
+        row: scratch, dims numbers. path: rows of the first dof coordinates, at most `most`.
+    Returns:
+        How many rows (0: too many), and which root of tree 1 it ends at.
+    """
+    before, after, root = 0, 0, i
+    while root >= 0:
+        before, root = before + 1, parents[root]
+    root = k
+    while root >= 0:
+        after, root = after + 1, parents[capacity + root]
+    if before + after > most:
+        return 0, -1 - root
+    for at in range(before - 1, -1, -1):
+        get(nodes, dims, i, row, 0)
+        for j in range(dof):
+            path[at * dof + j] = row[j]
+        i = parents[i]
+    for at in range(before, before + after):
+        get(nodes, dims, capacity + k, row, 0)
+        for j in range(dof):
+            path[at * dof + j] = row[j]
+        k = parents[capacity + k]
+    return before + after, -1 - root

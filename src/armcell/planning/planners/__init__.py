@@ -1,5 +1,5 @@
 """Planners by name. Importing this package registers them."""
 
-from armcell.planning.planners import native, ompl
+from armcell.planning.planners import aorrtc, native, ompl, prm
 
-__all__ = ["native", "ompl"]
+__all__ = ["aorrtc", "native", "ompl", "prm"]
