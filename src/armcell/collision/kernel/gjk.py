@@ -271,7 +271,8 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             s[NORMAL], s[NORMAL + 1], s[NORMAL + 2] = s[v] / length, s[v + 1] / length, s[v + 2] / length
             if bound > enough:
                 return bound
-        if n > 0 and length - bound <= tolerance:
+        # A rough bound is enough where it proves a separation; that solids touch is never said of one.
+        if n > 0 and length - bound <= (tolerance if bound > TOUCHING else TOLERANCE):
             return bound if bound > TOUCHING else 0.0
         for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
             if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:
