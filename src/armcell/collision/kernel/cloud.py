@@ -64,7 +64,7 @@ from armcell.collision.kernel.simd import (
 )
 from armcell.collision.kernel.verdict import fail, touch
 
-NO_GROUP = -1
+NO_GROUP = np.int64(-1)
 DONE = np.int64(-1)
 
 
@@ -177,17 +177,25 @@ def _local(I, F, w, state, o, g, f, mode):
 
 
 @njit(cache=True)
-def _spheres_to_parts(I, F, w, g, kind, at, lane, more, mode):
-    """Group g's spheres in one lane (see `_local`) against the 16 parts at F[at:].
+def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
+    """Group g in one lane against the 16 parts at F[at:]: the ball around it (w[ball_at:]), then its spheres.
 
     Returns bits of parts: that a sphere is not clear of, that one touches for certain, that are too near for
     any exact test. `more`: what the gap must exceed beside the radius and, in a proof, its own falling.
     """
     near, sure, close = np.int64(0), np.int64(0), np.int64(0)
-    b, tiny = local_at(I) + lane, splat(np.float32(1e-12))
-    for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
-        sphere = I[SPHERE] + 5 * k
+    b, tiny, first = ball_at(I) + lane, splat(np.float32(1e-12)), I[I[GROUP_SPHERES] + g]
+    for k in range(first - 1, I[I[GROUP_SPHERES] + g + 1]):
         gap, dx, dy, dz = _apart(F, kind, at, splat(w[b]), splat(w[b + L]), splat(w[b + 2 * L]))
+        if k < first:
+            if mask_lt(gap, splat(w[b + 3 * L])) == 0:
+                break
+            b = local_at(I) + lane
+            if state[PLACED] != g:
+                _local(I, F, w, state, o, g, f, mode)
+                state[PLACED] = g
+            continue
+        sphere = I[SPHERE] + 5 * k
         need = splat(more)
         if mode & PROVE:
             rate = fma(dx, splat(w[b + 3 * L]), fma(dy, splat(w[b + 4 * L]), dz * splat(w[b + 5 * L])))
@@ -206,22 +214,11 @@ def _spheres_to_parts(I, F, w, g, kind, at, lane, more, mode):
 
 @njit(cache=True)
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
-    """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE.
-
-    The group's balls are at w[ball_at:]; its spheres are placed (see `_local`) when one of those touches.
-    """
-    ball = ball_at(I)
+    """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE."""
     while lanes != 0:
         lane = trailing_zeros(lanes)
         lanes &= lanes - 1
-        b = ball + lane
-        gap, _x, _y, _z = _apart(F, kind, at, splat(w[b]), splat(w[b + L]), splat(w[b + 2 * L]))
-        if mask_lt(gap, splat(w[b + 3 * L])) == 0:
-            continue
-        if state[PLACED] != g:
-            _local(I, F, w, state, o, g, f, mode)
-            state[PLACED] = g
-        near, sure, close = _spheres_to_parts(I, F, w, g, kind, at, lane, w[more_at + lane], mode)
+        near, sure, close = _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, w[more_at + lane], mode)
         if near == 0:
             continue
         bit = np.int64(1) << lane
@@ -240,6 +237,17 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 
 @njit(cache=True)
+def _keep_ball(I, w, state, x, y, z, reach):
+    """Note the ball around a group whose spheres are not placed yet."""
+    ball = ball_at(I)
+    store(w, ball, x)
+    store(w, ball + L, y)
+    store(w, ball + 2 * L, z)
+    store(w, ball + 3 * L, reach)
+    state[PLACED] = NO_GROUP
+
+
+@njit(cache=True)
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
     """Balls of radius `reach` around (x, y, z) in shape o's frame down its cloud's tree.
 
@@ -250,12 +258,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
     zero, open_lanes = splat(np.float32(0.0)), np.int64(0)
     lx, ly, lz = hmin(x - reach), hmin(y - reach), hmin(z - reach)
     hx, hy, hz = hmax(x + reach), hmax(y + reach), hmax(z + reach)
-    reach2, ball, top = reach * reach, ball_at(I), 1
-    store(w, ball, x)
-    store(w, ball + L, y)
-    store(w, ball + 2 * L, z)
-    store(w, ball + 3 * L, reach)
-    state[PLACED] = NO_GROUP
+    reach2, top = reach * reach, 1
+    _keep_ball(I, w, state, x, y, z, reach)
     state[stack] = 0
     while top > 0:
         top -= 1
@@ -315,7 +319,7 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
         x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         reach = _grown(I, w, bodies + g, F[sphere + 3], more, mode)
         left = lanes & ~open_lanes if mode & PROVE else lanes
-        found = _walk(I, F, w, state, o, g, f, x, y, z, reach, left, more_at, mode)
+        found = _walk(I, F, w, state, o, np.int64(g), f, x, y, z, reach, left, more_at, mode)
         if found == DONE:
             return DONE
         open_lanes |= found
@@ -343,7 +347,7 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
         if top == 0:
             state[stack] = 0
             top = 1
-        _local(I, F, w, state, o, group, f, mode)
+        _keep_ball(I, w, state, x, y, z, reach)
         while top > 0:
             if count + L * L > MAX_LISTED:
                 return group, top, count
@@ -364,7 +368,9 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
                         top += 1
                     continue
                 first = _block_at(I, c, child)
-                near, _sure, _close = _spheres_to_parts(I, F, w, group, I[c], first, lane, more, mode)
+                near, _sure, _close = _group_to_parts(
+                    I, F, w, state, o, group, f, I[c], first, lane, more, mode
+                )
                 while near != 0:
                     state[LISTED + count] = first + trailing_zeros(near)
                     near &= near - 1

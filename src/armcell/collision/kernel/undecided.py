@@ -259,7 +259,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
 @njit(cache=True)
 def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
     """As `_exact_lane`, against the cloud of a world shape."""
-    group, end = I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]
+    group, end = np.int64(I[I[BODY_GROUPS] + body]), I[I[BODY_GROUPS] + body + 1]
     top = np.int64(0)
     while group < end:
         group, top, count = next_parts(I, F, w, state, body, other, lane, mode, group, top, 0)
@@ -285,7 +285,8 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
         cx = x + s[R] * D[ball] + s[R + 1] * D[ball + 1] + s[R + 2] * D[ball + 2]
         cy = y + s[R + 4] * D[ball] + s[R + 5] * D[ball + 1] + s[R + 6] * D[ball + 2]
         cz = z + s[R + 8] * D[ball] + s[R + 9] * D[ball + 1] + s[R + 10] * D[ball + 2]
-        points, warm = I[PIECE_POINTS] + 2 * a, False
+        # Arguments of the types that `_piece_distance` gives (no constants), or all of gjk is compiled again.
+        points, warm, unused = I[PIECE_POINTS] + 2 * a, a < 0, np.int64(a)
         for k in range(count):
             at = state[LISTED + k]
             px, py, pz = float(F[at]), float(F[at + L]), float(F[at + 2 * L])
@@ -308,7 +309,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
             s[R + 3], s[R + 7], s[R + 11] = x - px, y - py, z - pz
             d = gjk.distance(
                 F, D, R, I[I[PIECE_KIND] + a], I[PIECE_SIZE] + 3 * a, I[POINTS] + 3 * I[points],
-                I[POINTS32] + 3 * I[points], I[points + 1], kind, 0, 0, 0, 0, need, warm, s,
+                I[POINTS32] + 3 * I[points], I[points + 1], kind, unused, unused, unused, kind, need, warm, s,
             )  # fmt: skip
             warm = True  # the next part is mostly near this one
             if d <= 0.0:

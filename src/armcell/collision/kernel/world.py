@@ -187,16 +187,17 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 @njit(cache=True)
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
     """`_body_to_shape` for a shape that is the box around a cloud."""
-    lanes = body_to_cloud(I, F, w, state, body, o, more, state[ALIVE], mode)
+    other = np.int64(o)  # as the exact tier has it, or what both call is compiled twice
+    lanes = body_to_cloud(I, F, w, state, body, other, more, state[ALIVE], mode)
     if lanes == DONE:
         return True
-    if lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o, lanes, mode):
+    if lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
         return True
     if I[I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o] + 3] == 0:
         return False
     gap = shape_gap(I, F, o, w, centre_at(I, body))  # a closed mesh
     lanes = mask_lt(gap, splat(F[I[BODY_SPHERE] + 4 * body + 3])) & state[ALIVE]
-    return lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o + INSIDE, lanes, mode)
+    return lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, other + INSIDE, lanes, mode)
 
 
 @njit(cache=True)
