@@ -39,7 +39,8 @@ class NativeSettings:
     max_nodes: int = 60_000  # per tree
     max_iterations: int = 100_000_000  # the time limit comes first
     max_waypoints: int = 512
-    detour: float = 1.45  # times the straight line: a longer path is searched for once more
+    detour: float = 1.45  # times the straight line: a longer path is searched for once more,
+    detour_iterations: int = 8000  # if it was found within so many
     slice: int = 1000  # iterations between goals that are streamed
 
 
@@ -183,7 +184,10 @@ class NativePlanner:
                 best = replace(best, waypoints=self.path[:count].copy(), raw=raw)
             if detour or stop[0] or len(raw) == 0:
                 break
-            if best.waypoints is not None and _length(best.waypoints) <= self.settings.detour * straight:
+            if best.waypoints is not None and (
+                best.iterations > self.settings.detour_iterations
+                or _length(best.waypoints) <= self.settings.detour * straight
+            ):
                 break
         return best if best.waypoints is not None else replace(best, closest=self.closest)
 
