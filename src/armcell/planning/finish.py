@@ -117,5 +117,5 @@ def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseD
 
 
 def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
-    """Distance [m] that a motion is proven to keep from everything, to half a millimetre; at most 0.25."""
+    """Distance [m] that a motion is proven to keep, see `KernelChecker.clearance`; at most 0.25."""
     return checker.clearance(trajectory.positions)

@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision import ExactChecker
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, SO3, PlanRequest, PoseGoal
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.scene import PlanningScene
@@ -21,7 +21,7 @@ ATTEMPTS = 500  # random references per pose
 
 
 def stream(
-    scene: PlanningScene, request: PlanRequest, checker: ExactChecker, known: Sequence[Array]
+    scene: PlanningScene, request: PlanRequest, checker: KernelChecker, known: Sequence[Array]
 ) -> Iterator[Array] | None:
     """Free positions (n,), not yet known, that reach one of the request's pose goals; None: it has none.
 

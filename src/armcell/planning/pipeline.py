@@ -88,7 +88,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             seed,
             began + request.planning_time,
             cancel or threading.Event(),
-            stream(scene, request, checker.exact, goals),
+            stream(scene, request, checker, goals),
         )
         waypoints = _direct(problem) if round_ == 0 else None
         used = "straight line" if waypoints is not None else planner_id

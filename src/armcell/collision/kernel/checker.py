@@ -13,12 +13,29 @@ from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
 from armcell.collision.kernel.block import EXACT, PADDED, handle_of, touches
 from armcell.collision.kernel.frames import workspace
-from armcell.collision.kernel.layout import flat_of, flatten
+from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.layout import Flat, flatten
 from armcell.collision.kernel.motion import free_edge, prove_points, proven_clearance
-from armcell.collision.kernel.pack import pack
+from armcell.collision.kernel.pack import Names, Pack, pack
+from armcell.collision.kernel.robot_part import robot_part
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
+
+
+_packs: Kept[tuple[Pack, Names, Flat]] = Kept(8)
+
+
+def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Names, Flat]:
+    """Kept for the last few scenes: planning again with only the group's joints elsewhere costs nothing."""
+    robot = robot_part(scene, joint_names)
+
+    def make() -> tuple[Pack, Names, Flat]:
+        packed, names = pack(scene, robot)
+        return packed, names, flatten(packed)
+
+    key = (robot, tuple(scene.objects.items()), frozenset(scene.allowed.items()))
+    return _packs.get(key, make)
 
 
 class KernelChecker:
@@ -34,13 +51,16 @@ class KernelChecker:
         names = tuple(joint_names) if joint_names is not None else scene.model.joint_names
         self.scene, self.model, self.joint_names = scene, scene.model, names
         self.columns = np.array(scene.model.columns(names), dtype=np.int64)
-        self.pack, self.names = pack(scene, names)
-        self.flat = flat_of(self.pack)
+        self.pack, self.names, self.flat = _packed(scene, names)
         self.lanes, self.state, self.scratch = workspace(self.flat)
         self.slack = np.zeros(max(len(self.pack.frame), 1), np.float32)
         self.slack_pair = np.zeros(max(len(self.pack.pairs), 1), np.float32)
         self._exact: ExactChecker | None = None
         self._take_hold()
+
+    def __reduce__(self) -> tuple:
+        """Copies are made anew: what a handle points to does not travel."""
+        return KernelChecker, (self.scene, self.joint_names)
 
     @property
     def exact(self) -> ExactChecker:
@@ -78,9 +98,10 @@ class KernelChecker:
         return bool(touches(self.handle, EXACT, np.ascontiguousarray(q, dtype=float)))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
-        """Distance [m] that a piecewise linear motion (k, n) is proven to keep from everything.
+        """Distance [m] that a piecewise linear motion (k, n) is proven to keep from what it could touch.
 
-        At most `most`; within about `tolerance` of the smallest distance there is, and not above it.
+        Parts of neighbouring links that cannot meet for any joint values do not count, however near they
+        are. At most `most`; within about `tolerance` of the smallest distance there is, and not above it.
         """
         points = np.ascontiguousarray(waypoints, dtype=float)
         if len(points) == 1:

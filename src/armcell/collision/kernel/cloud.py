@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.boxes import boxes_hit, into, turned
 from armcell.collision.kernel.frames import (
     ALIVE,
     EXACT,
@@ -72,24 +73,6 @@ DONE = np.int64(-1)
 def _cloud_of(I, o):
     """Where the numbers of world shape o's cloud are in I."""
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
-
-
-@njit(cache=True, forceinline=True)
-def _into(F, m, cx, cy, cz):
-    """World points in the frame whose rows are at F[m:]."""
-    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
-    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
-    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
-    return x, y, z
-
-
-@njit(cache=True, forceinline=True)
-def _turned(F, m, cx, cy, cz):
-    """World vectors in the frame whose rows are at F[m:]."""
-    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
-    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), cz * splat(F[m + 6])))
-    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), cz * splat(F[m + 10])))
-    return x, y, z
 
 
 @njit(cache=True, forceinline=True)
@@ -163,13 +146,13 @@ def _local(I, F, w, state, o, g, f, mode):
     m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
         at = centre(I, F, w, state, first + k, f, I[SPHERE] + 5 * k, mode)
-        x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+        x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         store(w, out, x)
         store(w, out + L, y)
         store(w, out + 2 * L, z)
         if mode & PROVE:
             v = velocity_at(I, first + k)
-            x, y, z = _turned(F, m, load(w, v), load(w, v + L), load(w, v + 2 * L))
+            x, y, z = turned(F, m, load(w, v), load(w, v + L), load(w, v + 2 * L))
             store(w, out + 3 * L, x)
             store(w, out + 4 * L, y)
             store(w, out + 5 * L, z)
@@ -265,9 +248,7 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
         top -= 1
         block = I[c + 1] + state[stack + top]
         at = I[CLOUD_BOXES] + block * 6 * L
-        hit = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
-        hit &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))
-        hit &= mask_lt(splat(ly), load(F, at + 4 * L)) & mask_lt(splat(lz), load(F, at + 5 * L))
+        hit = boxes_hit(F, at, lx, ly, lz, hx, hy, hz)
         while hit != 0:
             k = trailing_zeros(hit)
             hit &= hit - 1
@@ -309,14 +290,14 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
     more_at = need_at(I) + L
     store(w, more_at, more)
     at = centre(I, F, w, state, body, f, I[BODY_SPHERE] + 4 * body, mode)
-    x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+    x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
     reach = _grown(I, w, body, F[I[BODY_SPHERE] + 4 * body + 3], more, mode)
     if _walk(I, F, w, state, o, NO_GROUP, f, x, y, z, reach, lanes, more_at, mode) == 0:
         return open_lanes
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
         sphere = I[GROUP_SPHERE] + 4 * g
         at = centre(I, F, w, state, bodies + g, f, sphere, mode)
-        x, y, z = _into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+        x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         reach = _grown(I, w, bodies + g, F[sphere + 3], more, mode)
         left = lanes & ~open_lanes if mode & PROVE else lanes
         found = _walk(I, F, w, state, o, np.int64(g), f, x, y, z, reach, left, more_at, mode)
@@ -342,7 +323,7 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
     while group < I[I[BODY_GROUPS] + body + 1]:
         sphere = I[GROUP_SPHERE] + 4 * group
         at = centre(I, F, w, state, bodies + group, f, sphere, mode)
-        x, y, z = _into(F, m, splat(w[at + lane]), splat(w[at + L + lane]), splat(w[at + 2 * L + lane]))
+        x, y, z = into(F, m, splat(w[at + lane]), splat(w[at + L + lane]), splat(w[at + 2 * L + lane]))
         reach = splat(F[sphere + 3] + need)
         if top == 0:
             state[stack] = 0

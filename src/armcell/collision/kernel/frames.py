@@ -47,8 +47,7 @@ STAMPS = PLACED + 1
 
 # Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
 AT_A, AT_B, AT_RELATIVE = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24
-CLOSE = gjk.SCRATCH + 36  # [m] what is as near as this counts as touching; 0 but for measuring clearance
-SCRATCH = CLOSE + 1
+SCRATCH = gjk.SCRATCH + 36
 
 Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 

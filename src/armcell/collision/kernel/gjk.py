@@ -28,9 +28,10 @@ from armcell.collision.kernel.simd import (
 
 POINTS, SPHERE, BOX, CAPSULE, CYLINDER, CONE, HALFSPACE, BALL, CELL, TRIANGLE = range(10)
 MAX_ITERATIONS = 64
-SCRATCH = 68  # float64 numbers that `distance` needs
+SCRATCH = 69  # float64 numbers that `distance` needs
 NORMAL = 54
 PART = 58  # of a cloud: radius, half the edge, or three corners
+CLOSE = 68  # [m] what is as near as this counts as touching; 0 but for measuring clearance
 TOLERANCE = 1e-6  # [m] of the distance, beside this share of what is enough:
 SHARE = 0.05
 TOUCHING = 1e-7  # [m] solids closer than this touch: points are chosen in float32
@@ -272,7 +273,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             if bound > enough:
                 return bound
         # A rough bound is enough where it proves a separation; that solids touch is never said of one.
-        if n > 0 and length - bound <= (tolerance if bound > TOUCHING else TOLERANCE):
+        if n > 0 and length - bound <= (tolerance if bound > max(TOUCHING, s[CLOSE]) else TOLERANCE):
             return bound if bound > TOUCHING else 0.0
         for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
             if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:

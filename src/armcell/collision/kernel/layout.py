@@ -126,19 +126,6 @@ _DOUBLES = (
 )
 
 
-_last: list[tuple[Pack, Flat]] = []
-
-
-def flat_of(p: Pack) -> Flat:
-    """`flatten`, kept for the last few packs."""
-    for pack, flat in _last:
-        if pack is p:
-            return flat
-    _last.append((p, flatten(p)))
-    del _last[:-4]
-    return _last[-1][1]
-
-
 def flatten(p: Pack) -> Flat:
     """The three arrays of a pack."""
     counts = [

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel import gjk
 from armcell.collision.kernel.block import (
     AT_D,
     AT_S,
@@ -22,7 +23,7 @@ from armcell.collision.kernel.block import (
     ints,
     lanes_of,
 )
-from armcell.collision.kernel.frames import CLOSE, TOUCHING, half_at, rate_at
+from armcell.collision.kernel.frames import TOUCHING, half_at, rate_at
 from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REACH
 from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
 
@@ -190,9 +191,9 @@ def prove_points(handle, points, room, mode):
 
 @njit(cache=True, nogil=True)
 def proven_clearance(handle, points, most, tolerance):
-    """Largest distance [m] that a motion (k, dof) can be proven to keep from everything, by bisection.
+    """Largest distance [m] that a motion (k, dof) can be proven to keep from what it could touch.
 
-    At most `most`; within `tolerance` of the true smallest distance, and not above it.
+    By bisection. At most `most`; within about `tolerance` of the smallest distance, and not above it.
     """
     k, (n, dof) = pointer(handle), points.shape
     I, s = ints(k), at_address(np.float64, k[AT_S])
@@ -204,7 +205,7 @@ def proven_clearance(handle, points, most, tolerance):
             slack[b] = np.float32(trial) + CERTAIN
         for b in range(I[PAIRS]):
             slack_pair[b] = np.float32(trial) + CERTAIN
-        s[CLOSE] = trial
+        s[gjk.CLOSE] = trial
         bad = prove(
             k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), np.int64(FIRST),
             0.5 * tolerance,
@@ -214,5 +215,5 @@ def proven_clearance(handle, points, most, tolerance):
         else:
             high = trial
         trial = 0.5 * (low + high)
-    s[CLOSE] = 0.0
+    s[gjk.CLOSE] = 0.0
     return low + 0.0 * (rows[0] + at[0])  # both are used after the calls: pointers do not keep them

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.box_tree import box_tree
 from armcell.collision.kernel.cloud_part import join_clouds
 from armcell.collision.kernel.pieces import join_pieces
-from armcell.collision.kernel.robot_part import RobotPart, kept, robot_part
+from armcell.collision.kernel.robot_part import RobotPart
 from armcell.collision.kernel.world_part import object_part
 from armcell.scene import PlanningScene
 
@@ -86,20 +85,8 @@ class Names(NamedTuple):
     objects: tuple[str, ...]
 
 
-def pack(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Names]:
-    """The kernel's view of a scene for the joints of one group; the other joints stay where they are.
-
-    Kept for the last few scenes: planning again with only the group's joints elsewhere costs nothing.
-    """
-    robot = robot_part(scene, joint_names)
-    key = (robot, tuple(scene.objects.items()), frozenset(scene.allowed.items()))
-    return kept(_packs, key, lambda: _packed(scene, robot))
-
-
-_packs: OrderedDict[tuple, tuple[Pack, Names]] = OrderedDict()
-
-
-def _packed(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
+def pack(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
+    """The kernel's view of a scene for the joints of one group; the other joints stay where they are."""
     objects = [object_part(item) for item in scene.objects.values()]
     names = tuple(scene.objects)
     margin = np.where(

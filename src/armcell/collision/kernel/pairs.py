@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel import gjk
 from armcell.collision.kernel.frames import (
     ALIVE,
-    CLOSE,
     EXACT,
     PROVE,
     bend,
@@ -94,7 +94,7 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
             if hit == 0:
                 continue
             if mode & EXACT:
-                close = splat(np.float32(s[CLOSE]))
+                close = splat(np.float32(s[gjk.CLOSE]))
                 surely = hit & _near(
                     I,
                     w,

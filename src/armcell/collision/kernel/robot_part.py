@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel import near
 from armcell.collision.kernel.cover import GROUP, Cover, bounding_sphere, cover
+from armcell.collision.kernel.kept import Kept
 from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of
 from armcell.core import SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
 from armcell.core.geometry import local_bounds
@@ -28,9 +29,6 @@ OBJECT_OVERSHOOT = 0.005  # of a held object, or this share of its largest exten
 OBJECT_SHARE = 1 / 15  # a crate needs no finer cover than a cube, and fitting one would take a minute
 
 REVOLUTE_KIND = 1  # as in frames
-
-KEPT = 8  # robot parts
-MANY = 512  # bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +51,8 @@ class _Body:
     pieces: Pieces
 
 
-_parts: OrderedDict[tuple, RobotPart] = OrderedDict()
-_bodies: OrderedDict[tuple, _Body] = OrderedDict()
+_parts: Kept[RobotPart] = Kept(8)
+_bodies: Kept[_Body] = Kept(512)
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
@@ -72,18 +70,7 @@ def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
         scene.padding,
         frozenset((k, v) for k, v in scene.allowed.items() if not any(n in scene.objects for n in k)),
     )  # fmt: skip
-    return kept(_parts, key, lambda: _Builder(scene, joint_names).build())
-
-
-def kept(store: OrderedDict, key: tuple, make: Any, most: int = KEPT) -> Any:
-    """A value of a small store, the least recently used ones of which are dropped."""
-    if key in store:
-        store.move_to_end(key)
-        return store[key]
-    value = store[key] = make()
-    while len(store) > most:
-        store.popitem(last=False)
-    return value
+    return _parts.get(key, lambda: _Builder(scene, joint_names).build())
 
 
 class _Builder:
@@ -101,8 +88,8 @@ class _Builder:
         pair_reach = self._pair_reach(bodies, pairs, reach)
         meeting = self._near(bodies, arrays, pairs)
         # Pairs that cannot meet need no checking; nor do groups of the first body that meet nothing.
-        kept = [p for p, rows in enumerate(meeting) if any(len(row) for row in rows)]
-        pairs, pair_reach = pairs[kept], pair_reach[kept]
+        some = [p for p, rows in enumerate(meeting) if any(len(row) for row in rows)]
+        pairs, pair_reach = pairs[some], pair_reach[some]
         up = np.float32(1 + 1e-6)
         arrays |= {
             "dof": self.dof,
@@ -113,7 +100,7 @@ class _Builder:
             "multiplier": np.array(self.multiplier, np.float32),
             "offset": np.array(self.offset, np.float32),
             "pairs": pairs,
-            **_near_tables(arrays["body_groups"], pairs, [meeting[p] for p in kept]),
+            **_near_tables(arrays["body_groups"], pairs, [meeting[p] for p in some]),
             "reach": reach,
             "pair_reach": pair_reach,
             "rate": reach.astype(np.float32) * up,
@@ -166,7 +153,7 @@ class _Builder:
             overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
             scale = scene.link_scale.get(link.name, 1.0)
             shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix, overshoot) for c in link.collisions]
-            body = kept(_bodies, (self.model, link.name, scale, overshoot), lambda s=shapes: _body(s), MANY)
+            body = _bodies.get((self.model, link.name, scale, overshoot), partial(_body, shapes))
             bodies.append((link.name, frame))
             placed.append((body, T))
             padding.append(scene.link_padding.get(link.name, scene.padding))
@@ -174,7 +161,7 @@ class _Builder:
         for held in scene.attached.values():
             frame, T = self.of_link[tree.link_index[held.link]]
             shapes = [(s, t.matrix, _object_overshoot(s)) for s, t in held.object.shapes]
-            body = kept(_bodies, (held.object.shapes,), lambda s=shapes: _body(s), MANY)
+            body = _bodies.get((held.object.shapes,), partial(_body, shapes))
             bodies.append((held.object.name, frame))
             placed.append((body, T @ held.T_link_object.matrix))
             padding.append(scene.link_padding.get(held.link, scene.padding))

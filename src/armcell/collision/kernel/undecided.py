@@ -17,7 +17,6 @@ from armcell.collision.kernel.frames import (
     AT_A,
     AT_B,
     AT_RELATIVE,
-    CLOSE,
     ENTRIES,
     LISTED,
     MAX_WAITING,
@@ -249,7 +248,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
             else:
                 _world_piece(I, D, w, b, second, lane, s, AT_B)
             d = _piece_distance(I, F, D, a, b, need, warm, s)
-            if d <= s[CLOSE]:
+            if d <= s[gjk.CLOSE]:
                 return CONTACT
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
                 return UNPROVEN
@@ -312,7 +311,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
                 I[POINTS32] + 3 * I[points], I[points + 1], kind, unused, unused, unused, kind, need, warm, s,
             )  # fmt: skip
             warm = True  # the next part is mostly near this one
-            if d <= 0.0:
+            if d <= s[gjk.CLOSE]:
                 return CONTACT
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
                 return UNPROVEN

@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.boxes import boxes_hit, into, turned
 from armcell.collision.kernel.cloud import DONE, body_to_cloud
 from armcell.collision.kernel.frames import (
     ALIVE,
-    CLOSE,
     EXACT,
     MAX_STACK,
     PADDED,
@@ -75,9 +75,7 @@ def shape_gap(I, F, o, w, at):
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
     zero = splat(np.float32(0.0))
-    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
-    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
-    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
+    x, y, z = into(F, m, cx, cy, cz)
     a, b = splat(F[size]), splat(F[size + 1])
     if kind == gjk.BOX:
         dx, dy = vmax(vabs(x) - a, zero), vmax(vabs(y) - b, zero)
@@ -118,12 +116,8 @@ def shape_rate(I, F, o, w, at, velocity):
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
     ux, uy, uz = load(w, velocity), load(w, velocity + L), load(w, velocity + 2 * L)
     zero, tiny = splat(np.float32(0.0)), splat(np.float32(1e-12))
-    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
-    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
-    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
-    vx = fma(ux, splat(F[m]), fma(uy, splat(F[m + 1]), uz * splat(F[m + 2])))
-    vy = fma(ux, splat(F[m + 4]), fma(uy, splat(F[m + 5]), uz * splat(F[m + 6])))
-    vz = fma(ux, splat(F[m + 8]), fma(uy, splat(F[m + 9]), uz * splat(F[m + 10])))
+    x, y, z = into(F, m, cx, cy, cz)
+    vx, vy, vz = turned(F, m, ux, uy, uz)
     a, b = splat(F[size]), splat(F[size + 1])
     if kind == gjk.HALFSPACE:
         return vabs(vz)
@@ -154,15 +148,6 @@ def shape_rate(I, F, o, w, at, velocity):
         mantle = (r * height + (z - b) * a) / slope
         return vabs(select_lt(zero - z - b, mantle, (out * height + vz * a) / slope, vz))
     return vabs(fma(x, vx, fma(y, vy, z * vz))) / vsqrt(fma(x, x, fma(y, y, fma(z, z, tiny))))
-
-
-@njit(cache=True, forceinline=True)
-def _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz):
-    """Bits of the boxes of a block that meet the box given."""
-    at = I[BOXES] + block * 6 * L
-    mask = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
-    mask &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))
-    return mask & mask_lt(splat(ly), load(F, at + 4 * L)) & mask_lt(splat(lz), load(F, at + 5 * L))
 
 
 @njit(cache=True, forceinline=True)
@@ -227,7 +212,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
                     return True
                 continue
             if certain and F[sphere + 4] > 0:
-                surely = mask_lt(gap, splat(F[sphere + 4] + np.float32(s[CLOSE]))) & lanes
+                surely = mask_lt(gap, splat(F[sphere + 4] + np.float32(s[gjk.CLOSE]))) & lanes
                 if surely != 0 and touch(state, surely, mode):
                     return True
                 # Where the ball inside the solid is too near, no exact test can help.
@@ -262,12 +247,12 @@ def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
         while top > 0:
             top -= 1
             block = state[STACK + top]
-            hit = _boxes_hit(I, F, block, lx, ly, lz, hx, hy, hz)
+            hit = boxes_hit(F, I[BOXES] + block * 6 * L, lx, ly, lz, hx, hy, hz)
             while hit != 0:
                 o = I[I[CHILD] + block * L + trailing_zeros(hit)]
                 hit &= hit - 1
                 if o < 0:  # a block of boxes further down
-                    if top < MAX_STACK:  # the tree is built so that it is
+                    if top < MAX_STACK // 2:  # 16 ** 8 shapes fit; a cloud's stack lies above
                         state[STACK + top] = -o
                         top += 1
                     continue

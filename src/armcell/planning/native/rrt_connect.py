@@ -27,7 +27,7 @@ FROM, TO, ITERATIONS, NODES, NODES_0, NODES_1, TURN, FOUND = range(8)
 
 
 def space_size(dof: int) -> int:
-    """Doubles of scratch: edge and sample, sample steps, sample, closest approach (see `CLOSEST`)."""
+    """Doubles of scratch: edge and sample, sample steps, sample, closest approach (see `closest_at`)."""
     return 7 * dof + 1
 
 

@@ -1,0 +1,35 @@
+"""What walks through trees of boxes share: frames of shapes, and boxes 16 at a time."""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+from numba import njit
+
+from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat
+
+
+@njit(cache=True, forceinline=True)
+def into(F, m, cx, cy, cz):
+    """World points in the frame whose rows are at F[m:]."""
+    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
+    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
+    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
+    return x, y, z
+
+
+@njit(cache=True, forceinline=True)
+def turned(F, m, cx, cy, cz):
+    """World vectors in the frame whose rows are at F[m:]."""
+    x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
+    y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), cz * splat(F[m + 6])))
+    z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), cz * splat(F[m + 10])))
+    return x, y, z
+
+
+@njit(cache=True, forceinline=True)
+def boxes_hit(F, at, lx, ly, lz, hx, hy, hz):
+    """Bits of the 16 boxes at F[at:] that meet the box given."""
+    mask = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
+    mask &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))
+    return mask & mask_lt(splat(ly), load(F, at + 4 * L)) & mask_lt(splat(lz), load(F, at + 5 * L))
