@@ -6,6 +6,8 @@ never a contact a miss.
 
 from __future__ import annotations
 
+import copy
+import pickle
 import time
 
 import numpy as np
@@ -109,3 +111,11 @@ def test_a_held_crate_is_ready_in_time(tmp_path, monkeypatch):
     began = time.monotonic()
     KernelChecker(held)
     assert time.monotonic() - began < 20.0
+
+
+@pytest.mark.parametrize("made", [copy.deepcopy, lambda checker: pickle.loads(pickle.dumps(checker))])
+def test_a_copy_is_a_checker_of_its_own(made):
+    """Addresses of the first one's memory must not travel."""
+    there = made(KernelChecker(scene_with("box")))
+    assert not there.is_free([0.95]) and there.is_free([0.8])
+    assert there.clearance([[0.7], [0.8]]) == pytest.approx(0.1, abs=1e-3)

@@ -9,7 +9,7 @@ import pytest
 
 from armcell.core import ErrorCode, InputError, MissingExtraError, Outcome, Registry, UnknownNameError
 
-FACTS = Path("/work/shared/facts/moveit_api.md")
+FACTS = Path(__file__).parents[3] / "shared" / "facts" / "moveit_api.md"
 
 
 @pytest.mark.skipif(not FACTS.exists(), reason="needs the project's fact sheets")

@@ -55,6 +55,21 @@ def judged(checker, waypoints, start, goals):
             assert exact.is_free(a + t * (b - a))
 
 
+# ---- other planners' paths ---------------------------------------------------------------------------
+
+
+def test_a_path_longer_than_the_buffer_is_shortened_piece_by_piece():
+    checker, start, goals, lower, upper = question(*PROBLEMS["panda"]())
+    planner, stop = NativePlanner(checker), np.zeros(1, np.int64)
+    found = planner.plan(start, goals, lower, upper)
+    along = np.linspace(0, len(found.raw) - 1, 1300)
+    fine = np.stack([np.interp(along, np.arange(len(found.raw)), column) for column in found.raw.T], axis=1)
+    short = planner.shortened(fine, stop)
+    assert 2 < len(short) < 1300 and length(short) < length(found.raw)
+    judged(checker, short, start, goals)
+    assert planner.shortened(np.vstack([start, goals[0]]), stop) is None  # straight through the wall
+
+
 # ---- nearest neighbours ----------------------------------------------------------------------------
 
 

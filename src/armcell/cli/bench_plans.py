@@ -145,9 +145,9 @@ def _of_pipeline(function) -> Plan:
                 spent[0] += times[1] - times[0]
                 break
             if not answer.simplified:
-                waypoints = simplify(problem, raw, np.random.default_rng(round_))
+                waypoints = simplify(problem, raw)
             times.append(time.thread_time())
-            proven = checker.certify(waypoints, evidence=False).free
+            proven = waypoints is not None and checker.certify(waypoints, evidence=False).free
             times.append(time.thread_time())
             spent += np.diff(times)
             if not proven:

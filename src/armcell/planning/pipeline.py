@@ -96,7 +96,9 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             answer = planner(problem)
             if answer.waypoints is None:
                 break
-            waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints, rng)
+            waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints)
+            if waypoints is None:
+                continue
         if cancel is not None and cancel.is_set():
             break
         try:

@@ -130,6 +130,19 @@ class NativePlanner:
         c = self.checker
         return simplify(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
+    def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
+        """A path (k, dof) at most as long, every edge proven; None if one of (m, dof) cannot be proven."""
+        most = len(self.path)
+        pieces = []
+        for first in range(0, max(len(waypoints) - 1, 1), most - 1):  # of a long path: piece by piece
+            piece = waypoints[first : first + most]
+            self.path[: len(piece)] = piece
+            count = self.shorten(len(piece), stop)
+            if count == 0:
+                return None
+            pieces.append(self.path[(1 if first else 0) : count].copy())
+        return np.vstack(pieces)
+
     @property
     def closest(self) -> Array | None:
         """(2, dof) of the last search, see `NativeAnswer`."""
