@@ -1,12 +1,26 @@
 """Values and names shared by every room: poses, joints, shapes, results, errors, registry."""
 
 from armcell.core.clouds import Octree, PointCloud, finite_points
+from armcell.core.constraints import (
+    Constraints,
+    JointConstraint,
+    OrientationConstraint,
+    PositionConstraint,
+)
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
 from armcell.core.events import Event, Observer, StateSample
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
-from armcell.core.requests import CartesianRequest, Goal, JointGoal, NamedGoal, PlanRequest, PoseGoal
+from armcell.core.requests import (
+    CartesianRequest,
+    ConstraintGoal,
+    Goal,
+    JointGoal,
+    NamedGoal,
+    PlanRequest,
+    PoseGoal,
+)
 from armcell.core.results import Contact, ExecutionResult, IKResult, Outcome, PlanResult
 from armcell.core.transforms import SE3, SO3
 
@@ -18,6 +32,8 @@ __all__ = [
     "Capsule",
     "CartesianRequest",
     "Cone",
+    "ConstraintGoal",
+    "Constraints",
     "Contact",
     "Cylinder",
     "ErrorCode",
@@ -26,6 +42,7 @@ __all__ = [
     "Goal",
     "IKResult",
     "InputError",
+    "JointConstraint",
     "JointGoal",
     "JointPath",
     "JointState",
@@ -35,12 +52,14 @@ __all__ = [
     "NamedGoal",
     "Observer",
     "Octree",
+    "OrientationConstraint",
     "Outcome",
     "PlanRequest",
     "PlanResult",
     "Plane",
     "PointCloud",
     "PoseGoal",
+    "PositionConstraint",
     "Registry",
     "Shape",
     "Sphere",

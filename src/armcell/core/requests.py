@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
+from armcell.core.constraints import Constraints
 from armcell.core.joints import JointState
 from armcell.core.transforms import SE3
 
@@ -33,7 +36,14 @@ class NamedGoal:
     name: str
 
 
-Goal = JointGoal | PoseGoal | NamedGoal
+@dataclass(frozen=True, eq=False)
+class ConstraintGoal:
+    """Any state that keeps to all of these: position only, orientation only, a region, joint ranges."""
+
+    constraints: Constraints
+
+
+Goal = JointGoal | PoseGoal | NamedGoal | ConstraintGoal
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +62,8 @@ class PlanRequest:
     seed: int = 0
     torque_limits: bool = False  # keep the URDF's effort limits, with what the robot carries
     jerk_limits: bool = False  # keep the model's jerk limits, exactly on the path (not with torque_limits)
+    path_constraints: Constraints = Constraints()  # kept all along the motion
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # of the planner, by its own names
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult, PoseGoal
+from armcell.core import (
+    ConstraintGoal,
+    ErrorCode,
+    InputError,
+    JointPath,
+    Outcome,
+    PlanRequest,
+    PlanResult,
+    PoseGoal,
+)
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goal_stream import stream
@@ -48,6 +57,8 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     check_scaling(request.acceleration_scaling, "acceleration scaling")
     if not (np.isfinite(request.planning_time) and request.planning_time > 0):
         raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
+    if request.path_constraints or any(isinstance(goal, ConstraintGoal) for goal in request.goals):
+        raise InputError("constraints are not planned with yet")
     planner_id = normalized_planner_id(request.planner_id)
     planner = find_planner(request.pipeline_id, planner_id)
     group = scene.model.group(request.group)
