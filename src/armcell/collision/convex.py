@@ -10,9 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from armcell.core import InputError, Mesh
 
@@ -27,6 +25,8 @@ _FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 @lru_cache(maxsize=256)
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Convex meshes whose union holds `mesh`; one if it is (nearly) convex. Deterministic."""
+    import trimesh  # slow to load, and not needed where there are no meshes
+
     triangles = mesh.vertices[mesh.faces]
     total = _hull_volume(triangles)
     if total == 0.0:
@@ -47,6 +47,8 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def _hull_volume(triangles: Array) -> float:
+    from scipy.spatial import ConvexHull, QhullError
+
     points = triangles.reshape(-1, 3)
     try:
         return float(ConvexHull(points).volume)
@@ -56,6 +58,8 @@ def _hull_volume(triangles: Array) -> float:
 
 def _hull(triangles: Array) -> Mesh:
     """The convex hull with outward faces."""
+    from scipy.spatial import ConvexHull
+
     points = np.unique(triangles.reshape(-1, 3), axis=0)
     hull = ConvexHull(points)
     index = np.full(len(points), -1)

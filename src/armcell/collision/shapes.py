@@ -7,9 +7,7 @@ from functools import lru_cache
 
 import coal
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from armcell.collision.many import Many
 from armcell.collision.winding import winding_numbers
@@ -81,6 +79,9 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
     """Whether a closed mesh fills its convex hull (within `CONVEX_EXCESS`)."""
+    import trimesh  # slow to load, and not needed where there are no meshes
+    from scipy.spatial import ConvexHull
+
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     if not surface.is_watertight or surface.volume <= 0:
         return False
@@ -95,6 +96,8 @@ def is_convex(mesh: Mesh) -> bool:
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
     """Whether a mesh has no rim: what it encloses is solid. One with a rim is a surface, nothing more."""
+    import trimesh
+
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
 
 

@@ -6,12 +6,14 @@ import os
 import sys
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 
 from armcell.core import InputError, Mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 MAX_MESH_BYTES = 100_000_000
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
@@ -79,6 +81,8 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
     Raises:
         InputError: unreadable, empty or not finite.
     """
+    import trimesh  # here and below: it takes half a second, which a program without meshes need not wait
+
     try:
         loaded = trimesh.load(_checked(path), force="mesh", process=False)
         vertices = np.asarray(loaded.vertices, dtype=float)  # pyright: ignore[reportAttributeAccessIssue]
@@ -107,6 +111,8 @@ def load_visual_parts(
     Raises:
         InputError: unreadable or without triangles.
     """
+    import trimesh
+
     try:
         loaded: Any = trimesh.load(_checked(path), process=False)
         parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
@@ -135,6 +141,8 @@ def _own_color(part: trimesh.Trimesh) -> Color:
 
 
 def _merged(parts: list[trimesh.Trimesh], scale: tuple[float, float, float], path: Path) -> Mesh:
+    import trimesh
+
     vertices, faces, start = [], [], 0
     for part in parts:
         vertices.append(np.asarray(part.vertices) * scale)

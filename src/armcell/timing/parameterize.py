@@ -28,8 +28,8 @@ class TimingSettings:
 
     max_deviation: float = 0.05  # [rad] how far corners may be cut
     torque_grid: float = 0.02  # [rad] of path between points where torque limits are held
-    sample_time: float = 0.01  # [s] between trajectory points
-    smoothing: float = 0.04  # [s] window of the moving average that rounds acceleration steps
+    sample_time: float = 0.008  # [s] between trajectory points
+    smoothing: float = 0.032  # [s] window of the moving average that rounds acceleration steps
 
     def __post_init__(self) -> None:
         for name in ("torque_grid", "sample_time", "smoothing"):

@@ -34,7 +34,8 @@ PART = 58  # of a cloud: radius, half the edge, or three corners
 CLOSE = 68  # [m] what is as near as this counts as touching; 0 but for measuring clearance
 TOLERANCE = 1e-6  # [m] of the distance, beside this share of what is enough:
 SHARE = 0.05
-TOUCHING = 1e-7  # [m] solids closer than this touch: points are chosen in float32
+TOUCHING = 2e-6
+"""[m] Solids closer than this touch: frames and points are float32, and coal calls 1 um a contact as well."""
 
 
 @njit(cache=True)
@@ -247,7 +248,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
         T: where in `s` the 12 numbers (rows, 3x4) of the transform from A's frame to B's are.
         ka, sa, fa, ga, na: A's kind, where its three numbers and its points are in D and in F, how many
             points; B alike.
-        enough: a lower bound above this ends the search early (the bound is returned).
+        enough: a lower bound above this (and `TOUCHING`) ends the search early; the bound is returned.
         warm: begin with the normal that is in s[NORMAL:].
         s: scratch, the first `SCRATCH` numbers are overwritten. s[NORMAL : NORMAL + 3] is set to the unit
             vector in B's frame along which the distance returned separates A from B.
@@ -260,6 +261,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
     if s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2] < 1e-20:
         s[v] = 1.0
     n, bound, tolerance = 0, 0.0, TOLERANCE + SHARE * enough
+    enough = max(enough, TOUCHING)
     for _ in range(MAX_ITERATIONS):
         length2 = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if n > 0 and length2 < 1e-18:
@@ -292,5 +294,5 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
                 return bound if bound > TOUCHING else 0.0
         now = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if now > length2 * (1 - 1e-14) and n > 1 and bound > 0:
-            return bound
-    return bound
+            break
+    return bound if bound > TOUCHING else 0.0

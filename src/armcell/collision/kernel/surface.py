@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import coal
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from armcell.collision.shapes import triangle_model
 from armcell.collision.winding import winding_numbers
@@ -20,6 +17,8 @@ SECTIONS = 48  # of round shapes
 
 def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
     """Vertices (v, 3), faces (f, 3) and how far the true surface is outside the triangles [m]."""
+    import trimesh  # slow to load, and not needed where covers come from the disk
+
     match shape:
         case Mesh():
             return np.asarray(shape.vertices, float), shape.faces.astype(np.int64), 0.0
@@ -71,6 +70,9 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
 
     Robot meshes are often several closed solids pushed into each other; the skin inside needs no cover.
     """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     _, parts = connected_components(
         coo_matrix(
             (np.ones(3 * len(faces)), (faces.ravel(), np.roll(faces, 1, axis=1).ravel())),

@@ -16,7 +16,7 @@ from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
 from armcell.collision.kernel.simd import pointer
 
-COARSE = 4e-3
+COARSE = 1e-3
 """[rad] Proofs of what is only meant to be shorter stop at intervals of this half width: a shortcut that
 needs finer ones passes within a few millimetres of something and is not worth its proof."""
 
