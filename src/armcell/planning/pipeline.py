@@ -4,32 +4,23 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import (
-    ConstraintGoal,
-    ErrorCode,
-    InputError,
-    JointPath,
-    Outcome,
-    PlanRequest,
-    PlanResult,
-    PoseGoal,
-)
-from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
+from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult, PoseGoal
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
 from armcell.planning.native.warm_up import warm_up, warm_up_ik
-from armcell.planning.problem import Problem, find_planner, normalized_planner_id, sampling_bounds
+from armcell.planning.problem import Answer, Problem, sampling_bounds
+from armcell.planning.question import Question, ask
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
-from armcell.timing import TorqueLimitError, check_scaling
+from armcell.timing import TorqueLimitError
 
 Array = NDArray[np.float64]
 
@@ -52,65 +43,73 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     for goal in request.goals:
         if isinstance(goal, PoseGoal) and request.group in scene.model.groups:
             warm_up_ik(scene.model, request.group, goal.link)
-    began = time.monotonic()
-    check_scaling(request.velocity_scaling, "velocity scaling")
-    check_scaling(request.acceleration_scaling, "acceleration scaling")
-    if not (np.isfinite(request.planning_time) and request.planning_time > 0):
-        raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
-    if request.path_constraints or any(isinstance(goal, ConstraintGoal) for goal in request.goals):
-        raise InputError("constraints are not planned with yet")
-    planner_id = normalized_planner_id(request.planner_id)
-    planner = find_planner(request.pipeline_id, planner_id)
-    group = scene.model.group(request.group)
-    if not group.joint_names:
-        raise InputError(f"group {request.group!r} has no joints")
+    question = ask(scene, request, cancel)
+    ends = find_ends(question)
+    if isinstance(ends, Outcome):
+        return question.failed(ends)
+    return search(question, ends)
 
-    def failed(outcome: Outcome) -> PlanResult:
-        spent = time.monotonic() - began
-        return PlanResult(
-            outcome.code, outcome.message, outcome.evidence, planner_id=planner_id, planning_time=spent
-        )
 
-    scene, problem_with_start = _started(scene, request)
-    if problem_with_start is not None:
-        return failed(problem_with_start)
-    checker = KernelChecker(scene, group.joint_names)
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """A free start (n,) and goals (n,), bounds to sample in, and the checker they were found with."""
+
+    checker: KernelChecker
+    start: Array
+    goals: tuple[Array, ...]
+    lower: Array
+    upper: Array
+
+
+def find_ends(question: Question) -> Ends | Outcome:
+    """Start and goals as joint positions, or what is wrong with them."""
+    scene = question.scene
+    try:
+        scene.model.check_positions(scene.positions, margin=1e-3)
+    except InputError as error:
+        return Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
+    checker = KernelChecker(scene, question.joint_names)
     start = scene.positions[checker.columns]
     if checker.touches(start):
         contacts = checker.exact.contacts(start, padded=False)
         text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
-        return failed(Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts}))
+        return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
     checker.relax_margins(start)
-    rng = np.random.default_rng(request.seed)
-    goals, outcome = joint_goals(scene, request, checker, rng)
+    rng = np.random.default_rng(question.request.seed)
+    goals, outcome = joint_goals(scene, question.request, checker, rng)
     if not outcome.ok:
-        return failed(outcome)
-    lower, upper = sampling_bounds(scene.model, group.joint_names, start, goals)
-    torque = torque_model(scene, group.joint_names) if request.torque_limits else None
+        return outcome
+    lower, upper = sampling_bounds(scene.model, question.joint_names, start, goals)
+    return Ends(checker, start, goals, lower, upper)
+
+
+def search(question: Question, ends: Ends) -> PlanResult:
+    """Paths until one can be proven and timed."""
+    scene, request, checker = question.scene, question.request, ends.checker
+    torque = torque_model(scene, question.joint_names) if request.torque_limits else None
     answer = None
     for round_ in range(MAX_ROUNDS):
-        seed = request.seed + 7919 * round_
         problem = Problem(
             checker,
-            start,
-            goals,
-            lower,
-            upper,
-            seed,
-            began + request.planning_time,
-            cancel or threading.Event(),
-            stream(scene, request, checker, goals),
+            ends.start,
+            ends.goals,
+            ends.lower,
+            ends.upper,
+            request.seed + 7919 * round_,
+            question.deadline,
+            question.cancel,
+            stream(scene, request, checker, ends.goals),
         )
         waypoints = _direct(problem) if round_ == 0 else None
-        used = "straight line" if waypoints is not None else planner_id
+        used = "straight line" if waypoints is not None else question.planner_id
         if waypoints is None:
-            answer = planner(problem)
+            answer = question.planner(problem)
             if answer.waypoints is None:
                 break
             waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints)
             if waypoints is None:
                 continue
-        if cancel is not None and cancel.is_set():
+        if question.cancel.is_set():
             break
         try:
             finished = finish(
@@ -119,39 +118,32 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
             )  # fmt: skip
         except TorqueLimitError as error:
             evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
-            return failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
+            return question.failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
         if finished.trajectory is not None:
             return PlanResult(
                 ErrorCode.SUCCESS,
-                path=JointPath(group.joint_names, waypoints),
+                path=JointPath(question.joint_names, waypoints),
                 trajectory=finished.trajectory,
                 planner_id=used,
-                planning_time=time.monotonic() - began,
+                planning_time=time.monotonic() - question.began,
                 clearance=partial(clearance_along, checker, finished.trajectory),
-                evidence=answer.statistics if answer else {},
+                evidence={**question.evidence, **(answer.statistics if answer else {})},
             )
-    cancelled = cancel is not None and cancel.is_set()
-    timed_out = time.monotonic() - began >= request.planning_time
+    return question.failed(_unsolved(question, ends, answer))
+
+
+def _unsolved(question: Question, ends: Ends, answer: Answer | None) -> Outcome:
+    cancelled = question.cancel.is_set()
+    timed_out = time.monotonic() >= question.deadline
     code = (
         ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
     )
     message = (answer.message if answer else "") or (
-        f"{planner_id}: cancelled"
+        f"{question.planner_id}: cancelled"
         if cancelled
         else "found paths, but none could be proven free between its samples"
     )
-    return failed(Outcome(code, message, {"goals": len(goals), **(answer.statistics if answer else {})}))
-
-
-def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene, Outcome | None]:
-    """The scene at the request's start state, or what is wrong with that."""
-    if request.start is not None:  # an unknown joint in it is misuse and raises
-        scene = replace(scene, positions=scene.state.updated(request.start).positions)
-    try:
-        scene.model.check_positions(scene.positions, margin=1e-3)
-    except InputError as error:
-        return scene, Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
-    return scene, None
+    return Outcome(code, message, {"goals": len(ends.goals), **(answer.statistics if answer else {})})
 
 
 def _direct(problem: Problem) -> Array | None:
