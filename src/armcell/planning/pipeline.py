@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,20 +14,24 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult, PoseGoal
-from armcell.planning.finish import clearance_along, finish, torque_model
+from armcell.planning.adapters import adapted
+from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
+from armcell.planning.motion import Motion, timed_motion
 from armcell.planning.native.warm_up import warm_up, warm_up_ik
+from armcell.planning.placed import Placed
 from armcell.planning.problem import Answer, Problem, sampling_bounds
 from armcell.planning.question import Question, ask
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
-from armcell.timing import TorqueLimitError
 
 Array = NDArray[np.float64]
 
 MAX_ROUNDS = 5
 """How often a path that fails certification is planned anew with another seed."""
+
+ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds of one attempt are not another attempt
 
 
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
@@ -37,13 +43,15 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     Returns:
         SUCCESS with path and trajectory, or the code, message and evidence (contacts, joints, distances).
     Raises:
-        InputError: misuse: unknown group, planner, link or joint; scaling outside (0, 1].
+        InputError: misuse: unknown group, planner, link, joint, parameter or adapter; scaling outside (0, 1].
     """
     warm_up()
     for goal in request.goals:
         if isinstance(goal, PoseGoal) and request.group in scene.model.groups:
-            warm_up_ik(scene.model, request.group, goal.link)
-    question = ask(scene, request, cancel)
+            warm_up_ik(scene.model, request.group, Placed(scene, request.group, goal.link).link)
+    question = adapted(asked := ask(scene, request, cancel))
+    if isinstance(question, Outcome):
+        return asked.failed(question)
     ends = find_ends(question)
     if isinstance(ends, Outcome):
         return question.failed(ends)
@@ -74,9 +82,11 @@ def find_ends(question: Question) -> Ends | Outcome:
         contacts = checker.exact.contacts(start, padded=False)
         text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
         return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
+    if why := question.forbids(start):
+        return Outcome(ErrorCode.START_STATE_INVALID, f"start: {why}")
     checker.relax_margins(start)
     rng = np.random.default_rng(question.request.seed)
-    goals, outcome = joint_goals(scene, question.request, checker, rng)
+    goals, outcome = joint_goals(question, checker, rng)
     if not outcome.ok:
         return outcome
     lower, upper = sampling_bounds(scene.model, question.joint_names, start, goals)
@@ -84,55 +94,99 @@ def find_ends(question: Question) -> Ends | Outcome:
 
 
 def search(question: Question, ends: Ends) -> PlanResult:
-    """Paths until one can be proven and timed."""
-    scene, request, checker = question.scene, question.request, ends.checker
-    torque = torque_model(scene, question.joint_names) if request.torque_limits else None
-    answer = None
-    for round_ in range(MAX_ROUNDS):
-        problem = Problem(
-            checker,
-            ends.start,
-            ends.goals,
-            ends.lower,
-            ends.upper,
-            request.seed + 7919 * round_,
-            question.deadline,
-            question.cancel,
-            stream(scene, request, checker, ends.goals),
+    """The straight line where it is free; else the shortest motion of all attempts."""
+    problem = _problem(question, ends, question.request.seed)
+    line = _direct(problem)
+    if line is not None:
+        made = timed_motion(question, ends.checker, line)
+        if isinstance(made, Outcome):
+            return question.failed(made)
+        if made.done:
+            return _solved(question, ends.checker, made, "straight line", None)
+    count = int(question.request.attempts)
+    if count == 1:
+        return attempt(question, ends, 0)
+    with ThreadPoolExecutor(min(count, os.cpu_count() or 1), "armcell-attempt") as pool:
+        results = list(
+            pool.map(lambda k: attempt(question, _ends_of_thread(question, ends), k), range(count))
         )
-        waypoints = _direct(problem) if round_ == 0 else None
-        used = "straight line" if waypoints is not None else question.planner_id
-        if waypoints is None:
-            answer = question.planner(problem)
-            if answer.waypoints is None:
-                break
-            waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints)
+    lengths = [r.path.length if r.path is not None else np.inf for r in results]
+    best = results[int(np.argmin(lengths))]
+    evidence = {"attempts": count, "solved": int(np.isfinite(lengths).sum()), "lengths": lengths}
+    return replace(
+        best, evidence={**best.evidence, **evidence}, planning_time=time.monotonic() - question.began
+    )
+
+
+def _ends_of_thread(question: Question, ends: Ends) -> Ends:
+    """The same with a checker of its own: a checker has one workspace."""
+    checker = KernelChecker(question.scene, question.joint_names)
+    checker.relax_margins(ends.start)
+    return replace(ends, checker=checker)
+
+
+def _problem(question: Question, ends: Ends, seed: int) -> Problem:
+    return Problem(
+        ends.checker,
+        ends.start,
+        ends.goals,
+        ends.lower,
+        ends.upper,
+        seed,
+        question.deadline,
+        question.cancel,
+        stream(question, ends.checker, ends.goals, seed),
+        question.choice.options,
+        question.choice.settings,
+    )
+
+
+def attempt(question: Question, ends: Ends, number: int) -> PlanResult:
+    """Paths from one seed until one can be proven and timed."""
+    answer, why = None, ""
+    for round_ in range(MAX_ROUNDS):
+        seed = question.request.seed + ATTEMPT_SEED * number + ROUND_SEED * round_
+        problem = _problem(question, ends, seed)
+        answer = question.choice.planner(problem)
+        if answer.waypoints is None:
+            break
+        waypoints = answer.waypoints
+        if not answer.simplified and question.choice.options.simplify_solutions:
+            waypoints = simplify(problem, waypoints)
             if waypoints is None:
                 continue
         if question.cancel.is_set():
             break
-        try:
-            finished = finish(
-                checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
-                torque=torque, jerk_limits=request.jerk_limits,
-            )  # fmt: skip
-        except TorqueLimitError as error:
-            evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
-            return question.failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
-        if finished.trajectory is not None:
-            return PlanResult(
-                ErrorCode.SUCCESS,
-                path=JointPath(question.joint_names, waypoints),
-                trajectory=finished.trajectory,
-                planner_id=used,
-                planning_time=time.monotonic() - question.began,
-                clearance=partial(clearance_along, checker, finished.trajectory),
-                evidence={**question.evidence, **(answer.statistics if answer else {})},
-            )
-    return question.failed(_unsolved(question, ends, answer))
+        made = timed_motion(question, ends.checker, waypoints)
+        if isinstance(made, Outcome):
+            return question.failed(made)
+        if made.done:
+            return _solved(question, ends.checker, made, question.planner_id, answer)
+        why = made.why
+    return question.failed(_unsolved(question, ends, answer, why))
 
 
-def _unsolved(question: Question, ends: Ends, answer: Answer | None) -> Outcome:
+def _solved(
+    question: Question, checker: KernelChecker, made: Motion, used: str, answer: Answer | None
+) -> PlanResult:
+    ignored = question.choice.without_effect
+    return PlanResult(
+        ErrorCode.SUCCESS,
+        made.words,
+        {
+            **question.evidence,
+            **(answer.statistics if answer else {}),
+            **({"settings_without_effect": ignored} if ignored else {}),
+        },
+        path=JointPath(question.joint_names, made.waypoints),
+        trajectory=made.trajectory,
+        planner_id=used,
+        planning_time=time.monotonic() - question.began,
+        clearance=None if made.trajectory is None else partial(clearance_along, checker, made.trajectory),
+    )
+
+
+def _unsolved(question: Question, ends: Ends, answer: Answer | None, why: str) -> Outcome:
     cancelled = question.cancel.is_set()
     timed_out = time.monotonic() >= question.deadline
     code = (
@@ -141,7 +195,7 @@ def _unsolved(question: Question, ends: Ends, answer: Answer | None) -> Outcome:
     message = (answer.message if answer else "") or (
         f"{question.planner_id}: cancelled"
         if cancelled
-        else "found paths, but none could be proven free between its samples"
+        else why or "found paths, but none could be proven free between its samples"
     )
     return Outcome(code, message, {"goals": len(ends.goals), **(answer.statistics if answer else {})})
 
