@@ -32,6 +32,7 @@ MAX_BOUNDS_ERROR = 0.05  # [rad or m] MoveIt's start_state_max_bounds_error
 REPAIR_RADII = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3)  # [rad or m] in which a free start is looked for
 REPAIR_SAMPLES = 200  # in each
 HALVINGS = 12  # that bring the free start nearer
+CLEARANCE = 2e-3  # [m] beyond the padding that a repaired start keeps from objects
 LEAD_STEP = 0.005  # [rad] between the places where the motion out of contact is looked at
 DEEPER = 5e-4  # [m] a contact may deepen on that way
 
@@ -124,12 +125,13 @@ def fix_start_state_collision(question: Question) -> Question | Outcome:
     if not checker.touches(start):
         return question
     contacts = checker.exact.contacts(start, padded=False)
-    free = _nearest_free(checker, start, np.random.default_rng(question.request.seed))
+    roomy = KernelChecker(scene.with_padding(scene.padding + CLEARANCE), question.joint_names)
+    free = _nearest_free(roomy, start, np.random.default_rng(question.request.seed))
     what = "; ".join(c.describe() for c in contacts[:3])
     if free is None:
         text = f"start in collision: {what}; no free state within {REPAIR_RADII[-1]:g} rad was found"
         return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
-    acceptable = _way_out(checker, start, free)
+    acceptable = way_out(checker, start, free)
     report = {
         "contacts": contacts,
         "from": start.copy(),
@@ -170,7 +172,7 @@ def _nearest_free(checker: KernelChecker, start: Array, rng: np.random.Generator
     return None
 
 
-def _way_out(checker: KernelChecker, start: Array, free: Array) -> bool:
+def way_out(checker: KernelChecker, start: Array, free: Array) -> bool:
     """Whether the straight way from a start in contact deepens no contact and makes no other."""
     depths = {(c.body_a, c.body_b): c.distance for c in checker.exact.contacts(start, padded=False)}
     count = max(int(np.ceil(np.max(np.abs(free - start)) / LEAD_STEP)), 2)

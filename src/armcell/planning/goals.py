@@ -121,7 +121,8 @@ def _from_joints(
         found = sieve.first(candidates(scene, question.request.group, goal, rng), 1)
     if found:
         return Outcome(ErrorCode.SUCCESS), found
-    return sieve.refusal() or _in_collision(checker.exact.contacts(q)), []
+    refusal = sieve.refusal()
+    return _in_collision(checker.exact.contacts(q)) if refusal is None else refusal, []
 
 
 def _from_pose(question: Question, goal: PoseGoal, checker: KernelChecker, rng: np.random.Generator) -> Found:

@@ -6,11 +6,13 @@ and set through the methods that are bound. A parameter without such a method ke
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import ompl.base as ob
 import ompl.geometric as og
+import ompl.util as ou
 
 from armcell.core import InputError
 from armcell.planning.parameters import MakeSettings, UnknownParameterError
@@ -50,16 +52,29 @@ def settings_maker(name: str) -> MakeSettings:
 
     def make(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
         if parameters:
-            space = ob.RealVectorStateSpace(2)
-            bounds = ob.RealVectorBounds(2)
-            bounds.setLow(0.0)
-            bounds.setHigh(1.0)
-            space.setBounds(bounds)
-            setup = og.SimpleSetup(space)
-            set_parameters(getattr(og, name)(setup.getSpaceInformation()), name, parameters)
+            with trial_planner(name) as planner:
+                set_parameters(planner, name, parameters)
         return parameters
 
     return make
+
+
+@contextmanager
+def trial_planner(name: str) -> Iterator[ob.Planner]:
+    """A planner that is not for planning, in a space of two dimensions."""
+    ou.setLogLevel(ou.LOG_NONE)
+    space = ob.RealVectorStateSpace(2)
+    bounds = ob.RealVectorBounds(2)
+    bounds.setLow(0.0)
+    bounds.setHigh(1.0)
+    space.setBounds(bounds)
+    setup = og.SimpleSetup(space)
+    setup.setStateValidityChecker(lambda state: True)
+    planner = getattr(og, name)(setup.getSpaceInformation())
+    try:
+        yield planner
+    finally:
+        planner.setup()  # OMPL 2.0.1 crashes when an AORRTC goes that has not been set up
 
 
 def set_parameters(planner: ob.Planner, name: str, parameters: Mapping[str, Any]) -> None:
@@ -82,18 +97,20 @@ def set_parameters(planner: ob.Planner, name: str, parameters: Mapping[str, Any]
                     f"{what} is {present[known]} and cannot be changed: OMPL for Python has no method for it"
                 )
             continue
-        kind = type(getter()) if getter is not None else float
+        wanted = _as(type(getter()), value, what)
         try:
-            setter(_as(kind, value, what))
+            setter(wanted)
         except (RuntimeError, ValueError, TypeError) as error:
             raise InputError(f"{what} cannot be {value!r}: {error}") from None
+        if getter() != wanted:
+            raise InputError(f"{what} cannot be {value!r}: OMPL keeps it at {getter()}")
 
 
 def _methods(planner: ob.Planner, key: str) -> tuple[Any, Any]:
     plain = METHODS.get(key, "".join(part.capitalize() for part in key.split("_")))
     for stem in (plain, *(K_NEAREST if key == "use_k_nearest" else ())):
         if hasattr(planner, f"set{stem}"):
-            return getattr(planner, f"set{stem}"), getattr(planner, f"get{stem}", None)
+            return getattr(planner, f"set{stem}"), getattr(planner, f"get{stem}")
     return None, None
 
 
