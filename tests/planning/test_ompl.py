@@ -69,6 +69,8 @@ def check_parameters(planner, name):
             continue
         number = float(text)
         other = 1.0 - number if number in (0.0, 1.0) else number * 0.5
+        if key == "radius_multiplier":
+            other = 2.5
         if key in ("ordering_batch_size", "num_samples", "samples_per_batch", "max_nearest_neighbors"):
             other = 7
         try:

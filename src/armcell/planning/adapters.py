@@ -95,6 +95,8 @@ def adapted(question: Question) -> Question | Outcome:
 def fix_start_state_bounds(question: Question) -> Question | Outcome:
     """A start at most `MAX_BOUNDS_ERROR` out of limits is moved in; the motion leads there."""
     model, positions = question.scene.model, question.scene.positions
+    if np.all((positions >= model.lower) & (positions <= model.upper)):
+        return question
     columns = np.array(model.columns(question.joint_names))
     inside = positions.copy()
     inside[columns] = np.clip(positions[columns], model.lower[columns], model.upper[columns])
@@ -188,6 +190,8 @@ def way_out(checker: KernelChecker, start: Array, free: Array) -> bool:
 @request_adapters.register("resolve_constraint_frames")
 def resolve_constraint_frames(question: Question) -> Question | Outcome:
     """Frames of objects in goals' constraints are replaced: by the world's, or by the carrying link's."""
+    if not any(isinstance(goal, ConstraintGoal) for goal in question.request.goals):
+        return question
     goals = tuple(
         ConstraintGoal(in_robot_frames(question.scene, goal.constraints))
         if isinstance(goal, ConstraintGoal)

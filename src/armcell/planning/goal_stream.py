@@ -26,10 +26,9 @@ def stream(
     regions = [goal for goal in question.request.goals if is_region(goal)]
     if not regions:
         return None
-    rng = np.random.default_rng([seed, 1])
-    given = list(known)
 
     def new_ones() -> Iterator[Array]:
+        rng, given = np.random.default_rng([seed, 1]), list(known)
         sources = [
             candidates(question.scene, question.request.group, goal, rng, question.deadline)
             for goal in regions

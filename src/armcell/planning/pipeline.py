@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest, PlanResult, PoseGoal
+from armcell.core import (
+    ConstraintGoal,
+    ErrorCode,
+    InputError,
+    JointPath,
+    Outcome,
+    PlanRequest,
+    PlanResult,
+    PoseGoal,
+)
 from armcell.planning.adapters import adapted
 from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
@@ -46,9 +56,9 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
         InputError: misuse: unknown group, planner, link, joint, parameter or adapter; scaling outside (0, 1].
     """
     warm_up()
-    for goal in request.goals:
-        if isinstance(goal, PoseGoal) and request.group in scene.model.groups:
-            warm_up_ik(scene.model, request.group, Placed(scene, request.group, goal.link).link)
+    if request.group in scene.model.groups:
+        for link in _links(request):
+            warm_up_ik(scene.model, request.group, Placed(scene, request.group, link).link)
     question = adapted(asked := ask(scene, request, cancel))
     if isinstance(question, Outcome):
         return asked.failed(question)
@@ -56,6 +66,15 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     if isinstance(ends, Outcome):
         return question.failed(ends)
     return search(question, ends)
+
+
+def _links(request: PlanRequest) -> Iterator[str | None]:
+    """Those that inverse kinematics is asked for."""
+    for goal in request.goals:
+        if isinstance(goal, PoseGoal):
+            yield goal.link
+        elif isinstance(goal, ConstraintGoal):
+            yield from (c.link for c in (*goal.constraints.positions, *goal.constraints.orientations))
 
 
 @dataclass(frozen=True, eq=False)

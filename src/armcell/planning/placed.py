@@ -32,7 +32,6 @@ class Placed:
                 f"group {group!r} is not a chain, so it has no tip", cure="name the link to place"
             )
         self.scene, self.name, self.tree = scene, name, kinematic_tree(scene.model)
-        self.columns = np.array(scene.model.columns(scene.model.group(group).joint_names))
         self.joint_names = scene.model.group(group).joint_names
         self.link, self.T_link_point = name, SE3.identity()
         if name not in scene.model.links:
@@ -46,7 +45,7 @@ class Placed:
     def full(self, q: ArrayLike) -> Array:
         """Positions (dof,) of all joints, the group's at q (n,)."""
         positions = self.scene.positions.copy()
-        positions[self.columns] = q
+        positions[self.scene.model.columns(self.joint_names)] = q
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:

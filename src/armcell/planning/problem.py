@@ -75,17 +75,17 @@ settings_makers: dict[Planner, MakeSettings] = {}
 
 
 def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
-    """A planner's settings from a request's parameters, or None for a planner that has none.
+    """A planner's settings from a request's parameters, or None where there are none.
 
     Raises:
         UnknownParameterError: the planner has no such parameter; lists those it has.
         InputError: an impossible value.
     """
+    if not parameters:
+        return None
     if planner in settings_makers:
         return settings_makers[planner](parameters)
-    if parameters:
-        raise UnknownParameterError(planner_id, next(iter(parameters)), {})
-    return None
+    raise UnknownParameterError(planner_id, next(iter(parameters)), {})
 
 
 ALIASES = {"BKPIECE": "BKPIECE1", "KPIECE": "KPIECE1", "LBKPIECE": "LBKPIECE1"}

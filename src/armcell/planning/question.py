@@ -112,6 +112,8 @@ def _check_goal(scene: PlanningScene, request: PlanRequest, goal: Any) -> None:
 
 
 def _check_tolerance(what: str, value: Any, sizes: tuple[int, ...]) -> None:
+    if isinstance(value, float) and value >= 0:
+        return
     numbers = np.atleast_1d(np.asarray(value, dtype=float))
     if numbers.ndim != 1 or len(numbers) not in sizes or np.any(np.isnan(numbers)) or np.any(numbers < 0):
         many = " or ".join(str(size) for size in sizes)

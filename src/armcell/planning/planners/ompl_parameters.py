@@ -51,9 +51,8 @@ def settings_maker(name: str) -> MakeSettings:
     """Checks parameters of a planner on one made for the purpose; the settings are the parameters."""
 
     def make(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
-        if parameters:
-            with trial_planner(name) as planner:
-                set_parameters(planner, name, parameters)
+        with trial_planner(name) as planner:
+            set_parameters(planner, name, parameters)
         return parameters
 
     return make
