@@ -131,9 +131,9 @@ Every planner of every pipeline on four problems, from a request to a proven and
 A cell holds the successes, and of these the median CPU time (all threads of the process) and path length.
 Written by `make bench-planners`; {seeds} seeds, {seconds:g} s of planning time each, {machine}.
 
-Planners that use all the time they get stop after 1 s of it (AORRTC, BIT*, PRM* and RRT* of OMPL and their kin)
-or at its end (the native AORRTC). A native PRM keeps its roadmap from one seed to the next.
-OMPL's planners run on the same collision kernel, called from Python; all paths are shortened by the same code.
+Planners that use all the time they get stop after 1 s (OMPL's AORRTC, BIT*, PRM*, RRT* and kin), if they
+have found something, or at its end (the native AORRTC). A native PRM keeps its roadmap between seeds.
+OMPL's planners run on the same collision kernel, called from Python; one code shortens all paths.
 
 """
 
