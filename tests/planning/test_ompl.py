@@ -278,3 +278,10 @@ def test_prm_with_several_goals_ends():
     for seed in range(5):
         result = plan(panda_wall(), request(goals, pipeline_id="ompl", planner_id="PRM", seed=seed))
         assert result.ok, result.message
+
+
+def test_attempts_of_ompl_follow_each_other_and_repeat():
+    a, b = (asked("RRTConnect", attempts=3, seed=2) for _ in range(2))
+    assert a.ok and a.evidence["solved"] == 3 and len(set(a.evidence["lengths"])) > 1
+    assert a.path.length == pytest.approx(min(a.evidence["lengths"]))
+    np.testing.assert_array_equal(a.trajectory.positions, b.trajectory.positions)

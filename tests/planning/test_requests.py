@@ -195,6 +195,17 @@ def test_a_start_slightly_out_of_limits_is_moved_in_and_reported():
     assert np.all(np.abs(v) <= limits * 1.001)
 
 
+def test_the_way_into_limits_keeps_jerk_limits_too():
+    scene = panda_wall()
+    goal = JointGoal(JointState(("panda_joint7",), [1.0]))
+    result = plan(scene, request(goal, start=out_of_bounds(0.03), jerk_limits=True))
+    assert result.ok, result.message
+    trajectory, step = result.trajectory, 5e-4
+    q = np.array([trajectory.sample(t)[0] for t in np.arange(0.0, trajectory.duration + step, step)])
+    jerk = scene.model.limits(trajectory.joint_names, "jerk")
+    assert np.max(np.abs(np.diff(q, 3, axis=0)) / step**3 / jerk) <= 1.001
+
+
 def test_too_far_out_or_without_the_adapter_it_is_refused():
     goal = JointGoal(JointState(("panda_joint7",), [1.0]))
     for start, adapters in ((out_of_bounds(0.08), ADAPTERS), (out_of_bounds(0.03), ("timing", "validation"))):

@@ -154,9 +154,9 @@ def _problem(question: Question, ends: Ends, seed: int) -> Problem:
         seed,
         question.deadline,
         question.cancel,
-        stream(question, ends.checker, ends.goals, seed),
-        question.choice.options,
-        question.choice.settings,
+        more_goals=stream(question, ends.checker, ends.goals, seed),
+        options=question.choice.options,
+        settings=question.choice.settings,
     )
 
 
