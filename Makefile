@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench-planning bench-wires test-interop lint format clean FORCE
+.PHONY: help demo test check fuzz bench-planning bench-planners bench-wires test-interop lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -46,6 +46,9 @@ lint: $(VENV)/.stamp ## style, types and the layers of the rooms
 format: $(VENV)/.stamp ## let ruff put the source in order
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+bench-planners: $(VENV)/.stamp ## set up, then measure every planner on a handful of problems (5 minutes)
+	$(PY) -m benchmarks.planners $(BENCH)
 
 bench-planning: $(VENV)/.stamp-bench ## set up, then measure planning beside others (15 minutes); MBM=/path names the problems
 	$(PY) -m benchmarks.planning $(BENCH)

@@ -42,7 +42,7 @@ def number(pattern: str, text: str) -> float:
 
 
 def test_all_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "24"]
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "07", "24"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -126,6 +126,25 @@ def test_the_own_cell_is_sound(capsys):
 
 
 @pytest.mark.slow
+def test_07_requests_and_pipelines(printed):
+    said = printed("07_requests_and_pipelines.py")
+    assert re.search(r"exact pose +GOAL_IN_COLLISION: .* touches wall", said)
+    for what in (
+        "within 15 cm",
+        "any turn about z",
+        "constraint set",
+        "four attempts",
+        "start out of limits",
+    ):
+        assert re.search(rf"{what} +SUCCESS: [\d.]+ s by ", said), what
+    assert re.search(r"KPIECE of OMPL +SUCCESS: [\d.]+ s by KPIECE1", said)
+    assert "at its end: all are kept" in said and "outside of its region" in said
+    assert "unknown planner of pipeline 'ompl' 'EST'; known: AORRTC, " in said
+    assert "'goal_bais'; it has: intermediate_states = 0, range = 0" in said
+    assert number(r"moved: {'panda_joint7': \(([\d.]+), 2.8973\)}", said) == pytest.approx(2.9173)
+    assert re.search(r"repaired: .* touches plate .* the motion begins at the (actual|repaired) start", said)
+
+
 def test_24_two_programs_over_ros_tcp(printed):
     said = printed("24_two_programs_over_ros_tcp.py")
     assert "sensed 8 joints of panda" in said and "simulator: done" in said

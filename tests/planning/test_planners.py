@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import threading
 import time
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from tests.planning.helpers import judge, panda_wall, request, walled_in
 from tests.planning.test_plan import beyond_panda
 
-from armcell.core import ErrorCode
+from armcell.core import ErrorCode, UnknownNameError
 from armcell.planning import normalized_planner_id, pipelines, plan
 
 ALL = [(pipeline, name) for pipeline, table in pipelines.items() for name in table]
@@ -50,6 +52,31 @@ def test_it_keeps_to_its_time(pipeline, name):
     result = plan(scene, request(goal, pipeline_id=pipeline, planner_id=name, planning_time=0.3))
     assert time.monotonic() - began < 0.3 + late(name)
     assert result.code in (ErrorCode.TIMED_OUT, ErrorCode.PLANNING_FAILED) and name in result.message
+
+
+@each_planner
+def test_it_says_which_parameters_it_has(pipeline, name):
+    words = f"unknown parameter of planner {name!r} 'no_such'; it has: "
+    with pytest.raises(UnknownNameError, match=re.escape(words)):
+        plan(
+            panda_wall(),
+            request(beyond_panda(), pipeline_id=pipeline, planner_id=name, parameters={"no_such": 1}),
+        )
+
+
+@each_planner
+def test_it_is_cancelled(pipeline, name):
+    scene, goal = walled_in()
+    cancel = threading.Event()
+    threading.Timer(0.2, cancel.set).start()
+    began = time.monotonic()
+    result = plan(
+        scene, request(goal, pipeline_id=pipeline, planner_id=name, planning_time=120.0), cancel=cancel
+    )
+    assert time.monotonic() - began < 0.2 + late(name)
+    if "FMT" not in name:  # they may have used up their samples before
+        assert result.code is ErrorCode.PREEMPTED and name in result.message
+    assert not result.ok
 
 
 FAST = [p for p in ALL if p[1] in ("RRTConnect", "BKPIECE1", "KPIECE1", "LBKPIECE1")]

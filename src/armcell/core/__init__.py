@@ -2,6 +2,7 @@
 
 from armcell.core.clouds import Octree, PointCloud, finite_points
 from armcell.core.constraints import (
+    WORLD,
     Constraints,
     JointConstraint,
     OrientationConstraint,
@@ -13,6 +14,7 @@ from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Sha
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
 from armcell.core.requests import (
+    ADAPTERS,
     CartesianRequest,
     ConstraintGoal,
     Goal,
@@ -25,8 +27,10 @@ from armcell.core.results import Contact, ExecutionResult, IKResult, Outcome, Pl
 from armcell.core.transforms import SE3, SO3
 
 __all__ = [
+    "ADAPTERS",
     "SE3",
     "SO3",
+    "WORLD",
     "ArmcellError",
     "Box",
     "Capsule",

@@ -13,20 +13,29 @@ from armcell.core.transforms import SE3
 
 @dataclass(frozen=True, eq=False)
 class JointGoal:
-    """Joint positions to reach; joints not named stay where they are."""
+    """Joint positions to reach; joints not named stay where they are.
+
+    The positions themselves are taken where they can be; else others within the tolerance. With `turns`, a
+    joint may also end whole turns away: as near to the start as its limits allow.
+    """
 
     state: JointState
-    tolerance: float = 1e-4  # [rad or m]
+    tolerance: float = 1e-4  # [rad or m], of each joint that is named
+    turns: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGoal:
-    """A pose of a link (the group's tip by default) in the world frame."""
+    """A pose of a link (the group's tip by default) in the world frame.
+
+    The pose itself is taken where it can be; else one within the tolerances: a ball around the position, and
+    rotations by less than an angle, or by less than three about the axes of the wanted orientation.
+    """
 
     T_world_link: SE3
-    link: str | None = None
+    link: str | None = None  # also an attached object
     position_tolerance: float = 1e-4  # [m]
-    orientation_tolerance: float = 1e-3  # [rad]
+    orientation_tolerance: float | tuple[float, float, float] = 1e-3  # [rad]; pi or more: any
 
 
 @dataclass(frozen=True)
@@ -43,7 +52,11 @@ class ConstraintGoal:
     constraints: Constraints
 
 
+Corner = tuple[float, float, float]
 Goal = JointGoal | PoseGoal | NamedGoal | ConstraintGoal
+
+ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "validation")
+"""What is done around a planner where a request does not say otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +69,7 @@ class PlanRequest:
     planner_id: str = "RRTConnect"
     pipeline_id: str = "native"
     planning_time: float = 5.0  # [s]
-    attempts: int = 1
+    attempts: int = 1  # made side by side, with different seeds; the shortest path is taken
     velocity_scaling: float = 1.0  # (0, 1]
     acceleration_scaling: float = 1.0  # (0, 1]
     seed: int = 0
@@ -64,6 +77,11 @@ class PlanRequest:
     jerk_limits: bool = False  # keep the model's jerk limits, exactly on the path (not with torque_limits)
     path_constraints: Constraints = Constraints()  # kept all along the motion
     parameters: Mapping[str, Any] = field(default_factory=dict)  # of the planner, by its own names
+    planner_configs: Mapping[str, Any] = field(default_factory=dict)  # an ompl_planning.yaml, as it is read
+    workspace: tuple[Corner, Corner] | None = None  # [m] low and high corner; the tip stays in it
+    max_cartesian_speed: float | None = None  # [m/s] of `speed_link`
+    speed_link: str | None = None  # the group's tip where None; also an attached object
+    adapters: tuple[str, ...] = ADAPTERS
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,8 @@
 """What path? Planners, the pipeline around them, Cartesian motions."""
 
+from armcell.planning.adapters import adapter_names
 from armcell.planning.cartesian import plan_cartesian
+from armcell.planning.constraint_check import constraint_errors, satisfied, violations
 from armcell.planning.explain import Branch, PoseExplanation, explain_pose
 from armcell.planning.native.warm_up import prepare, warm_up
 from armcell.planning.pipeline import plan
@@ -11,6 +13,8 @@ __all__ = [
     "Branch",
     "PoseExplanation",
     "Problem",
+    "adapter_names",
+    "constraint_errors",
     "explain_pose",
     "find_planner",
     "normalized_planner_id",
@@ -18,5 +22,7 @@ __all__ = [
     "plan",
     "plan_cartesian",
     "prepare",
+    "satisfied",
+    "violations",
     "warm_up",
 ]

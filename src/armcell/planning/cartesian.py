@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, PlanResult
-from armcell.kinematics import IKSolver, ik_solver, kinematic_tree
+from armcell.kinematics import IKSolver, ik_solver
 from armcell.planning.finish import clearance_along, finish
+from armcell.planning.placed import Placed
+from armcell.planning.speed import check_speed, slowed
 from armcell.scene import PlanningScene
-from armcell.timing import TimingSettings, check_scaling, stretched
+from armcell.timing import TimingSettings, check_scaling
 
 Array = NDArray[np.float64]
 
@@ -39,9 +41,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         raise InputError("the Cartesian path has no waypoints")
     if not (np.isfinite(request.max_step) and request.max_step > 0):
         raise InputError(f"max_step is {request.max_step:g} m, it must be positive")
-    speed = request.max_cartesian_speed
-    if speed is not None and not (np.isfinite(speed) and speed > 0):
-        raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
+    check_speed(request.max_cartesian_speed)
     if request.start is not None:
         scene = replace(scene, positions=scene.state.updated(request.start).positions)
     try:
@@ -95,19 +95,7 @@ def _timed(checker: KernelChecker, request: CartesianRequest, path: Array):
     trajectory = finished.trajectory
     if trajectory is None or request.max_cartesian_speed is None:
         return trajectory
-    tip = _tip_positions(checker, request, trajectory.positions)
-    peak = np.max(np.linalg.norm(np.diff(tip, axis=0), axis=1) / np.diff(trajectory.times), initial=0.0)
-    return stretched(trajectory, max(1.0, float(peak) / request.max_cartesian_speed))
-
-
-def _tip_positions(checker: KernelChecker, request: CartesianRequest, path: Array) -> Array:
-    link = request.link or checker.model.group(request.group).tip_link or ""
-    tree, full = kinematic_tree(checker.model), checker.scene.positions.copy()
-    out = np.empty((len(path), 3))
-    for i, q in enumerate(path):
-        full[checker.columns] = q
-        out[i] = tree.link_transforms(full)[tree.link_index[link], :3, 3]
-    return out
+    return slowed(trajectory, Placed(checker.scene, request.group, request.link), request.max_cartesian_speed)
 
 
 class _Blind:

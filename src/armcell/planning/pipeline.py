@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from dataclasses import replace
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,20 +24,24 @@ from armcell.core import (
     PlanResult,
     PoseGoal,
 )
-from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
-from armcell.planning.finish import clearance_along, finish, torque_model
+from armcell.planning.adapters import adapted
+from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
+from armcell.planning.motion import Motion, timed_motion
 from armcell.planning.native.warm_up import warm_up, warm_up_ik
-from armcell.planning.problem import Problem, find_planner, normalized_planner_id, sampling_bounds
+from armcell.planning.placed import Placed
+from armcell.planning.problem import Answer, Problem, sampling_bounds
+from armcell.planning.question import Question, ask
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
-from armcell.timing import TorqueLimitError, check_scaling
 
 Array = NDArray[np.float64]
 
 MAX_ROUNDS = 5
 """How often a path that fails certification is planned anew with another seed."""
+
+ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds of one attempt are not another attempt
 
 
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
@@ -46,112 +53,170 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     Returns:
         SUCCESS with path and trajectory, or the code, message and evidence (contacts, joints, distances).
     Raises:
-        InputError: misuse: unknown group, planner, link or joint; scaling outside (0, 1].
+        InputError: misuse: unknown group, planner, link, joint, parameter or adapter; scaling outside (0, 1].
     """
     warm_up()
+    if request.group in scene.model.groups:
+        for link in _links(request):
+            warm_up_ik(scene.model, request.group, Placed(scene, request.group, link).link)
+    question = adapted(asked := ask(scene, request, cancel))
+    if isinstance(question, Outcome):
+        return asked.failed(question)
+    ends = find_ends(question)
+    if isinstance(ends, Outcome):
+        return question.failed(ends)
+    return search(question, ends)
+
+
+def _links(request: PlanRequest) -> Iterator[str | None]:
+    """Those that inverse kinematics is asked for."""
     for goal in request.goals:
-        if isinstance(goal, PoseGoal) and request.group in scene.model.groups:
-            warm_up_ik(scene.model, request.group, goal.link)
-    began = time.monotonic()
-    check_scaling(request.velocity_scaling, "velocity scaling")
-    check_scaling(request.acceleration_scaling, "acceleration scaling")
-    if not (np.isfinite(request.planning_time) and request.planning_time > 0):
-        raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
-    if request.path_constraints or any(isinstance(goal, ConstraintGoal) for goal in request.goals):
-        raise InputError("constraints are not planned with yet")
-    planner_id = normalized_planner_id(request.planner_id)
-    planner = find_planner(request.pipeline_id, planner_id)
-    group = scene.model.group(request.group)
-    if not group.joint_names:
-        raise InputError(f"group {request.group!r} has no joints")
+        if isinstance(goal, PoseGoal):
+            yield goal.link
+        elif isinstance(goal, ConstraintGoal):
+            yield from (c.link for c in (*goal.constraints.positions, *goal.constraints.orientations))
 
-    def failed(outcome: Outcome) -> PlanResult:
-        spent = time.monotonic() - began
-        return PlanResult(
-            outcome.code, outcome.message, outcome.evidence, planner_id=planner_id, planning_time=spent
-        )
 
-    scene, problem_with_start = _started(scene, request)
-    if problem_with_start is not None:
-        return failed(problem_with_start)
-    checker = KernelChecker(scene, group.joint_names)
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """A free start (n,) and goals (n,), bounds to sample in, and the checker they were found with."""
+
+    checker: KernelChecker
+    start: Array
+    goals: tuple[Array, ...]
+    lower: Array
+    upper: Array
+
+
+def find_ends(question: Question) -> Ends | Outcome:
+    """Start and goals as joint positions, or what is wrong with them."""
+    scene = question.scene
+    try:
+        scene.model.check_positions(scene.positions, margin=1e-3)
+    except InputError as error:
+        return Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
+    checker = KernelChecker(scene, question.joint_names)
     start = scene.positions[checker.columns]
     if checker.touches(start):
         contacts = checker.exact.contacts(start, padded=False)
         text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
-        return failed(Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts}))
+        return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
+    if why := question.forbids(start):
+        return Outcome(ErrorCode.START_STATE_INVALID, f"start: {why}")
     checker.relax_margins(start)
-    rng = np.random.default_rng(request.seed)
-    goals, outcome = joint_goals(scene, request, checker, rng)
+    rng = np.random.default_rng(question.request.seed)
+    goals, outcome = joint_goals(question, checker, rng)
     if not outcome.ok:
-        return failed(outcome)
-    lower, upper = sampling_bounds(scene.model, group.joint_names, start, goals)
-    torque = torque_model(scene, group.joint_names) if request.torque_limits else None
-    answer = None
-    for round_ in range(MAX_ROUNDS):
-        seed = request.seed + 7919 * round_
-        problem = Problem(
-            checker,
-            start,
-            goals,
-            lower,
-            upper,
-            seed,
-            began + request.planning_time,
-            cancel or threading.Event(),
-            stream(scene, request, checker, goals),
+        return outcome
+    lower, upper = sampling_bounds(scene.model, question.joint_names, start, goals)
+    return Ends(checker, start, goals, lower, upper)
+
+
+def search(question: Question, ends: Ends) -> PlanResult:
+    """The straight line where it is free; else the shortest motion of all attempts."""
+    problem = _problem(question, ends, question.request.seed)
+    line = _direct(problem)
+    if line is not None:
+        made = timed_motion(question, ends.checker, line)
+        if isinstance(made, Outcome):
+            return question.failed(made)
+        if made.done:
+            return _solved(question, ends.checker, made, "straight line", None)
+    count = int(question.request.attempts)
+    if count == 1:
+        return attempt(question, ends, 0)
+    with ThreadPoolExecutor(min(count, os.cpu_count() or 1), "armcell-attempt") as pool:
+        results = list(
+            pool.map(lambda k: attempt(question, _ends_of_thread(question, ends), k), range(count))
         )
-        waypoints = _direct(problem) if round_ == 0 else None
-        used = "straight line" if waypoints is not None else planner_id
-        if waypoints is None:
-            answer = planner(problem)
-            if answer.waypoints is None:
-                break
-            waypoints = answer.waypoints if answer.simplified else simplify(problem, answer.waypoints)
+    lengths = [r.path.length if r.path is not None else np.inf for r in results]
+    best = results[int(np.argmin(lengths))]
+    evidence = {"attempts": count, "solved": int(np.isfinite(lengths).sum()), "lengths": lengths}
+    return replace(
+        best, evidence={**best.evidence, **evidence}, planning_time=time.monotonic() - question.began
+    )
+
+
+def _ends_of_thread(question: Question, ends: Ends) -> Ends:
+    """The same with a checker of its own: a checker has one workspace."""
+    checker = KernelChecker(question.scene, question.joint_names)
+    checker.relax_margins(ends.start)
+    return replace(ends, checker=checker)
+
+
+def _problem(question: Question, ends: Ends, seed: int) -> Problem:
+    return Problem(
+        ends.checker,
+        ends.start,
+        ends.goals,
+        ends.lower,
+        ends.upper,
+        seed,
+        question.deadline,
+        question.cancel,
+        more_goals=stream(question, ends.checker, ends.goals, seed),
+        options=question.choice.options,
+        settings=question.choice.settings,
+    )
+
+
+def attempt(question: Question, ends: Ends, number: int) -> PlanResult:
+    """Paths from one seed until one can be proven and timed."""
+    answer, why = None, ""
+    for round_ in range(MAX_ROUNDS):
+        seed = question.request.seed + ATTEMPT_SEED * number + ROUND_SEED * round_
+        problem = _problem(question, ends, seed)
+        answer = question.choice.planner(problem)
+        if answer.waypoints is None:
+            break
+        waypoints = answer.waypoints
+        if not answer.simplified and question.choice.options.simplify_solutions:
+            waypoints = simplify(problem, waypoints)
             if waypoints is None:
                 continue
-        if cancel is not None and cancel.is_set():
+        if question.cancel.is_set():
             break
-        try:
-            finished = finish(
-                checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
-                torque=torque, jerk_limits=request.jerk_limits,
-            )  # fmt: skip
-        except TorqueLimitError as error:
-            evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
-            return failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
-        if finished.trajectory is not None:
-            return PlanResult(
-                ErrorCode.SUCCESS,
-                path=JointPath(group.joint_names, waypoints),
-                trajectory=finished.trajectory,
-                planner_id=used,
-                planning_time=time.monotonic() - began,
-                clearance=partial(clearance_along, checker, finished.trajectory),
-                evidence=answer.statistics if answer else {},
-            )
-    cancelled = cancel is not None and cancel.is_set()
-    timed_out = time.monotonic() - began >= request.planning_time
+        made = timed_motion(question, ends.checker, waypoints)
+        if isinstance(made, Outcome):
+            return question.failed(made)
+        if made.done:
+            return _solved(question, ends.checker, made, question.planner_id, answer)
+        why = made.why
+    return question.failed(_unsolved(question, ends, answer, why))
+
+
+def _solved(
+    question: Question, checker: KernelChecker, made: Motion, used: str, answer: Answer | None
+) -> PlanResult:
+    ignored = question.choice.without_effect
+    return PlanResult(
+        ErrorCode.SUCCESS,
+        made.words,
+        {
+            **question.evidence,
+            **(answer.statistics if answer else {}),
+            **({"settings_without_effect": ignored} if ignored else {}),
+        },
+        path=JointPath(question.joint_names, made.waypoints),
+        trajectory=made.trajectory,
+        planner_id=used,
+        planning_time=time.monotonic() - question.began,
+        clearance=None if made.trajectory is None else partial(clearance_along, checker, made.trajectory),
+    )
+
+
+def _unsolved(question: Question, ends: Ends, answer: Answer | None, why: str) -> Outcome:
+    cancelled = question.cancel.is_set()
+    timed_out = time.monotonic() >= question.deadline
     code = (
         ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
     )
     message = (answer.message if answer else "") or (
-        f"{planner_id}: cancelled"
+        f"{question.planner_id}: cancelled"
         if cancelled
-        else "found paths, but none could be proven free between its samples"
+        else why or "found paths, but none could be proven free between its samples"
     )
-    return failed(Outcome(code, message, {"goals": len(goals), **(answer.statistics if answer else {})}))
-
-
-def _started(scene: PlanningScene, request: PlanRequest) -> tuple[PlanningScene, Outcome | None]:
-    """The scene at the request's start state, or what is wrong with that."""
-    if request.start is not None:  # an unknown joint in it is misuse and raises
-        scene = replace(scene, positions=scene.state.updated(request.start).positions)
-    try:
-        scene.model.check_positions(scene.positions, margin=1e-3)
-    except InputError as error:
-        return scene, Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
-    return scene, None
+    return Outcome(code, message, {"goals": len(ends.goals), **(answer.statistics if answer else {})})
 
 
 def _direct(problem: Problem) -> Array | None:

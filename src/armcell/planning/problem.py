@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,8 +14,18 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Registry, UnknownNameError
 from armcell.model import RobotModel
+from armcell.planning.parameters import MakeSettings, UnknownParameterError
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SpaceOptions:
+    """What a planner configuration says beside the planner's own parameters."""
+
+    longest_valid_segment_fraction: float | None = None  # of the space's extent, between validity checks
+    projection_evaluator: tuple[str, ...] = ()  # joints whose values span the cells of (B)KPIECE
+    simplify_solutions: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +41,8 @@ class Problem:
     deadline: float  # [s] of time.monotonic()
     cancel: threading.Event = field(default_factory=threading.Event)
     more_goals: Iterator[Array] | None = None  # further ones (n,), worked out when they are asked for
+    options: SpaceOptions = SpaceOptions()
+    settings: Any = None  # what `planner_settings` made of the request's parameters
 
     @property
     def stopped(self) -> bool:
@@ -58,9 +70,30 @@ pipelines: dict[str, Registry[Planner]] = {
 }
 """Planners by pipeline and name."""
 
+settings_makers: dict[Planner, MakeSettings] = {}
+"""For planners with parameters: what makes their settings of them. A planner without takes none."""
 
-def find_planner(pipeline_id: str, planner_id: str) -> Planner:
-    """The planner a request names; an empty pipeline is the default one.
+
+def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
+    """A planner's settings from a request's parameters, or None where there are none.
+
+    Raises:
+        UnknownParameterError: the planner has no such parameter; lists those it has.
+        InputError: an impossible value.
+    """
+    if not parameters:
+        return None
+    if planner in settings_makers:
+        return settings_makers[planner](parameters)
+    raise UnknownParameterError(planner_id, next(iter(parameters)), {})
+
+
+ALIASES = {"BKPIECE": "BKPIECE1", "KPIECE": "KPIECE1", "LBKPIECE": "LBKPIECE1"}
+"""MoveIt's names for planners that OMPL calls otherwise."""
+
+
+def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
+    """The name and the planner that a request means; an empty pipeline is the default one.
 
     Raises:
         UnknownNameError: no such pipeline, or no such planner in it; never replaced by another.
@@ -68,7 +101,15 @@ def find_planner(pipeline_id: str, planner_id: str) -> Planner:
     pipeline_id = pipeline_id or "native"
     if pipeline_id not in pipelines:
         raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
-    return pipelines[pipeline_id][normalized_planner_id(planner_id)]
+    table, name = pipelines[pipeline_id], normalized_planner_id(planner_id)
+    if name not in table and ALIASES.get(name) in table:
+        name = ALIASES[name]
+    return name, table[name]
+
+
+def find_planner(pipeline_id: str, planner_id: str) -> Planner:
+    """The planner that a request means, see `named_planner`."""
+    return named_planner(pipeline_id, planner_id)[1]
 
 
 def normalized_planner_id(planner_id: str) -> str:

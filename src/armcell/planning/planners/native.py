@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.planning.native.planner import NativePlanner
-from armcell.planning.problem import Answer, Problem, pipelines
+from armcell.planning.native.planner import NativePlanner, NativeSettings
+from armcell.planning.parameters import settings_of
+from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
 
 POLL = 0.002  # [s] how often the watcher looks whether to stop
 FINE = 0.01  # [rad] between the samples that look for what blocks a connection
@@ -22,7 +23,7 @@ FINE = 0.01  # [rad] between the samples that look for what blocks a connection
 @pipelines["native"].register("RRTConnect")
 def rrt_connect(problem: Problem) -> Answer:
     """A path proven free and already shortened."""
-    planner = planner_of(problem.checker)
+    planner = planner_of(problem.checker, problem.settings)
     with stopping(problem) as stop:
         answer = planner.plan(
             problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop,
@@ -40,6 +41,9 @@ def rrt_connect(problem: Problem) -> Answer:
     if answer.waypoints is not None:
         return Answer(answer.waypoints, "", statistics, simplified=True)
     return unsolved("RRTConnect", problem, answer.iterations, answer.closest, statistics)
+
+
+settings_makers[rrt_connect] = settings_of("RRTConnect", NativeSettings)
 
 
 def unsolved(
@@ -77,8 +81,10 @@ def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
 _of_thread = threading.local()
 
 
-def planner_of(checker: KernelChecker) -> NativePlanner:
-    """This thread's planner for that many joints: its trees are large."""
+def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
+    """This thread's planner for that many joints: its trees are large. One with other settings is new."""
+    if settings not in (None, NativeSettings()):
+        return NativePlanner(checker, settings)
     kept: dict[int, NativePlanner] = _of_thread.__dict__.setdefault("planners", {})
     dof = len(checker.joint_names)
     if dof not in kept:

@@ -1,7 +1,8 @@
-"""OMPL's planners on the kernel."""
+"""OMPL's planners on the kernel: every geometric planner of the installed wheel."""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,41 +12,61 @@ import ompl.base as ob
 import ompl.geometric as og
 import ompl.util as ou
 
-from armcell.planning.problem import Answer, Problem, pipelines
+from armcell.core import UnknownNameError
+from armcell.planning.planners.ompl_parameters import set_parameters, settings_maker
+from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
 
 CHECK_STEP = 0.03
 """[rad] between validity checks along an edge while searching; the result is certified afterwards."""
 
-# PRM and PRMstar ask for validity from a second thread and wait for ever on Python's lock.
-NAMES = ("RRTConnect", "RRT", "RRTstar", "BKPIECE1", "KPIECE1", "LBKPIECE1", "BFMT", "FMT", "BITstar")
-ASYMPTOTIC = {"RRTstar", "BITstar"}  # they use all the time they get: give them little
+NAMES = tuple(
+    name
+    for name in sorted(dir(og))
+    if isinstance(kind := getattr(og, name), type) and issubclass(kind, ob.Planner)
+)
+# They use all the time they get: give them little, and more only while they have found nothing.
+ASYMPTOTIC = {"AORRTC", "BITstar", "InformedRRTstar", "PRMstar", "RRTstar", "SORRTstar"}
 ASYMPTOTIC_TIME = 1.0  # [s]
+FINITE = {"BFMT", "FMT"}  # they end when their samples are used up
+ROADMAPS = {"PRM", "PRMstar"}
+SLICE = 0.1  # [s] of a roadmap's search for one goal
+
+_one_at_a_time = threading.Lock()
+"""OMPL has one random seed for the process."""
 
 
 class _Edges(ob.MotionValidator):
     """Whole edges at once, 16 configurations at a time, instead of one Python call for each."""
 
-    def __init__(self, info: ob.SpaceInformation, problem: Problem):
+    def __init__(self, info: ob.SpaceInformation, problem: Problem, step: float):
         super().__init__(info)
-        self.free, self.n = problem.checker.edge_is_free, len(problem.start)
+        self.free, self.n, self.step = problem.checker.edge_is_free, len(problem.start), step
 
     def checkMotion(self, a: Any, b: Any) -> bool:
         n = range(self.n)
-        return self.free([a[i] for i in n], [b[i] for i in n], CHECK_STEP)
+        return self.free([a[i] for i in n], [b[i] for i in n], self.step)
 
 
 def _plan(name: str, problem: Problem) -> Answer:
+    with _one_at_a_time:
+        # It is set for every request, so that the same request gives the same path; OMPL logs that it
+        # dislikes this, but all generators made after it follow the new seed.
+        ou.setLogLevel(ou.LOG_NONE)
+        ou.RNG.setSeed(problem.seed % (2**31 - 1) + 1)
+        return _search(name, problem)
+
+
+def _search(name: str, problem: Problem) -> Answer:
     n = len(problem.start)
-    ou.setLogLevel(ou.LOG_NONE)
-    # OMPL has one seed for the process. It is set for every request, so that the same request gives the
-    # same path; OMPL logs that it dislikes this, but all generators made after it follow the new seed.
-    ou.RNG.setSeed(problem.seed % (2**31 - 1) + 1)
     space = ob.RealVectorStateSpace(n)
     bounds = ob.RealVectorBounds(n)
     for i in range(n):
         bounds.setLow(i, float(problem.lower[i]))
         bounds.setHigh(i, float(problem.upper[i]))
     space.setBounds(bounds)
+    _project(space, problem)
+    extent = space.getMaximumExtent()
+    fraction = problem.options.longest_valid_segment_fraction or CHECK_STEP / extent
     setup = og.SimpleSetup(space)
     q, calls = np.empty(n), [0]
 
@@ -57,29 +78,81 @@ def _plan(name: str, problem: Problem) -> Answer:
 
     setup.setStateValidityChecker(valid)
     info = setup.getSpaceInformation()
-    info.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
-    edges = _Edges(info, problem)
+    info.setStateValidityCheckingResolution(fraction)
+    edges = _Edges(info, problem, fraction * extent)
     info.setMotionValidator(edges)
     setup.setStartState(_state(space, problem.start))
-    goals = ob.GoalStates(info)
-    for goal in problem.goals:
-        goals.addState(_state(space, goal))
-    setup.setGoal(goals)
-    setup.setPlanner(getattr(og, name)(info))
-    setup.setup()
-    left = problem.deadline - time.monotonic()
-    if name in ASYMPTOTIC:
-        left = min(left, ASYMPTOTIC_TIME)
-    stop = ob.PlannerTerminationCondition(lambda: problem.stopped)
-    timed = ob.timedPlannerTerminationCondition(max(left, 0.0))
-    setup.solve(ob.plannerOrTerminationCondition(stop, timed))
+    planner = getattr(og, name)(info)
+    if problem.settings:
+        set_parameters(planner, name, problem.settings)
+    began = time.monotonic()
+    if name in ROADMAPS:
+        _solve_without_python(setup, planner, space, problem)
+    else:
+        goals = ob.GoalStates(info)
+        for goal in problem.goals:
+            goals.addState(_state(space, goal))
+        setup.setGoal(goals)
+        setup.setPlanner(planner)
+        setup.setup()
+        stop = ob.PlannerTerminationCondition(lambda: problem.stopped)
+        while not problem.stopped and not setup.haveExactSolutionPath():
+            timed = ob.timedPlannerTerminationCondition(_time_for(name, problem))
+            setup.solve(ob.plannerOrTerminationCondition(stop, timed))
+            if name in FINITE:
+                break
     statistics = {"checks": float(calls[0])}
     if not setup.haveExactSolutionPath():
-        reason = "cancelled" if problem.cancel.is_set() else f"no path found in {max(left, 0):.1f} s"
+        reason = (
+            "cancelled" if problem.cancel.is_set() else f"no path found in {time.monotonic() - began:.1f} s"
+        )
         return Answer(None, f"{name}: {reason}", statistics)
     states: Any = setup.getSolutionPath().getStates()
     waypoints = np.array([[state[i] for i in range(n)] for state in states])
     return Answer(waypoints, "", statistics)
+
+
+def _solve_without_python(
+    setup: og.SimpleSetup, planner: ob.Planner, space: ob.RealVectorStateSpace, problem: Problem
+) -> None:
+    """Solve with a planner that looks for solutions in a second thread.
+
+    That thread asks for the end of the time, and for the validity of goals beyond the first. Asked in Python
+    it waits for the interpreter's lock, which the first thread holds while it waits for the second. So the
+    time is kept by OMPL's own clock, and there is one goal at a time; the roadmap is kept when they change.
+    """
+    name, turn = planner.getName(), 0
+    enough = time.monotonic() + _time_for(name, problem)
+    setup.setGoalState(_state(space, problem.goals[0]))
+    setup.setPlanner(planner)
+    setup.setup()
+    while not problem.stopped:
+        setup.solve(SLICE)
+        if not setup.haveExactSolutionPath():
+            turn += 1
+            planner.clearQuery()
+            setup.setGoalState(_state(space, problem.goals[turn % len(problem.goals)]))
+        elif name not in ASYMPTOTIC or time.monotonic() > enough:
+            return
+
+
+def _time_for(name: str, problem: Problem) -> float:
+    """[s] that a planner gets before it is asked what it has."""
+    left = max(problem.deadline - time.monotonic(), 0.0)
+    return min(left, ASYMPTOTIC_TIME) if name in ASYMPTOTIC else left
+
+
+def _project(space: ob.RealVectorStateSpace, problem: Problem) -> None:
+    """The joints whose values span the cells of (B)KPIECE, where they are named."""
+    joints = problem.options.projection_evaluator
+    if not joints:
+        return
+    for name in joints:
+        if name not in problem.joint_names:
+            raise UnknownNameError("joint of the projection", name, problem.joint_names)
+    columns = [problem.joint_names.index(name) for name in joints]
+    sizes = [float(problem.upper[k] - problem.lower[k]) / 20.0 for k in columns]  # OMPL's own share
+    space.registerDefaultProjection(ob.RealVectorOrthogonalProjectionEvaluator(space, sizes, columns))
 
 
 def _state(space: ob.RealVectorStateSpace, q: np.ndarray) -> Any:
@@ -94,6 +167,7 @@ def _planner(name: str) -> Callable[[Problem], Answer]:
         return _plan(name, problem)
 
     plan.__name__ = name
+    settings_makers[plan] = settings_maker(name)
     return plan
 
 

@@ -9,27 +9,31 @@ import numpy as np
 
 from armcell.model import RobotModel
 from armcell.planning.native.planner import NativePlanner
-from armcell.planning.native.prm import Roadmap, plan
+from armcell.planning.native.prm import PRMSettings, Roadmap, plan
+from armcell.planning.parameters import settings_of
 from armcell.planning.planners.native import POLL, stopping, unsolved
-from armcell.planning.problem import Answer, Problem, pipelines
+from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
 
-_roadmaps: WeakKeyDictionary[RobotModel, dict[tuple[str, ...], Roadmap]] = WeakKeyDictionary()
+_roadmaps: WeakKeyDictionary[RobotModel, dict[tuple, Roadmap]] = WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def roadmap_of(model: RobotModel, joint_names: tuple[str, ...]) -> Roadmap:
-    """The roadmap of a group of this model; made when it is asked for first."""
+def roadmap_of(
+    model: RobotModel, joint_names: tuple[str, ...], settings: PRMSettings = PRMSettings()
+) -> Roadmap:
+    """The roadmap of a group of this model with these settings; made when it is asked for first."""
     with _lock:
         kept = _roadmaps.setdefault(model, {})
-        if joint_names not in kept:
-            kept[joint_names] = Roadmap(len(joint_names))
-        return kept[joint_names]
+        key = (joint_names, settings)
+        if key not in kept:
+            kept[key] = Roadmap(len(joint_names), settings)
+        return kept[key]
 
 
 @pipelines["native"].register("PRM")
 def prm(problem: Problem) -> Answer:
     """A path over the roadmap, proven free and already shortened. Each query leaves the roadmap richer."""
-    roadmap = roadmap_of(problem.checker.model, problem.joint_names)
+    roadmap = roadmap_of(problem.checker.model, problem.joint_names, problem.settings or PRMSettings())
     planner = NativePlanner(problem.checker)
     goals = np.vstack(problem.goals)
     with stopping(problem) as stop:
@@ -53,3 +57,6 @@ def prm(problem: Problem) -> Answer:
     if found.waypoints is not None:
         return Answer(found.waypoints, "", statistics, simplified=True)
     return unsolved("PRM", problem, found.iterations, found.closest, statistics)
+
+
+settings_makers[prm] = settings_of("PRM", PRMSettings)

@@ -1,0 +1,182 @@
+"""Whether joint positions keep to constraints, and if not, which one is violated by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import (
+    SE3,
+    SO3,
+    Box,
+    Capsule,
+    Cone,
+    Constraints,
+    Cylinder,
+    InputError,
+    JointConstraint,
+    OrientationConstraint,
+    Plane,
+    PositionConstraint,
+    Shape,
+    Sphere,
+    UnknownNameError,
+)
+from armcell.planning.placed import Placed, positioned
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-6  # [rad or m] beyond a tolerance that counts as rounding: the accuracy of inverse kinematics
+PARAMETERIZATIONS = ("rotation_vector", "xyz_euler")
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintError:
+    """How far positions are from keeping to one constraint.
+
+    `error`: a joint's distance from the constraint's position (1,) [rad or m]; a point's distance from its
+    region (1,) [m], 0 inside; a rotation's error (3,) [rad]. `excess` (same shape): what is beyond the
+    tolerance.
+    """
+
+    constraint: JointConstraint | PositionConstraint | OrientationConstraint
+    error: Array
+    excess: Array
+    words: str
+
+    @property
+    def ok(self) -> bool:
+        return bool(np.all(self.excess <= ROUNDING))
+
+
+def constraint_errors(
+    scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
+) -> tuple[ConstraintError, ...]:
+    """One error per constraint, joints first, then positions and orientations.
+
+    Args:
+        q: positions (n,) of the group's joints; the others are where they are in the scene.
+    Raises:
+        UnknownNameError: a joint, link or frame that does not exist.
+        InputError: a region of a shape that has no inside, or a parameterization that does not exist.
+    """
+    at = positioned(scene, scene.model.group(group).joint_names, q)
+    return (
+        *(_joint(at, c) for c in constraints.joints),
+        *(_position(at, group, c) for c in constraints.positions),
+        *(_orientation(at, group, c) for c in constraints.orientations),
+    )
+
+
+def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
+    """Whether positions q (n,) of the group keep to all constraints; see `constraint_errors`."""
+    return all(error.ok for error in constraint_errors(scene, group, constraints, q))
+
+
+def violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
+    """Which constraints are violated by how much, in words; empty where none is."""
+    return "; ".join(e.words for e in constraint_errors(scene, group, constraints, q) if not e.ok)
+
+
+def _joint(scene: PlanningScene, c: JointConstraint) -> ConstraintError:
+    value = scene.positions[scene.model.columns((c.joint,))[0]]
+    error = value - c.position
+    excess = max(error - c.tolerance_above, -c.tolerance_below - error, 0.0)
+    words = (
+        f"joint {c.joint} at {value:.4g} is {excess:.3g} outside of "
+        f"[{c.position - c.tolerance_below:.4g}, {c.position + c.tolerance_above:.4g}]"
+    )
+    return ConstraintError(c, np.array([error]), np.array([excess]), words)
+
+
+def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> ConstraintError:
+    T_world_link, name = _pose(scene, group, c.link)
+    point = T_world_link.apply(c.point)
+    distance = region_distance(scene, c, point)
+    words = f"{name} is {distance * 1000:.1f} mm outside of its region"
+    return ConstraintError(c, np.array([distance]), np.array([distance]), words)
+
+
+def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
+    """Distance [m] of a point (3,) in the world from a constraint's region, 0 inside."""
+    at = scene.frame_pose(c.frame).inv().apply(point)
+    return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
+
+
+def _orientation(scene: PlanningScene, group: str, c: OrientationConstraint) -> ConstraintError:
+    T_world_link, name = _pose(scene, group, c.link)
+    wanted = scene.frame_pose(c.frame).rotation @ c.rotation
+    error = rotation_error(wanted, T_world_link.rotation, c.parameterization)
+    tolerance = np.asarray(c.tolerance, dtype=float)
+    excess = np.where(tolerance >= np.pi, 0.0, np.maximum(np.abs(error) - tolerance, 0.0))
+    k = int(np.argmax(excess))
+    words = f"{name} is turned {np.rad2deg(excess[k]):.2f} deg too far about {'xyz'[k]} of the wanted frame"
+    return ConstraintError(c, error, excess, words)
+
+
+def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]:
+    placed = Placed(scene, group, name)
+    return scene.frame_pose(placed.name), placed.name
+
+
+def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
+    """From the wanted to the present rotation, in the wanted one's axes (3,) [rad]; see the constraint."""
+    turn = wanted.inv() @ present
+    if parameterization == "rotation_vector":
+        return turn.log()
+    if parameterization != "xyz_euler":
+        raise UnknownNameError("parameterization", parameterization, PARAMETERIZATIONS)
+    # Rx(a) Ry(b) Rz(c): the transpose of Rz(-c) Ry(-b) Rx(-a), whose angles rpy gives.
+    return -turn.inv().rpy
+
+
+def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
+    """The rotation that has an error (3,): the inverse of `rotation_error`."""
+    if parameterization == "rotation_vector":
+        return SO3.exp(error)
+    return SO3.from_rpy(-np.asarray(error, dtype=float)).inv()
+
+
+def _beyond(over: ArrayLike) -> float:
+    return float(np.linalg.norm(np.maximum(over, 0.0)))
+
+
+def _to_segment(p: Array, a: Array, b: Array) -> float:
+    t = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return float(np.linalg.norm(p - a - t * (b - a)))
+
+
+def _to_cone(s: Cone, p: Array) -> float:
+    r, z, half = float(np.hypot(p[0], p[1])), float(p[2]), s.length / 2
+    if -half <= z <= half and r <= s.radius * (half - z) / s.length:
+        return 0.0
+    at, rim, apex = np.array([r, z]), np.array([s.radius, -half]), np.array([0.0, half])
+    return min(_to_segment(at, rim, apex), _to_segment(at, np.array([0.0, -half]), rim))
+
+
+_DISTANCES: dict[type, Callable[..., float]] = {
+    Box: lambda s, p: _beyond(np.abs(p) - s.half_extents),
+    Sphere: lambda s, p: _beyond(np.linalg.norm(p) - s.radius),
+    Cylinder: lambda s, p: _beyond((np.hypot(p[0], p[1]) - s.radius, abs(p[2]) - s.length / 2)),
+    Capsule: lambda s, p: _beyond(
+        np.linalg.norm(p - (0, 0, np.clip(p[2], -s.length / 2, s.length / 2))) - s.radius
+    ),
+    Cone: _to_cone,
+    Plane: lambda s, p: _beyond(p[2]),
+}
+
+
+def distance_to_shape(shape: Shape, point: ArrayLike) -> float:
+    """Distance [m] of a point (3,), in the shape's frame, from the shape; 0 inside.
+
+    Raises:
+        InputError: a mesh, cloud or octree: these are surfaces, not regions.
+    """
+    if type(shape) not in _DISTANCES:
+        known = ", ".join(sorted(kind.__name__ for kind in _DISTANCES))
+        raise InputError(f"a {type(shape).__name__} cannot be a region; these can: {known}")
+    return _DISTANCES[type(shape)](shape, np.asarray(point, dtype=float))

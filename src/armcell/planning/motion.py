@@ -1,0 +1,93 @@
+"""The last steps of a plan: a path proven, timed, slowed, and led to from where the robot is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import ErrorCode, JointTrajectory, Outcome
+from armcell.planning.finish import finish, torque_model
+from armcell.planning.placed import Placed
+from armcell.planning.question import Question
+from armcell.planning.speed import slowed
+from armcell.timing import BlendedPath, TorqueLimitError, jerk_limited, parameterize
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A path (k, n) that is proven (`done`), with its trajectory if timing was asked for; or why not."""
+
+    waypoints: Array
+    trajectory: JointTrajectory | None = None
+    done: bool = False
+    why: str = ""
+    words: str = ""  # what a caller must know about a motion that is done
+
+
+def timed_motion(question: Question, checker: KernelChecker, waypoints: Array) -> Motion | Outcome:
+    """Prove and time a path; an outcome where no other path would do either."""
+    request = question.request
+    if question.workspace is not None and (q := question.workspace.left_at(waypoints)) is not None:
+        return Motion(waypoints, why=f"the paths found leave the workspace: {question.workspace.describe(q)}")
+    torque = torque_model(question.scene, question.joint_names) if request.torque_limits else None
+    try:
+        finished = finish(
+            checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
+            torque=torque, jerk_limits=request.jerk_limits,
+        )  # fmt: skip
+    except TorqueLimitError as error:
+        evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
+        return Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence)
+    trajectory = finished.trajectory
+    if trajectory is None:
+        return Motion(waypoints)
+    words = ""
+    if question.lead_in is not None:
+        lead = _lead_in(question, checker)
+        if lead is None:
+            words = "the motion begins at the start within limits, the way to it is not free"
+        else:
+            waypoints = np.vstack([question.lead_in[0], waypoints])
+            trajectory = _joined(lead, trajectory)
+    elif "start_repaired" in question.evidence:
+        words = "the motion begins at the repaired start, not where the robot is"
+    if request.max_cartesian_speed is not None:
+        placed = Placed(question.scene, request.group, request.speed_link)
+        trajectory = slowed(trajectory, placed, request.max_cartesian_speed)
+    timing = "timing" in question.adapters
+    return Motion(waypoints, trajectory if timing else None, done=True, words=words)
+
+
+def _lead_in(question: Question, checker: KernelChecker) -> JointTrajectory | None:
+    """From where the robot is to the repaired start, both at rest; None where that is not free."""
+    lead = question.lead_in
+    assert lead is not None
+    if "start_repaired" not in question.evidence and not checker.certify(lead, evidence=False).free:
+        return None
+    names, request = question.joint_names, question.request
+    velocity = checker.model.limits(names, "velocity") * request.velocity_scaling
+    acceleration = checker.model.limits(names, "acceleration") * request.acceleration_scaling
+    path = BlendedPath(lead, 0.0)
+    if request.jerk_limits:
+        return jerk_limited(path, names, velocity, acceleration, checker.model.limits(names, "jerk"))
+    return parameterize(path, names, velocity, acceleration)
+
+
+def _joined(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
+    """One motion after the other; they meet at rest."""
+
+    def both(a: Array | None, b: Array | None) -> Array | None:
+        return None if a is None or b is None else np.vstack([a, b[1:]])
+
+    return replace(
+        second,
+        times=np.concatenate([first.times, first.times[-1] + second.times[1:]]),
+        positions=np.vstack([first.positions, second.positions[1:]]),
+        velocities=both(first.velocities, second.velocities),
+        accelerations=both(first.accelerations, second.accelerations),
+    )
