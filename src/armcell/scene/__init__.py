@@ -1,5 +1,6 @@
 """The planning scene: an immutable value of robot, state, objects and allowed contacts."""
 
+from armcell.scene.cloud_file import load_obstacle, load_points
 from armcell.scene.diff import (
     OCTOMAP,
     AddObject,
@@ -23,6 +24,8 @@ from armcell.scene.diff import (
 from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
 from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, ObjectType, shape_volume
+from armcell.scene.octomap import OccupancyMap, SensorModel
+from armcell.scene.octree_file import load_octree
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
 
 __all__ = [
@@ -40,16 +43,21 @@ __all__ = [
     "Material",
     "MoveObject",
     "ObjectType",
+    "OccupancyMap",
     "PlanningScene",
     "RemoveAllObjects",
     "RemoveObject",
     "SceneDiff",
+    "SensorModel",
     "SetColor",
     "SetFixedFrame",
     "SetOctomap",
     "SetPadding",
     "SetState",
     "SetType",
+    "load_obstacle",
+    "load_octree",
+    "load_points",
     "load_scene_file",
     "save_scene_file",
     "shape_volume",
