@@ -23,6 +23,7 @@ from armcell.scene.diff import (
 )
 from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
+from armcell.scene.moving import MovingObject
 from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, ObjectType, shape_volume
 from armcell.scene.octomap import OccupancyMap, SensorModel
 from armcell.scene.octree_file import load_octree
@@ -42,6 +43,7 @@ __all__ = [
     "DetachObject",
     "Material",
     "MoveObject",
+    "MovingObject",
     "ObjectType",
     "OccupancyMap",
     "PlanningScene",

@@ -132,7 +132,8 @@ class OccupancyMap:
             level, edge = level[first] >> 3, edge * 2
         lowest = np.concatenate([np.zeros((0, 3), np.int64), *codes])
         edges = np.concatenate([np.zeros(0, np.int64), *sizes])
-        return Octree((lowest - HALF + edges[:, None] / 2) * self.resolution, edges * self.resolution)
+        full = np.asarray(edges * self.resolution, dtype=np.float64)
+        return Octree((lowest - HALF) * self.resolution + full[:, None] / 2, full)
 
 
 @njit(cache=True)

@@ -64,7 +64,8 @@ def load_octree(path: str | Path) -> Octree:
         raise InputError(f"the octomap has {len(body) - read} bytes too many at its end", file=file)
     edges = 2.0 ** (DEPTH - depths)
     lowest = keys * edges[:, None] - 2.0 ** (DEPTH - 1)
-    return Octree((lowest + edges[:, None] / 2) * resolution, edges * resolution)
+    sizes = np.asarray(edges * resolution, dtype=np.float64)
+    return Octree(lowest * resolution + sizes[:, None] / 2, sizes)
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
