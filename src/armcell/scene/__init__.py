@@ -1,6 +1,7 @@
 """The planning scene: an immutable value of robot, state, objects and allowed contacts."""
 
 from armcell.scene.cloud_file import load_obstacle, load_points
+from armcell.scene.depth import depth_points
 from armcell.scene.diff import (
     OCTOMAP,
     AddObject,
@@ -57,6 +58,7 @@ __all__ = [
     "SetPadding",
     "SetState",
     "SetType",
+    "depth_points",
     "load_obstacle",
     "load_octree",
     "load_points",
