@@ -137,6 +137,18 @@ def test_a_post_that_comes_by(begin):
         )
 
 
+def test_waiting_is_sooner_than_a_long_way_round():
+    """A wall that comes down in front of the goal: nothing goes around it, a moment later it is gone."""
+    scene, goal = across()
+    ways = (SE3.from_xyz(0.5, 0.25, 0.8), SE3.from_xyz(0.5, 0.25, 0.8), SE3.from_xyz(0.5, 0.25, 4.0))
+    wall = MovingObject(box("wall", (2.5, 0.02, 2.5)), np.array([0.0, 2.0, 3.0]), ways)
+    result = plan_among_moving(scene, request(goal), [wall])
+    assert result.ok and result.evidence["moving"] == "waits" and 1.0 < result.evidence["wait"] < 3.0
+    assert first_contact(scene, result.trajectory, wall, 0.0, result.trajectory.duration, 0.01) is None
+    still = result.trajectory.sample(result.evidence["wait"] - 1e-6)[0]
+    np.testing.assert_allclose(still, scene.positions[:7], atol=1e-9)
+
+
 def test_one_that_never_goes():
     scene, goal = across()
     there = scene.with_state(goal.state).frame_pose("panda_hand")

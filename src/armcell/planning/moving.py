@@ -97,8 +97,9 @@ def _waiting(
         wait = k * WAIT_STEP
         if time.monotonic() > deadline:
             return None
-        if certify_timed(scene, trajectory, moving, start_time + wait, clearance).free:
-            return wait, delayed(trajectory, wait)
+        later = delayed(trajectory, wait)
+        if certify_timed(scene, later, moving, start_time, clearance).free:
+            return wait, later
     return None
 
 
