@@ -42,7 +42,7 @@ def number(pattern: str, text: str) -> float:
 
 
 def test_all_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "07", "24"]
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "07", "10", "11", "24"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -123,6 +123,24 @@ def test_the_own_cell_is_sound(capsys):
     from armcell.cli.main import main
 
     assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
+
+
+def test_10_scene_services(printed):
+    said = printed("10_scene_services.py")
+    assert "the mug stands at 0.60, 0.20, 0.261" in said and "nothing was changed" in said
+    assert "touching the cube: panda_leftfinger panda_rightfinger" in said
+    assert "saved and loaded: table mug" in said
+    assert re.search(r"first: planned\nagain: hit\nwith a post in the way: repaired", said)
+    assert re.search(r"moving box: (waits|around), done", said)
+
+
+def test_11_clouds_and_octomaps(printed):
+    said = printed("11_clouds_and_octomaps.py")
+    assert "41000 points, 1000 of them are the robot" in said
+    around, free = (number(rf"{what}: [\w ]+, ([\d.]+) s", said) for what in ("the post", "it is gone"))
+    assert free < around and "straight line" in said
+    assert number(r"(\d+)% of the post's voxels were cleared", said) > 80
+    assert "no object is left" in said
 
 
 @pytest.mark.slow

@@ -10,27 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from armcell.cell.live import LiveCell
-from armcell.cell.schema import CameraSpec, CellSpec, ObjectSpec, ShapeSpec, validated
+from armcell.cell.objects_file import object_of
+from armcell.cell.schema import CameraSpec, CellSpec, validated
 from armcell.control import DriverOptions, drivers
-from armcell.core import (
-    SE3,
-    SO3,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    InputError,
-    Observer,
-    Plane,
-    Shape,
-    Sphere,
-    UnknownNameError,
-)
+from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.model import Part, RobotModel, compose, load_robot
-from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import read_yaml
-from armcell.scene import CollisionObject, Material, PlanningScene
+from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, PhysicsSettings
 from armcell.tasks import TaskSettings
 
@@ -137,7 +124,7 @@ class Cell:
             scene = scene.with_state(self.model.named_state(group, state))
         for name, spec in self.spec.objects.items():
             try:
-                item = _object(name, spec, self.file.parent)
+                item = object_of(name, spec, self.file.parent)
                 scene = scene.with_object(_varied(item, draw.get(name, {})))
             except InputError as error:
                 if error.file is not None:
@@ -168,33 +155,6 @@ class Cell:
         return LiveCell(
             self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
         )
-
-
-def _object(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
-    color = tuple(spec.color) if len(spec.color) == 4 else (*spec.color, 1.0)
-    return CollisionObject(
-        name,
-        tuple((_shape(s, folder), SE3.from_mapping(s.pose, "pose")) for s in spec.shape_specs()),
-        SE3.from_mapping(spec.pose, "pose"),
-        color,  # type: ignore[arg-type]
-        spec.movable,
-        spec.mass,
-        Material() if spec.friction is None else Material(spec.friction),
-    )
-
-
-def _shape(spec: ShapeSpec, folder: Path) -> Shape:
-    if spec.box is not None:
-        return Box(*spec.box)
-    if spec.sphere is not None:
-        return Sphere(spec.sphere)
-    for key, cls in (("cylinder", Cylinder), ("capsule", Capsule), ("cone", Cone)):
-        if (value := getattr(spec, key)) is not None:
-            return cls(*value)
-    if spec.mesh is not None:
-        s = spec.mesh_scale
-        return load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
-    return Plane()
 
 
 def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:

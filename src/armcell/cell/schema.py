@@ -27,6 +27,8 @@ class ShapeSpec(Strict):
     plane: Literal[True] | None = None
     mesh: str | None = None  # file, relative to the cell folder, or package://
     mesh_scale: float = Field(1.0, gt=0)
+    cloud: str | None = None  # file of points (.ply, .pcd, .xyz, .npy) or an octomap (.bt, .ot)
+    radius: float | None = Field(None, gt=0)  # [m] of a cloud's points
     pose: Any = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -39,7 +41,14 @@ class ShapeSpec(Strict):
         return self
 
 
-SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "cone", "plane", "mesh")
+SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "cone", "plane", "mesh", "cloud")
+
+
+class TypeSpec(Strict):
+    """What an object is an instance of: a key in a database."""
+
+    key: str = ""
+    db: str = ""
 
 
 class ObjectSpec(Strict):
@@ -53,7 +62,11 @@ class ObjectSpec(Strict):
     plane: Literal[True] | None = None
     mesh: str | None = None
     mesh_scale: float = Field(1.0, gt=0)
+    cloud: str | None = None
+    radius: float | None = Field(None, gt=0)
     shapes: list[ShapeSpec] = []
+    subframes: dict[str, Any] = {}  # name -> pose in the object's frame
+    type: TypeSpec = TypeSpec()
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] = (0.6, 0.6, 0.6)
     movable: bool = False
@@ -64,7 +77,7 @@ class ObjectSpec(Strict):
         own = {k: getattr(self, k) for k in SHAPE_KEYS if getattr(self, k) is not None}
         if own and self.shapes:
             raise ValueError("has a shape of its own and 'shapes': give one or the other")
-        return self.shapes or [ShapeSpec(**own, mesh_scale=self.mesh_scale)]
+        return self.shapes or [ShapeSpec(**own, mesh_scale=self.mesh_scale, radius=self.radius)]
 
     @model_validator(mode="after")
     def _shaped(self):

@@ -2,14 +2,23 @@
 
 from armcell.collision.certificate import Certificate
 from armcell.collision.certify import MotionBound, certify_path
+from armcell.collision.certify_timed import TimedCertificate, certify_timed
 from armcell.collision.exact import ExactChecker, neighbours
 from armcell.collision.self_collision import disabled_collision_pairs
+from armcell.collision.self_filter import robot_mask, without_robot
+from armcell.collision.touch_links import attached_by_contact, touching_links
 
 __all__ = [
     "Certificate",
     "ExactChecker",
     "MotionBound",
+    "TimedCertificate",
+    "attached_by_contact",
     "certify_path",
+    "certify_timed",
     "disabled_collision_pairs",
     "neighbours",
+    "robot_mask",
+    "touching_links",
+    "without_robot",
 ]

@@ -132,6 +132,13 @@ class ExactChecker:
         )
         self._query += 1
 
+    def place_object(self, i: int, T_world_solid: SE3) -> None:
+        """Move a geometry that stands in the world, by index, until it is moved again."""
+        R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
+        self._transforms[i].setTransform(R, T_world_solid.translation)
+        self._world_centre[i] = T_world_solid.apply(g.centre)
+        self._world_half[i] = np.abs(R) @ g.half
+
     def _transform(self, i: int) -> coal.Transform3s:
         transform = self._transforms[i]
         link = self._link[i]

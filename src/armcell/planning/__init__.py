@@ -4,6 +4,8 @@ from armcell.planning.adapters import adapter_names
 from armcell.planning.cartesian import plan_cartesian
 from armcell.planning.constraint_check import constraint_errors, satisfied, violations
 from armcell.planning.explain import Branch, PoseExplanation, explain_pose
+from armcell.planning.library import LibraryStatistics, PlanLibrary
+from armcell.planning.moving import plan_among_moving
 from armcell.planning.native.warm_up import prepare, warm_up
 from armcell.planning.pipeline import plan
 from armcell.planning.problem import Answer, Problem, find_planner, normalized_planner_id, pipelines
@@ -11,6 +13,8 @@ from armcell.planning.problem import Answer, Problem, find_planner, normalized_p
 __all__ = [
     "Answer",
     "Branch",
+    "LibraryStatistics",
+    "PlanLibrary",
     "PoseExplanation",
     "Problem",
     "adapter_names",
@@ -20,6 +24,7 @@ __all__ = [
     "normalized_planner_id",
     "pipelines",
     "plan",
+    "plan_among_moving",
     "plan_cartesian",
     "prepare",
     "satisfied",

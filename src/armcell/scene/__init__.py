@@ -1,16 +1,70 @@
 """The planning scene: an immutable value of robot, state, objects and allowed contacts."""
 
+from armcell.scene.cloud_file import load_obstacle, load_points
+from armcell.scene.depth import depth_points
+from armcell.scene.diff import (
+    OCTOMAP,
+    AddObject,
+    Allow,
+    AllowByDefault,
+    AppendShapes,
+    AttachObject,
+    DetachObject,
+    MoveObject,
+    RemoveAllObjects,
+    RemoveObject,
+    SceneDiff,
+    SetColor,
+    SetFixedFrame,
+    SetOctomap,
+    SetPadding,
+    SetState,
+    SetType,
+    with_octomap,
+)
+from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
-from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, shape_volume
+from armcell.scene.moving import MovingObject
+from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, ObjectType, shape_volume
+from armcell.scene.octomap import OccupancyMap, SensorModel
+from armcell.scene.octree_file import load_octree
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
 
 __all__ = [
     "DEFAULT_DENSITY",
+    "OCTOMAP",
     "WORLD",
+    "AddObject",
+    "Allow",
+    "AllowByDefault",
+    "AppendShapes",
+    "AttachObject",
     "AttachedBody",
     "CollisionObject",
+    "DetachObject",
     "Material",
+    "MoveObject",
+    "MovingObject",
+    "ObjectType",
+    "OccupancyMap",
     "PlanningScene",
+    "RemoveAllObjects",
+    "RemoveObject",
+    "SceneDiff",
+    "SensorModel",
+    "SetColor",
+    "SetFixedFrame",
+    "SetOctomap",
+    "SetPadding",
+    "SetState",
+    "SetType",
+    "depth_points",
+    "load_obstacle",
+    "load_octree",
+    "load_points",
+    "load_scene_file",
+    "save_scene_file",
     "shape_volume",
     "solid_inertia",
+    "with_octomap",
 ]

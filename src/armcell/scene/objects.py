@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +51,19 @@ class Material:
                 raise InputError(f"{name} is {value:g}, it must be a number >= 0")
 
 
+@dataclass(frozen=True)
+class ObjectType:
+    """What an object is an instance of, as object_recognition_msgs/ObjectType: a key in a database."""
+
+    key: str = ""
+    db: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class CollisionObject:
     """A named rigid object. `shapes` are placed in the object's own frame.
 
+    `subframes` are named frames on it, known to the scene as "object/subframe".
     `movable` objects are free bodies in physics (they can be picked); the others are fixed obstacles.
     `mass` [kg] None means volume times `DEFAULT_DENSITY`.
     """
@@ -65,10 +75,16 @@ class CollisionObject:
     movable: bool = False
     mass: float | None = None
     material: Material = Material()
+    subframes: Mapping[str, SE3] = field(default_factory=dict)  # T_object_subframe by name
+    type: ObjectType = ObjectType()
 
     def __post_init__(self) -> None:
         if not self.name:
             raise InputError("an object needs a name")
+        if any(not name or name != name.strip() for name in self.subframes):
+            raise InputError(f"object {self.name!r}: a subframe needs a name")
+        if len(self.color) != 4 or not np.all((np.asarray(self.color) >= 0) & (np.asarray(self.color) <= 1)):
+            raise InputError(f"object {self.name!r}: color is {self.color}, it must be r, g, b, a of 0 to 1")
         if not self.shapes:
             raise InputError(f"object {self.name!r} has no shape")
         if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):

@@ -1,0 +1,152 @@
+"""Objects from YAML and to YAML: the `objects:` of a cell file, also as a file of their own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from armcell.cell.schema import CellSpec, ObjectSpec, ShapeSpec, validated
+from armcell.core import (
+    SE3,
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    InputError,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+)
+from armcell.model.assets import load_mesh, resolve_uri
+from armcell.model.files import read_yaml
+from armcell.scene import CollisionObject, Material, ObjectType, load_obstacle
+
+
+def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
+    """The object that a checked entry describes; files in it are relative to `folder`."""
+    color = tuple(spec.color) if len(spec.color) == 4 else (*spec.color, 1.0)
+    return CollisionObject(
+        name,
+        tuple((_shape(s, folder), SE3.from_mapping(s.pose, "pose")) for s in spec.shape_specs()),
+        SE3.from_mapping(spec.pose, "pose"),
+        color,  # type: ignore[arg-type]
+        spec.movable,
+        spec.mass,
+        Material() if spec.friction is None else Material(spec.friction),
+        {n: SE3.from_mapping(pose, f"subframes/{n}") for n, pose in spec.subframes.items()},
+        ObjectType(spec.type.key, spec.type.db),
+    )
+
+
+def _shape(spec: ShapeSpec, folder: Path) -> Shape:
+    if spec.box is not None:
+        return Box(*spec.box)
+    if spec.sphere is not None:
+        return Sphere(spec.sphere)
+    for key, cls in (("cylinder", Cylinder), ("capsule", Capsule), ("cone", Cone)):
+        if (value := getattr(spec, key)) is not None:
+            return cls(*value)
+    if spec.mesh is not None:
+        s = spec.mesh_scale
+        return load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
+    if spec.cloud is not None:
+        return load_obstacle(resolve_uri(spec.cloud, folder), spec.radius)
+    return Plane()
+
+
+def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
+    """The objects of a YAML file with `objects:` as in a cell file.
+
+    Raises:
+        InputError: with file, element and reason.
+    """
+    file = Path(path)
+    data = read_yaml(file)
+    if set(data) != {"objects"}:
+        raise InputError(f"has the keys {', '.join(map(str, data)) or 'none'}, only 'objects'", file=file)
+    spec: CellSpec = validated({"robot": "none", **data}, file)
+    found = []
+    for name, entry in spec.objects.items():
+        try:
+            found.append(object_of(name, entry, file.parent))
+        except InputError as error:
+            if error.file is not None:
+                raise
+            raise InputError(error.reason, file=file, element=f"objects/{name}", cure=error.cure) from None
+    return tuple(found)
+
+
+def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
+    """Write objects so that `load_objects` and a cell file's `objects:` read the same again.
+
+    Meshes and clouds go to files beside it, named after the file, the object and the shape's number.
+    Of a material only the sliding friction is written: cell files have no other.
+    """
+    file = Path(path)
+    entries = {item.name: _entry(item, file) for item in objects}
+    text = yaml.safe_dump({"objects": entries}, sort_keys=False, default_flow_style=None, width=110)
+    file.write_text(text, encoding="utf-8")
+
+
+def _pose(T: SE3) -> Any:
+    if np.array_equal(T.rotation.matrix, np.eye(3)):
+        return T.translation.tolist()
+    return {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
+
+
+def _entry(item: CollisionObject, file: Path) -> dict[str, Any]:
+    stem = re.sub(r"\W+", "_", f"{file.stem}_{item.name}")
+    shapes = [
+        {**_shape_entry(shape, file.parent / f"{stem}_{i}"), "pose": _pose(T)}
+        for i, (shape, T) in enumerate(item.shapes)
+    ]
+    entry: dict[str, Any] = {"shapes": shapes, "pose": _pose(item.T_world_object)}
+    if len(shapes) == 1 and shapes[0]["pose"] == [0.0, 0.0, 0.0]:
+        entry = {**shapes[0], "pose": entry["pose"]}
+    entry["color"] = [float(c) for c in item.color]
+    if item.movable:
+        entry["movable"] = True
+    if item.mass is not None:
+        entry["mass"] = float(item.mass)
+    if item.material != Material():
+        entry["friction"] = float(item.material.friction)
+    if item.subframes:
+        entry["subframes"] = {name: _pose(T) for name, T in item.subframes.items()}
+    if item.type != ObjectType():
+        entry["type"] = {"key": item.type.key, "db": item.type.db}
+    return entry
+
+
+def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
+    """A shape as a cell file has it; `beside` is the name, less the suffix, of a file for what is large."""
+    match shape:
+        case Box():
+            return {"box": [float(shape.x), float(shape.y), float(shape.z)]}
+        case Sphere():
+            return {"sphere": float(shape.radius)}
+        case Cylinder() | Capsule() | Cone():
+            return {type(shape).__name__.lower(): [float(shape.radius), float(shape.length)]}
+        case Plane():
+            return {"plane": True}
+        case Mesh():
+            lines = ["v " + " ".join(map(repr, v)) for v in shape.vertices.tolist()]
+            lines += ["f " + " ".join(str(k + 1) for k in f) for f in shape.faces.tolist()]
+            target = beside.with_name(beside.name + ".obj")
+            target.write_text("\n".join(lines) + "\n", encoding="ascii")
+            return {"mesh": target.name}
+        case PointCloud():
+            target = beside.with_name(beside.name + ".npy")
+            np.save(target, shape.points)
+            return {"cloud": target.name, "radius": float(shape.radius)}
+        case Octree():
+            target = beside.with_name(beside.name + ".npz")
+            np.savez(target, centres=shape.centres, sizes=shape.sizes)
+            return {"cloud": target.name}

@@ -1,0 +1,229 @@
+"""MoveIt's .scene text files: a scene's objects, as RViz and `saveGeometryToStream` write them.
+
+The new form has a pose per object and subframes; in the old one objects stand at the origin. Which one it is
+shows at the first object, as in MoveIt (`PlanningScene::loadGeometryFromStream`). Colours of all zeros mean
+none. Files hold no names of types, masses or clouds.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from armcell.core import (
+    SE3,
+    SO3,
+    Box,
+    Cone,
+    Cylinder,
+    InputError,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+)
+from armcell.model.files import read_text
+from armcell.scene.objects import CollisionObject, Color
+
+log = logging.getLogger(__name__)
+
+MAX_PARTS = 1_000_000
+"""Shapes, vertices or triangles a file may announce: more is a mistake."""
+
+
+def save_scene_file(objects: Iterable[CollisionObject], path: str | Path, name: str = "armcell") -> list[str]:
+    """Write objects as MoveIt does (the new form); numbers in full, so that nothing is lost.
+
+    Returns:
+        Names of the objects left out: octomaps and clouds, which the format does not know.
+    Raises:
+        InputError: a capsule (MoveIt has none), or a name with a line break.
+    """
+    lines, left_out = [name], []
+    for item in objects:
+        if item.has_cloud:
+            left_out.append(item.name)
+            continue
+        if "\n" in item.name or any(re.search(r"\s", s) for s in item.subframes):
+            raise InputError(f"object {item.name!r}: a name with a space or line break cannot be written")
+        lines += [f"* {item.name}", *_pose_lines(item.T_world_object), str(len(item.shapes))]
+        for shape, T in item.shapes:
+            lines += [*_shape_lines(item.name, shape), *_pose_lines(T), _numbers(item.color)]
+        lines.append(str(len(item.subframes)))
+        for subframe, T in item.subframes.items():
+            lines += [subframe, *_pose_lines(T)]
+    Path(path).write_text("\n".join([*lines, ".\n"]), encoding="utf-8")
+    return left_out
+
+
+def load_scene_file(path: str | Path) -> tuple[CollisionObject, ...]:
+    """The objects of a .scene file, in either form, fixed in the world.
+
+    Raises:
+        InputError: with file, line and reason.
+    """
+    return _Reader(Path(path)).objects()
+
+
+def _numbers(values) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _pose_lines(T: SE3) -> list[str]:
+    return [_numbers(T.translation), _numbers(T.quat_xyzw)]
+
+
+def _shape_lines(name: str, shape: Shape) -> list[str]:
+    match shape:
+        case Box():
+            return ["box", _numbers((shape.x, shape.y, shape.z))]
+        case Sphere():
+            return ["sphere", _numbers((shape.radius,))]
+        case Cylinder():
+            return ["cylinder", _numbers((shape.radius, shape.length))]
+        case Cone():
+            return ["cone", _numbers((shape.radius, shape.length))]
+        case Plane():
+            return ["plane", _numbers((0, 0, 1, 0))]
+        case Mesh():
+            rows = [f"{len(shape.vertices)} {len(shape.faces)}", *map(_numbers, shape.vertices)]
+            return ["mesh", *rows, *(" ".join(map(str, face)) for face in shape.faces.tolist())]
+        case PointCloud() | Octree():
+            pass
+    raise InputError(
+        f"object {name!r}: a {type(shape).__name__.lower()} cannot be written to a .scene file",
+        cure="build it of cylinder and spheres, or save it as YAML",
+    )
+
+
+class _Reader:
+    """Words with their line numbers; MoveIt's reader does not care for line breaks except in names."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.lines = read_text(path, 100_000_000).splitlines()
+        if not self.lines or not any(line.strip() for line in self.lines):
+            raise InputError("is empty, a .scene file begins with the scene's name", file=path)
+        self.row = 1  # the line to be read next; the first is the scene's name
+        self.words: list[str] = []
+
+    def fail(self, reason: str) -> InputError:
+        return InputError(reason, file=self.path, line=min(self.row, len(self.lines)))
+
+    def word(self, wanted: str) -> str:
+        while not self.words:
+            if self.row >= len(self.lines):
+                raise self.fail(f"ends where {wanted} is wanted: the file is cut off")
+            self.words = self.lines[self.row].split()
+            self.row += 1
+        return self.words.pop(0)
+
+    def number(self, wanted: str) -> float:
+        text = self.word(wanted)
+        try:
+            value = float(text)
+        except ValueError:
+            raise self.fail(f"{text!r} stands where {wanted} is wanted") from None
+        if not np.isfinite(value):
+            raise self.fail(f"{wanted} is {text}, it must be finite")
+        return value
+
+    def count(self, wanted: str) -> int:
+        text = self.word(wanted)
+        if not text.isascii() or not text.isdigit() or len(text) > 9 or int(text) > MAX_PARTS:
+            raise self.fail(f"{text!r} stands where {wanted} is wanted")
+        return int(text)
+
+    def pose(self, of: str) -> SE3:
+        xyz = [self.number(f"the position of {of}") for _ in range(3)]
+        quat_xyzw = np.array([self.number(f"the quaternion of {of}") for _ in range(4)])
+        norm = np.linalg.norm(quat_xyzw)
+        if not 0.9 < norm < 1.1:  # MoveIt writes six digits and does not look
+            raise self.fail(f"the quaternion of {of} has norm {norm:.3g}, a rotation needs norm 1")
+        return SE3.from_quat_xyzw(xyz, quat_xyzw / norm)
+
+    def objects(self) -> tuple[CollisionObject, ...]:
+        found: dict[str, CollisionObject] = {}
+        posed = self._has_object_poses()
+        while True:
+            marker = self.word("'*' (an object) or '.' (the end)")
+            if marker == ".":
+                return tuple(found.values())
+            if marker != "*":
+                raise self.fail(f"{marker!r} stands where '*' (an object) or '.' (the end) is wanted")
+            name = " ".join(self.words)
+            self.words = []
+            if not name:
+                raise self.fail("an object needs a name after '*'")
+            item = self._object(name, posed)
+            if item is not None:
+                found[name] = item
+
+    def _has_object_poses(self) -> bool:
+        for i, line in enumerate(self.lines[1:-1], start=1):
+            if line.startswith("*"):
+                return len(self.lines[i + 1].split()) > 1
+        return False
+
+    def _object(self, name: str, posed: bool) -> CollisionObject | None:
+        what = f"object {name!r}"
+        T_world_object = self.pose(what) if posed else SE3.identity()
+        shapes: list[tuple[Shape, SE3]] = []
+        color: Color | None = None
+        for i in range(self.count(f"the number of shapes of {what}")):
+            shape, T_shape = self._shape(f"shape {i} of {what}")
+            shapes.append((shape, self.pose(f"shape {i} of {what}") @ T_shape))
+            r, g, b, a = (self.number(f"the colour of {what}") for _ in range(4))
+            if max(r, g, b, a) > 0:
+                color = (r, g, b, a)
+        subframes = {}
+        for _ in range(self.count(f"the number of subframes of {what}") if posed else 0):
+            subframe = self.word("the name of a subframe")
+            subframes[subframe] = self.pose(f"subframe {subframe!r} of {what}")
+        if not shapes:
+            log.warning("%s: %s has no shape and is left out", self.path, what)
+            return None
+        try:
+            item = CollisionObject(name, tuple(shapes), T_world_object, subframes=subframes)
+            return item if color is None else replace(item, color=color)
+        except InputError as error:
+            raise self.fail(error.reason) from None
+
+    def _shape(self, what: str) -> tuple[Shape, SE3]:
+        kind, here = self.word(f"the kind of {what}"), SE3.identity()
+        size = lambda n: [self.number(f"the size of {what}") for _ in range(n)]  # noqa: E731
+        try:
+            match kind:
+                case "box":
+                    return Box(*size(3)), here
+                case "sphere":
+                    return Sphere(*size(1)), here
+                case "cylinder":
+                    return Cylinder(*size(2)), here
+                case "cone":
+                    return Cone(*size(2)), here
+                case "plane":
+                    return self._plane(size(4))
+                case "mesh":
+                    v, f = self.count(f"the number of vertices of {what}"), self.count("that of triangles")
+                    vertices = [[self.number(f"a vertex of {what}") for _ in range(3)] for _ in range(v)]
+                    faces = [[self.count(f"a corner of {what}") for _ in range(3)] for _ in range(f)]
+                    return Mesh(np.array(vertices).reshape(-1, 3), np.array(faces).reshape(-1, 3)), here
+        except InputError as error:
+            raise error if error.file is not None else self.fail(f"{what}: {error.reason}") from None
+        raise self.fail(f"{what} is a {kind!r}; known: box, sphere, cylinder, cone, plane, mesh")
+
+    def _plane(self, equation: list[float]) -> tuple[Shape, SE3]:
+        """a x + b y + c z + d = 0; what lies behind it is solid here."""
+        normal, d = np.array(equation[:3]), equation[3]
+        length = float(np.linalg.norm(normal))
+        if length == 0:
+            raise InputError("a plane needs a normal that is not zero")
+        return Plane(), SE3(SO3.between((0, 0, 1), normal), -d * normal / length**2)
