@@ -22,6 +22,7 @@ from armcell.core import (
     PoseGoal,
 )
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
+from armcell.planning.constraints.plan import plan_constrained
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
@@ -57,7 +58,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     check_scaling(request.acceleration_scaling, "acceleration scaling")
     if not (np.isfinite(request.planning_time) and request.planning_time > 0):
         raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
-    if request.path_constraints or any(isinstance(goal, ConstraintGoal) for goal in request.goals):
+    if any(isinstance(goal, ConstraintGoal) for goal in request.goals):
         raise InputError("constraints are not planned with yet")
     planner_id = normalized_planner_id(request.planner_id)
     planner = find_planner(request.pipeline_id, planner_id)
@@ -85,6 +86,8 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     goals, outcome = joint_goals(scene, request, checker, rng)
     if not outcome.ok:
         return failed(outcome)
+    if request.path_constraints:
+        return plan_constrained(scene, request, checker, start, goals, began, cancel)
     lower, upper = sampling_bounds(scene.model, group.joint_names, start, goals)
     torque = torque_model(scene, group.joint_names) if request.torque_limits else None
     answer = None

@@ -1,0 +1,209 @@
+"""RRT-Connect on the manifold of constraints: every step is projected (Numba).
+
+After CBiRRT2 (Berenson, Srinivasa and Kuffner, IJRR 2011), with the samples projected too (as the projected
+state space of Kingston, Moll and Kavraki, IJRR 2019): extensions then head for places that can be reached.
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel.motion import edge_free
+from armcell.collision.kernel.simd import pointer
+from armcell.planning.constraints.errors import DOF, manifold, within
+from armcell.planning.constraints.projection import project
+from armcell.planning.constraints.proof import keeps
+from armcell.planning.native.leaves import forget, nearest_of
+from armcell.planning.native.rrt_connect import (
+    FROM,
+    ITERATIONS,
+    NODES,
+    NODES_0,
+    NODES_1,
+    TO,
+    TURN,
+    kronecker_steps,
+)
+from armcell.planning.native.tree import get, put, trace
+
+ROWS = 64  # steps of one walk
+STALL = 0.1  # a step that comes nearer by less than this share of it is the last
+
+
+def space_size(dof: int) -> int:
+    """Doubles of scratch: two ends and the steps between, sample steps, sample, closest approach, no room."""
+    return (ROWS + 2) * dof + 5 * dof + 1
+
+
+def closest_at(dof: int) -> int:
+    """Where in the scratch the closest approach of the trees is: its length [rad], then its two ends."""
+    return (ROWS + 4) * dof
+
+
+@njit(cache=True)
+def _apart(p, a, b, dof):
+    total = 0.0
+    for j in range(dof):
+        total += (p[b + j] - p[a + j]) ** 2
+    return np.sqrt(total)
+
+
+@njit(cache=True)
+def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allowance, projecting, stop):
+    """From p[a:] towards p[to:] in projected steps, into rows from p[out:] on, as far as it is free.
+
+    Args:
+        most: rows. delta: length of a step [rad]. step: between validity checks [rad]. none: dof zeros.
+        projecting: else a step that leaves the tolerances is the last (rejection).
+    Returns:
+        Rows written, and whether the next step arrives (that row is not written).
+    """
+    dof, count, at = n[DOF], 0, a
+    left = _apart(p, at, to, dof)
+    while stop[0] == 0:
+        if left <= delta:
+            good = keeps(n, c, x, p, at, to, none, allowance) if projecting else within(n, c, x, p, to, False)
+            if good:
+                return count, edge_free(k, p, at, to, step)
+            if not projecting or left < 0.1 * delta:
+                return count, False
+        if count >= most:
+            break
+        row = out + count * dof
+        f = min(delta / left, 0.5)
+        for j in range(dof):
+            p[row + j] = p[at + j] + f * (p[to + j] - p[at + j])
+        if projecting:
+            if not project(n, c, x, p, row, lower, upper):
+                break
+            moved = _apart(p, at, row, dof)
+            near = _apart(p, row, to, dof)
+            if moved > 2.0 * delta or near > left - STALL * f * left:
+                break
+            if not keeps(n, c, x, p, at, row, none, allowance):
+                break
+        else:
+            near = left - f * left
+            if not within(n, c, x, p, row, False):
+                break
+        if not edge_free(k, p, at, row, step):
+            break
+        at, left = row, near
+        count += 1
+    return count, False
+
+
+@njit(cache=True)
+def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, delta, step, allowance,
+            projecting, nodes, parents, leaves, leaf_ints, capacity, room, stop, max_iterations,
+            found):  # fmt: skip
+    """`constrained_rrt_connect` on pointers; trees as in `rrt_connect`."""
+    dof = n[DOF]
+    q, out = dof, 2 * dof
+    n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]
+    for iteration in range(found[ITERATIONS] + 1, found[ITERATIONS] + max_iterations + 1):
+        if stop[0] != 0 or n0 + 4 * ROWS > capacity or n1 + 4 * ROWS > capacity:
+            break
+        found[ITERATIONS], found[NODES], found[NODES_0], found[NODES_1] = iteration, n0 + n1, n0, n1
+        for j in range(dof):
+            u = sample[j] + steps[j]
+            sample[j] = u - 1.0 if u >= 1.0 else u
+            p[q + j] = lower[j] + (upper[j] - lower[j]) * sample[j]
+        if projecting:
+            if not project(n, c, x, p, q, lower, upper):
+                continue
+        elif not within(n, c, x, p, q, False):
+            continue
+        mine, other = (n1, n0) if tree == 1 else (n0, n1)
+        if abs(mine - other) < mine:  # take turns, unless the other tree is twice as large
+            tree = 1 - tree
+            mine, other = other, mine
+        found[TURN] = tree
+        first, first_other = tree * capacity, (1 - tree) * capacity
+        i = nearest_of(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, p, q, room)
+        get(nodes, dof, first + i, p, 0)
+        most = min(int(np.ceil(reach / delta)), ROWS)
+        count, _ = walk(
+            k, n, c, x, p, 0, q, out, most, lower, upper, none, delta, step, allowance, projecting, stop
+        )
+        if count == 0:
+            continue
+        near, reached = 0, False
+        while True:
+            for row in range(count):
+                put(nodes, dof, first + mine, p, out + row * dof)
+                parents[first + mine] = i
+                i = mine
+                mine += 1
+            if count > 0:
+                for j in range(dof):
+                    p[j] = p[out + (count - 1) * dof + j]
+            if reached or mine + 2 * ROWS > capacity:
+                break
+            if near > 0 and count < ROWS:  # the walk towards the other tree has ended
+                left = _apart(p, 0, q, dof)
+                if left < closest[0]:
+                    closest[0] = left
+                    for j in range(2 * dof):
+                        closest[1 + j] = p[j]
+                break
+            # On towards the nearest node of the other tree.
+            to = nearest_of(nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, p, 0, room)
+            near = 1 + to
+            get(nodes, dof, first_other + to, p, q)
+            count, reached = walk(
+                k, n, c, x, p, 0, q, out, ROWS, lower, upper, none, delta, step, allowance, projecting, stop
+            )
+        n0, n1 = (mine, other) if tree == 0 else (other, mine)
+        if reached:
+            found[FROM], found[TO] = (i, near - 1) if tree == 0 else (near - 1, i)
+            return True
+    found[NODES_0], found[NODES_1] = n0, n1
+    return False
+
+
+@njit(cache=True, nogil=True)
+def constrained_rrt_connect(handle, constraints, start, goals, lower, upper, shift, reach, delta, step,
+                            allowance, projecting, nodes, parents, leaves, leaf_ints, room, space, found,
+                            stop, max_iterations, path):  # fmt: skip
+    """Waypoints from the start to one of the goals, into path (m, dof); see `rrt_connect`.
+
+    Args:
+        constraints: handle of the manifold. delta: length of a projected step [rad].
+        allowance: [rad and m] by which tolerances may be passed. projecting: 0 for rejection sampling.
+        space: see `space_size`.
+    Returns:
+        Number of waypoints (0: none found), iterations and nodes of all calls.
+    """
+    dof, capacity = len(start), len(parents) // 2
+    n, c, x = manifold(constraints)
+    t, u = pointer(nodes), pointer(parents)
+    at = (ROWS + 2) * dof
+    if found[ITERATIONS] == 0:
+        put(t, dof, 0, pointer(start), 0)
+        parents[0] = -1
+        for g in range(len(goals)):
+            put(t, dof, capacity + g, pointer(goals), g * dof)
+            parents[capacity + g] = -1 - g
+        found[NODES_0], found[NODES_1], found[TURN] = 1, len(goals), 1
+        forget(pointer(leaf_ints), capacity)
+        kronecker_steps(dof, space[at:])
+        space[at + dof : at + 2 * dof] = shift
+        space[at + 2 * dof] = np.inf
+    if not _search(
+        pointer(handle), n, c, x, pointer(lower), pointer(upper), pointer(space[at:]),
+        pointer(space[at + dof :]), pointer(space[at + 2 * dof :]), pointer(space[at + 4 * dof + 1 :]),
+        pointer(space), reach, delta, step, allowance, projecting, t, u, pointer(leaves),
+        pointer(leaf_ints), capacity, pointer(room), pointer(stop), max_iterations, pointer(found),
+    ):  # fmt: skip
+        return 0, found[ITERATIONS], found[NODES]
+    count, goal = trace(
+        t, u, dof, capacity, found[FROM], found[TO], dof, pointer(space), pointer(path), len(path)
+    )
+    if count > 0:  # the trees are kept in float32; the ends are the caller's own
+        path[0] = start
+        path[count - 1] = goals[goal]
+    return count, found[ITERATIONS], found[NODES]
