@@ -17,11 +17,10 @@ from armcell.core import ErrorCode, InputError, JointPath, Outcome, PlanRequest,
 from armcell.kinematics import ik_solver
 from armcell.planning.constraints.description import Manifold, Violation
 from armcell.planning.constraints.planner import constrained
-from armcell.planning.constraints.search import constrained_rrt_connect
 from armcell.planning.constraints.timed import timed
+from armcell.planning.constraints.warm_up import warm_up_constraints
 from armcell.planning.finish import clearance_along, torque_model
 from armcell.planning.goal_stream import candidates, stream
-from armcell.planning.native.compiling import announce
 from armcell.planning.planners.native import stopping, unsolved
 from armcell.planning.problem import Problem, normalized_planner_id, sampling_bounds
 from armcell.scene import PlanningScene
@@ -58,7 +57,9 @@ def plan_constrained(
         InputError: constraints that cannot be understood, or a planner that cannot keep to them.
     """
     check_planner(request)
-    announce("RRTConnect with path constraints", constrained_rrt_connect)
+    compiling = time.monotonic()
+    warm_up_constraints()
+    began += time.monotonic() - compiling  # not of the request's time
     manifold = Manifold(scene, request.group, request.path_constraints)
 
     def answered(outcome: Outcome, **more: Any) -> PlanResult:

@@ -23,7 +23,8 @@ class ConstrainedPlanner(NativePlanner):
     """`NativePlanner` whose trees and shortcuts stay on a manifold; borrows the trees of this thread's one.
 
     Args:
-        rejection: throw away what leaves the tolerances instead of projecting it (to compare with).
+        rejection: throw away samples and edges that leave the tolerances instead of projecting them (to
+            compare with: RRT-Connect as it is without constraints).
     """
 
     def __init__(self, native: NativePlanner, manifold: Manifold, rejection: bool = False):
@@ -55,7 +56,7 @@ class ConstrainedPlanner(NativePlanner):
         nodes, parents, _, leaves, leaf_ints = self.trees
         return constrained_rrt_connect(
             self.checker.handle, self.manifold.handle, start, goals, lower, upper, shift, self.reach,
-            self.manifold.step, step, self.manifold.allowance, not self.rejection, nodes, parents, leaves,
+            self.reach if self.rejection else self.manifold.step, step, self.manifold.allowance, not self.rejection, nodes, parents, leaves,
             leaf_ints, self.room, self.ends, self.found, stop,
             self.settings.max_iterations if iterations is None else iterations, self.path,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from numba import njit
 
 from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
-from armcell.planning.constraints.errors import DOF, manifold, within
+from armcell.planning.constraints.errors import DOF, MAX_ROWS, WORK, manifold, within
 from armcell.planning.constraints.projection import project
 from armcell.planning.constraints.proof import keeps
 from armcell.planning.native.leaves import forget, nearest_of
@@ -52,12 +52,26 @@ def _apart(p, a, b, dof):
 
 
 @njit(cache=True)
+def _sampled(n, c, x, p, a, b, step):
+    """Whether samples of the straight motion from p[a:] to p[b:], b included, keep to the tolerances."""
+    dof = n[DOF]
+    count = max(int(np.ceil(_apart(p, a, b, dof) / step)), 1)
+    at = n[WORK] + 32 + MAX_ROWS * (dof + 2) + MAX_ROWS * MAX_ROWS
+    for i in range(1, count + 1):
+        for j in range(dof):
+            x[at + j] = p[a + j] + i / count * (p[b + j] - p[a + j])
+        if not within(n, c, x, x, at, False):
+            return False
+    return True
+
+
+@njit(cache=True)
 def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allowance, projecting, stop):
     """From p[a:] towards p[to:] in projected steps, into rows from p[out:] on, as far as it is free.
 
     Args:
         most: rows. delta: length of a step [rad]. step: between validity checks [rad]. none: dof zeros.
-        projecting: else a step that leaves the tolerances is the last (rejection).
+        projecting: else a step of which a sample leaves the tolerances is the last (rejection).
     Returns:
         Rows written, and whether the next step arrives (that row is not written).
     """
@@ -65,15 +79,16 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
     left = _apart(p, at, to, dof)
     while stop[0] == 0:
         if left <= delta:
-            good = keeps(n, c, x, p, at, to, none, allowance) if projecting else within(n, c, x, p, to, False)
-            if good:
+            if (projecting and keeps(n, c, x, p, at, to, none, allowance)) or (
+                not projecting and _sampled(n, c, x, p, at, to, step)
+            ):
                 return count, edge_free(k, p, at, to, step)
             if not projecting or left < 0.1 * delta:
                 return count, False
         if count >= most:
             break
         row = out + count * dof
-        f = min(delta / left, 0.5)
+        f = min(delta / left, 0.5 if projecting else 1.0)
         for j in range(dof):
             p[row + j] = p[at + j] + f * (p[to + j] - p[at + j])
         if projecting:
@@ -87,7 +102,7 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
                 break
         else:
             near = left - f * left
-            if not within(n, c, x, p, row, False):
+            if not _sampled(n, c, x, p, at, row, step):
                 break
         if not edge_free(k, p, at, row, step):
             break
@@ -126,9 +141,13 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
         i = nearest_of(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, p, q, room)
         get(nodes, dof, first + i, p, 0)
         most = min(int(np.ceil(reach / delta)), ROWS)
-        count, _ = walk(
+        count, reached = walk(
             k, n, c, x, p, 0, q, out, most, lower, upper, none, delta, step, allowance, projecting, stop
         )
+        if reached and count < ROWS:  # the sample becomes a node as well
+            for j in range(dof):
+                p[out + count * dof + j] = p[q + j]
+            count += 1
         if count == 0:
             continue
         near, reached = 0, False
