@@ -42,7 +42,7 @@ def number(pattern: str, text: str) -> float:
 
 
 def test_all_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "24"]
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "09", "24"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -123,6 +123,14 @@ def test_the_own_cell_is_sound(capsys):
     from armcell.cli.main import main
 
     assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
+
+
+def test_09_keep_upright(printed):
+    said = printed("09_keep_upright.py")
+    assert number(r"upright: SUCCESS .* leans by at most ([\d.]+) deg", said) <= 8.6
+    assert number(r"without it: .* leans by at most ([\d.]+) deg", said) > 8.6
+    assert number(r"farthest from the line: ([\d.]+) mm", said) <= 5.0
+    assert "START_STATE_VIOLATES_PATH_CONSTRAINTS: start violates the path constraints: " in said
 
 
 @pytest.mark.slow

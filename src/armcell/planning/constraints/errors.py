@@ -8,6 +8,8 @@ positions; all are bare pointers.
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -41,7 +43,7 @@ def scratch_size(dof: int, places: int) -> int:
 
 
 @njit(cache=True, forceinline=True)
-def manifold(handle):
+def manifold(handle) -> Any:
     """The pointers n, c, x from their addresses (3,)."""
     return (
         at_address(np.int64, handle[0]),

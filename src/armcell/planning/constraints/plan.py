@@ -84,9 +84,8 @@ def plan_constrained(
     deadline = began + request.planning_time
     for round_ in range(MAX_ROUNDS):
         seed = request.seed + 7919 * round_
-        problem = Problem(
-            checker, start, good, lower, upper, seed, deadline, event, _more(scene, request, checker, manifold, good)
-        )  # fmt: skip
+        more = _more(scene, request, checker, manifold, good)
+        problem = Problem(checker, start, good, lower, upper, seed, deadline, event, more)
         waypoints = _direct(problem, manifold) if round_ == 0 else None
         if waypoints is None:
             with stopping(problem) as stop:
@@ -158,7 +157,7 @@ def _goals(
     scene: PlanningScene, request: PlanRequest, checker: KernelChecker, manifold: Manifold,
     found: tuple[Array, ...],
 ) -> tuple[tuple[Array, ...], list[Violation]]:  # fmt: skip
-    """Those goals that keep to the constraints; else more of the pose goals, moved onto them; else why not."""
+    """Those goals that keep to the constraints; else others of the pose goals, moved there; else why not."""
     good = tuple(q for q in found if not manifold.violations(q))
     if good:
         return good, []

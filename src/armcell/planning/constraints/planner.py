@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.planning.constraints.description import Manifold
 from armcell.planning.constraints.search import closest_at, constrained_rrt_connect, space_size
 from armcell.planning.constraints.smooth import shorten
@@ -54,10 +55,11 @@ class ConstrainedPlanner(NativePlanner):
         self.bounds = (lower, upper)
         shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
         nodes, parents, _, leaves, leaf_ints = self.trees
+        delta = self.reach if self.rejection else self.manifold.step
         return constrained_rrt_connect(
-            self.checker.handle, self.manifold.handle, start, goals, lower, upper, shift, self.reach,
-            self.reach if self.rejection else self.manifold.step, step, self.manifold.allowance, not self.rejection, nodes, parents, leaves,
-            leaf_ints, self.room, self.ends, self.found, stop,
+            self.checker.handle, self.manifold.handle, start, goals, lower, upper, shift, self.reach, delta,
+            step, self.manifold.allowance, not self.rejection, nodes, parents, leaves, leaf_ints, self.room,
+            self.ends, self.found, stop,
             self.settings.max_iterations if iterations is None else iterations, self.path,
         )  # fmt: skip
 
@@ -76,6 +78,6 @@ class ConstrainedPlanner(NativePlanner):
         return self.ends[at + 1 :][: 2 * dof].reshape(2, dof).copy() if np.isfinite(self.ends[at]) else None
 
 
-def constrained(checker, manifold: Manifold) -> ConstrainedPlanner:
+def constrained(checker: KernelChecker, manifold: Manifold) -> ConstrainedPlanner:
     """A planner with this thread's trees."""
     return ConstrainedPlanner(planner_of(checker), manifold)

@@ -60,7 +60,7 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
         x[at + j] = 0.0
     l = n[AT_LINKS] + link * LINK_WIDTH
     t, o = n[l + TABLE], n[l + PLACE] + 12
-    for k in range(n[l + JOINTS]):
+    for _ in range(n[l + JOINTS]):
         ax, ay, az = x[o], x[o + 1], x[o + 2]
         if turns:
             rate = gx * ax + gy * ay + gz * az if c[t + SLIDE] == 0.0 else 0.0

@@ -82,7 +82,7 @@ def _turns(n, c, x, d, h, room, allowance):
         l, e, full = n[AT_LINKS] + n[t] * LINK_WIDTH, n[WORK], n[t + NUMBERS] + FULL
         at, o = n[l + TABLE], n[l + PLACE] + 12
         wx, wy, wz, turning, slack = 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(n[l + JOINTS]):
+        for _ in range(n[l + JOINTS]):
             if c[at + SLIDE] == 0.0:
                 j = int(c[at + COLUMN])
                 rate = c[at + MULTIPLIER] * x[d + j]
@@ -129,7 +129,7 @@ def _points(n, c, x, d, h, room, allowance):
         px, py, pz = point_at(n, c, x, point)
         at, o = n[l + TABLE], n[l + PLACE] + 12
         vx, vy, vz, turning, total, slack, slides = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False
-        for k in range(n[l + JOINTS]):
+        for _ in range(n[l + JOINTS]):
             rate = c[at + MULTIPLIER] * x[d + int(c[at + COLUMN])]
             ax, ay, az = x[o], x[o + 1], x[o + 2]
             if c[at + SLIDE] != 0.0:

@@ -11,8 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell.collision.kernel.block import EXACT, PADDED, ask, ints, lanes_of
+from armcell.collision.kernel.layout import DOF as DOF_OF_PACK
 from armcell.collision.kernel.motion import edge_free
-from armcell.collision.kernel.simd import pointer
+from armcell.collision.kernel.simd import L, pointer
 from armcell.planning.constraints.errors import DOF, MAX_ROWS, WORK, manifold, within
 from armcell.planning.constraints.projection import project
 from armcell.planning.constraints.proof import keeps
@@ -66,49 +68,86 @@ def _sampled(n, c, x, p, a, b, step):
 
 
 @njit(cache=True)
+def _clear(k, p, a, out, first, end, step):
+    """How many of the rows from `first` to `end` behind p[out:] are reached free of contact, one after the
+    other (row -1 is p[a:]). Short steps share one block of samples."""
+    I, w, edges = ints(k), lanes_of(k), end - first
+    dof = I[DOF_OF_PACK]
+    if edges > 1:
+        each, lane = L // edges, 0
+        for e in range(first, end):
+            row = out + e * dof
+            before = a if e == 0 else row - dof
+            for i in range(1, each + 1):
+                for j in range(dof):
+                    w[j * L + lane] = np.float32(p[before + j] + i / each * (p[row + j] - p[before + j]))
+                lane += 1
+        if ask(k, (np.int64(1) << lane) - 1, np.int64(EXACT | PADDED)) == 0:
+            return edges
+    for e in range(first, end):
+        row = out + e * dof
+        if not edge_free(k, p, a if e == 0 else row - dof, row, step):
+            return e - first
+    return edges
+
+
+@njit(cache=True)
 def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allowance, projecting, stop):
     """From p[a:] towards p[to:] in projected steps, into rows from p[out:] on, as far as it is free.
 
     Args:
-        most: rows. delta: length of a step [rad]. step: between validity checks [rad]. none: dof zeros.
+        most: rows, at least one less than there is room for. delta: length of a step [rad]. step: between
+            validity checks [rad]. none: dof zeros.
         projecting: else a step of which a sample leaves the tolerances is the last (rejection).
     Returns:
-        Rows written, and whether the next step arrives (that row is not written).
+        Rows written, and whether the last of them is p[to:].
     """
-    dof, count, at = n[DOF], 0, a
-    left = _apart(p, at, to, dof)
-    while stop[0] == 0:
-        if left <= delta:
-            if (projecting and keeps(n, c, x, p, at, to, none, allowance)) or (
-                not projecting and _sampled(n, c, x, p, at, to, step)
-            ):
-                return count, edge_free(k, p, at, to, step)
-            if not projecting or left < 0.1 * delta:
-                return count, False
-        if count >= most:
-            break
+    dof, count, clear, at = n[DOF], 0, 0, a
+    left, arrived, going = _apart(p, a, to, n[DOF]), False, True
+    together = min(max(int(L * step / delta), 1), L)
+    while going:
         row = out + count * dof
-        f = min(delta / left, 0.5 if projecting else 1.0)
-        for j in range(dof):
-            p[row + j] = p[at + j] + f * (p[to + j] - p[at + j])
-        if projecting:
-            if not project(n, c, x, p, row, lower, upper):
-                break
-            moved = _apart(p, at, row, dof)
-            near = _apart(p, row, to, dof)
-            if moved > 2.0 * delta or near > left - STALL * f * left:
-                break
-            if not keeps(n, c, x, p, at, row, none, allowance):
-                break
-        else:
-            near = left - f * left
-            if not _sampled(n, c, x, p, at, row, step):
-                break
-        if not edge_free(k, p, at, row, step):
-            break
-        at, left = row, near
-        count += 1
-    return count, False
+        going = False
+        if left <= delta:
+            arrived = (
+                keeps(n, c, x, p, at, to, none, allowance)
+                if projecting
+                else _sampled(n, c, x, p, at, to, step)
+            )
+            if arrived:
+                for j in range(dof):
+                    p[row + j] = p[to + j]
+                count += 1
+        if (
+            not arrived
+            and count < most
+            and stop[0] == 0
+            and (left > delta or (projecting and left > 0.1 * delta))
+        ):
+            f = min(delta / left, 0.5 if projecting else 1.0)
+            for j in range(dof):
+                p[row + j] = p[at + j] + f * (p[to + j] - p[at + j])
+            if projecting:
+                if project(n, c, x, p, row, lower, upper):
+                    near = _apart(p, row, to, dof)
+                    going = (
+                        _apart(p, at, row, dof) <= 2.0 * delta
+                        and near <= left - STALL * f * left
+                        and keeps(n, c, x, p, at, row, none, allowance)
+                    )
+                    left = near
+            else:
+                left -= f * left
+                going = _sampled(n, c, x, p, at, row, step)
+            if going:
+                at = row
+                count += 1
+        if count - clear >= together or not going:
+            free = _clear(k, p, a, out, clear, count, step)
+            if free < count - clear:
+                return clear + free, False
+            clear = count
+    return count, arrived
 
 
 @njit(cache=True)
@@ -140,19 +179,15 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
         first, first_other = tree * capacity, (1 - tree) * capacity
         i = nearest_of(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, p, q, room)
         get(nodes, dof, first + i, p, 0)
-        most = min(int(np.ceil(reach / delta)), ROWS)
-        count, reached = walk(
+        most = min(int(np.ceil(reach / delta)), ROWS - 1)
+        count, _ = walk(
             k, n, c, x, p, 0, q, out, most, lower, upper, none, delta, step, allowance, projecting, stop
         )
-        if reached and count < ROWS:  # the sample becomes a node as well
-            for j in range(dof):
-                p[out + count * dof + j] = p[q + j]
-            count += 1
         if count == 0:
             continue
-        near, reached = 0, False
+        near, reached = 0, False  # reaching a sample is not reaching the other tree
         while True:
-            for row in range(count):
+            for row in range(count - 1 if reached else count):  # the other tree has the last one
                 put(nodes, dof, first + mine, p, out + row * dof)
                 parents[first + mine] = i
                 i = mine
@@ -162,7 +197,7 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
                     p[j] = p[out + (count - 1) * dof + j]
             if reached or mine + 2 * ROWS > capacity:
                 break
-            if near > 0 and count < ROWS:  # the walk towards the other tree has ended
+            if near > 0 and count < ROWS - 1:  # the walk towards the other tree has ended
                 left = _apart(p, 0, q, dof)
                 if left < closest[0]:
                     closest[0] = left
@@ -174,7 +209,23 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
             near = 1 + to
             get(nodes, dof, first_other + to, p, q)
             count, reached = walk(
-                k, n, c, x, p, 0, q, out, ROWS, lower, upper, none, delta, step, allowance, projecting, stop
+                k,
+                n,
+                c,
+                x,
+                p,
+                0,
+                q,
+                out,
+                ROWS - 1,
+                lower,
+                upper,
+                none,
+                delta,
+                step,
+                allowance,
+                projecting,
+                stop,
             )
         n0, n1 = (mine, other) if tree == 0 else (other, mine)
         if reached:

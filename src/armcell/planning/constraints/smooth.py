@@ -50,15 +50,17 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
                 p[tried + d] = p[i * dof + d]
                 p[tried + dof + d] = p[j * dof + d]
             rows, reached = walk(
-                k, n, c, x, p, tried, tried + dof, tried + 2 * dof, j - i + 2, lower, upper, none, delta,
+                k, n, c, x, p, tried, tried + dof, tried + 2 * dof, j - i + 1, lower, upper, none, delta,
                 step, allowance, True, stop,
             )  # fmt: skip
             good = False
+            rows -= 1  # the last is row j itself
             if reached and rows <= j - i - 1:
-                for d in range(dof):  # the end behind the steps
-                    p[tried + (2 + rows) * dof + d] = p[tried + dof + d]
+                for d in range(dof):
                     p[tried + dof + d] = p[tried + d]
-                if _length(p, dof, tried // dof + 1, tried // dof + 2 + rows) < SHORTER * _length(p, dof, i, j):
+                if _length(p, dof, tried // dof + 1, tried // dof + 2 + rows) < SHORTER * _length(
+                    p, dof, i, j
+                ):
                     for e in range(rows + 1):
                         f[e], t[e] = tried + (1 + e) * dof, tried + (2 + e) * dof
                     good = prove(k, p, f, t, rows + 1, at, np.int64(FIRST | PADDED), COARSE) == 0
