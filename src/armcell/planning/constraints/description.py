@@ -195,7 +195,7 @@ class Manifold:
 
     def _carried(self, link: str, T: SE3) -> int:
         """A frame fixed to a link, as a link of its own."""
-        rows, table, base, _ = self._link_rows[self._link(link)]
+        rows, _, base, _ = self._link_rows[self._link(link)]
         numbers = self._tables[self._links[link]].copy()
         at_base = base
         if rows:

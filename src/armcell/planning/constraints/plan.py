@@ -147,9 +147,9 @@ def _direct(problem: Problem, manifold: Manifold) -> Array | None:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
         edge = np.vstack([problem.start, goal])
-        if manifold.leaves(edge) < 0 and problem.checker.edge_is_free(problem.start, goal):
-            if problem.checker.certify(edge, evidence=False).free:
-                return edge
+        free = manifold.leaves(edge) < 0 and problem.checker.edge_is_free(problem.start, goal)
+        if free and problem.checker.certify(edge, evidence=False).free:
+            return edge
     return None
 
 
