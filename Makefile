@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench-planning bench-planners bench-wires test-interop lint format clean FORCE
+.PHONY: help demo test check fuzz bench-planning bench-planners bench-constraints bench-wires test-interop lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -52,6 +52,9 @@ bench-planners: $(VENV)/.stamp ## set up, then measure every planner on a handfu
 
 bench-planning: $(VENV)/.stamp-bench ## set up, then measure planning beside others (15 minutes); MBM=/path names the problems
 	$(PY) -m benchmarks.planning $(BENCH)
+
+bench-constraints: $(VENV)/.stamp ## set up, then measure planning with path constraints (RUNS=50)
+	$(PY) -m benchmarks.constraints --runs $(or $(RUNS),50)
 
 clean: ## remove the environment, builds and caches (runs/ stays)
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -42,7 +42,7 @@ def number(pattern: str, text: str) -> float:
 
 
 def test_all_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "07", "10", "11", "24"]
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "07", "09", "10", "11", "24"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -141,6 +141,14 @@ def test_11_clouds_and_octomaps(printed):
     assert free < around and "straight line" in said
     assert number(r"(\d+)% of the post's voxels were cleared", said) > 80
     assert "no object is left" in said
+
+
+def test_09_keep_upright(printed):
+    said = printed("09_keep_upright.py")
+    assert number(r"upright: SUCCESS, .* leans by at most ([\d.]+) deg", said) <= 12.2
+    assert number(r"without it: .* leans by at most ([\d.]+) deg", said) > 12.2
+    assert number(r"farthest from the line: ([\d.]+) mm", said) <= 5.0
+    assert "START_STATE_VIOLATES_PATH_CONSTRAINTS: start violates the path constraints: " in said
 
 
 @pytest.mark.slow

@@ -73,6 +73,20 @@ def candidates(
     return iter(())
 
 
+def reaches(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGoal, q: Array,
+            slack: tuple[float, float] = (0.0, 0.0)) -> bool:  # fmt: skip
+    """Whether positions q (n,) are a goal's, within its tolerances, at least `slack` [m], [rad]."""
+    if isinstance(goal, ConstraintGoal):
+        return satisfied(scene, group, goal.constraints, q)
+    pose, wanted = Placed(scene, group, goal.link).pose(q), goal.T_world_link
+    apart = float(np.linalg.norm(pose.translation - wanted.translation))
+    error = rotation_error(wanted.rotation, pose.rotation, "rotation_vector")
+    if np.ndim(goal.orientation_tolerance) == 0:
+        error = np.linalg.norm(error)
+    turned = np.abs(error) <= np.maximum(goal.orientation_tolerance, slack[1])
+    return apart <= max(goal.position_tolerance, slack[0]) and bool(np.all(turned))
+
+
 # --- joints ---
 
 

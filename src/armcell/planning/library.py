@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
+    ADAPTERS,
     ConstraintGoal,
     ErrorCode,
     InputError,
@@ -33,10 +34,10 @@ from armcell.core import (
     PlanResult,
     PoseGoal,
 )
-from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.planning.fingerprint import fingerprint
 from armcell.planning.finish import clearance_along, finish, torque_model
+from armcell.planning.goal_regions import reaches
 from armcell.planning.pipeline import plan
 from armcell.planning.problem import Problem, find_planner, sampling_bounds
 from armcell.planning.simplify import simplify
@@ -60,7 +61,7 @@ class LibraryStatistics:
     hits: int = 0  # a stored motion, proven again
     repairs: int = 0  # a stored motion with parts planned anew
     misses: int = 0  # planned from nothing
-    passed_on: int = 0  # requests that are not stored: with constraints
+    passed_on: int = 0  # requests that are not stored: with constraints, a workspace, a speed limit, adapters
     unreadable: int = 0  # files that were left out
 
 
@@ -100,7 +101,7 @@ class PlanLibrary:
         `evidence["library"]` says what was done: "hit", "repaired" or "planned".
         """
         began = time.monotonic()
-        if request.path_constraints or any(isinstance(g, ConstraintGoal) for g in request.goals):
+        if _asks_more(request):
             self.statistics.passed_on += 1
             return plan(scene, request, cancel)
         check_scaling(request.velocity_scaling, "velocity scaling")
@@ -229,6 +230,17 @@ def _scene_key(scene: PlanningScene) -> str:
     return fingerprint(things, held, room)
 
 
+def _asks_more(request: PlanRequest) -> bool:
+    """Whether a request asks what stored motions are not looked at for."""
+    return (
+        bool(request.path_constraints)
+        or any(isinstance(goal, ConstraintGoal) for goal in request.goals)
+        or request.workspace is not None
+        or request.max_cartesian_speed is not None
+        or request.adapters != ADAPTERS
+    )
+
+
 def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...], q: Array) -> bool:
     """Whether the group's joints (n,) at q are one of the request's goals."""
     there = replace(scene, positions=scene.state.updated(JointState(names, q)).positions)
@@ -243,18 +255,9 @@ def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...],
                 wanted = scene.state.updated(state).positions  # joints that are not named stay
                 if np.max(np.abs(there.positions - wanted)) <= tolerance + 1e-9:
                     return True
-            case PoseGoal():
-                link = goal.link or scene.model.group(request.group).tip_link
-                if link is None:
-                    continue
-                pose = kinematic_tree(scene.model).link_pose(there.positions, link)
-                metres, radians = pose.distance_to(goal.T_world_link)
-                if metres <= max(goal.position_tolerance, POSE_TOLERANCE[0]) and radians <= max(
-                    goal.orientation_tolerance, POSE_TOLERANCE[1]
-                ):
+            case PoseGoal() | ConstraintGoal():
+                if reaches(scene, request.group, goal, q, POSE_TOLERANCE):
                     return True
-            case ConstraintGoal():
-                pass
     return False
 
 

@@ -43,10 +43,16 @@ def timed_motion(question: Question, checker: KernelChecker, waypoints: Array) -
     except TorqueLimitError as error:
         evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
         return Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence)
-    trajectory = finished.trajectory
-    if trajectory is None:
+    if finished.trajectory is None:
         return Motion(waypoints)
-    words = ""
+    return completed(question, checker, waypoints, finished.trajectory)
+
+
+def completed(
+    question: Question, checker: KernelChecker, waypoints: Array, trajectory: JointTrajectory
+) -> Motion:
+    """A proven motion led to from where the robot is, and slowed to the speed that the request allows."""
+    request, words = question.request, ""
     if question.lead_in is not None:
         lead = _lead_in(question, checker)
         if lead is None:

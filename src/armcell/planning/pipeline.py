@@ -25,6 +25,7 @@ from armcell.core import (
     PoseGoal,
 )
 from armcell.planning.adapters import adapted
+from armcell.planning.constraints.plan import check_planner, plan_constrained
 from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
@@ -59,12 +60,17 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     if request.group in scene.model.groups:
         for link in _links(request):
             warm_up_ik(scene.model, request.group, Placed(scene, request.group, link).link)
-    question = adapted(asked := ask(scene, request, cancel))
+    asked = ask(scene, request, cancel)
+    if request.path_constraints:
+        check_planner(asked)
+    question = adapted(asked)
     if isinstance(question, Outcome):
         return asked.failed(question)
     ends = find_ends(question)
     if isinstance(ends, Outcome):
         return question.failed(ends)
+    if request.path_constraints:
+        return plan_constrained(question, ends.checker, ends.start, ends.goals)
     return search(question, ends)
 
 

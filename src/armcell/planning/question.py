@@ -79,8 +79,6 @@ def ask(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | No
         raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
     if request.attempts != int(request.attempts) or request.attempts < 1:
         raise InputError(f"attempts is {request.attempts}, it must be a whole number, at least 1")
-    if request.path_constraints:
-        raise InputError("constraints are not planned with yet")
     group = scene.model.group(request.group)
     choice = choose(request)
     if not group.joint_names:

@@ -1,0 +1,1 @@
+"""Planning with path constraints: errors, projection, proofs, search, smoothing, timing."""
