@@ -7,8 +7,10 @@ from armcell.core.constraints import (
     OrientationConstraint,
     PositionConstraint,
 )
+from armcell.core.contact import Contact
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
 from armcell.core.events import Event, Observer, StateSample
+from armcell.core.explanation import Explanation, Suggestion
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
@@ -21,7 +23,7 @@ from armcell.core.requests import (
     PlanRequest,
     PoseGoal,
 )
-from armcell.core.results import Contact, ExecutionResult, IKResult, Outcome, PlanResult
+from armcell.core.results import ExecutionResult, IKResult, Outcome, PlanResult
 from armcell.core.transforms import SE3, SO3
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "ErrorCode",
     "Event",
     "ExecutionResult",
+    "Explanation",
     "Goal",
     "IKResult",
     "InputError",
@@ -64,6 +67,7 @@ __all__ = [
     "Shape",
     "Sphere",
     "StateSample",
+    "Suggestion",
     "UnknownNameError",
     "finite_points",
 ]

@@ -1,7 +1,8 @@
 """What path? Planners, the pipeline around them, Cartesian motions."""
 
 from armcell.planning.cartesian import plan_cartesian
-from armcell.planning.explain import Branch, PoseExplanation, explain_pose
+from armcell.planning.explain import explain, solve_ik
+from armcell.planning.explanation import Branch, PoseExplanation, explain_pose
 from armcell.planning.native.warm_up import prepare, warm_up
 from armcell.planning.pipeline import plan
 from armcell.planning.problem import Answer, Problem, find_planner, normalized_planner_id, pipelines
@@ -11,6 +12,7 @@ __all__ = [
     "Branch",
     "PoseExplanation",
     "Problem",
+    "explain",
     "explain_pose",
     "find_planner",
     "normalized_planner_id",
@@ -18,5 +20,6 @@ __all__ = [
     "plan",
     "plan_cartesian",
     "prepare",
+    "solve_ik",
     "warm_up",
 ]

@@ -22,6 +22,7 @@ from armcell.core import (
     PoseGoal,
 )
 from armcell.planning import planners as _registered  # noqa: F401  (fills the registry)
+from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
@@ -37,6 +38,7 @@ MAX_ROUNDS = 5
 """How often a path that fails certification is planned anew with another seed."""
 
 
+@explained
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
     """A certified, timed motion of one group.
 
