@@ -57,7 +57,7 @@ class Explanation:
     Attributes:
         summary: one line.
         details: one line for each finding.
-        suggestions: those that were tried and work first, the smallest change of them first.
+        suggestions: those that were tried and work first; `effort` compares those of one kind.
         contacts: what touches, deepest first.
         state: the robot as it stands where they touch.
         nearest: the robot at the nearest goal (or start) that works.

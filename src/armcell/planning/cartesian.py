@@ -24,7 +24,7 @@ ROTATION_STEP = 0.05  # [rad] between checked poses
 DEVIATION = 2e-3  # [rad] the tip keeps its line: corners between the small steps are hardly cut
 
 
-@explained
+@explained(CartesianRequest)
 def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResult:
     """A straight-line motion of a link through the poses of the request.
 

@@ -37,8 +37,7 @@ def explain(
             return plan_cartesian(scene, request).explain(seconds)
         return plan(scene, request).explain(seconds)
     except InputError as error:
-        solve = plan_cartesian if isinstance(request, CartesianRequest) else plan
-        return explain_misuse(scene, request, error, solve, seconds)
+        return explain_misuse(scene, request, error, seconds)
 
 
 def solve_ik(

@@ -38,7 +38,7 @@ MAX_ROUNDS = 5
 """How often a path that fails certification is planned anew with another seed."""
 
 
-@explained
+@explained(PlanRequest)
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
     """A certified, timed motion of one group.
 

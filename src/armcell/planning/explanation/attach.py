@@ -17,6 +17,9 @@ from armcell.scene import PlanningScene
 
 F = TypeVar("F", bound=Callable[..., PlanResult])
 
+SOLVERS: dict[type, Solve] = {}
+"""The planning function for each kind of request; `explained` fills it: explanation stands below them."""
+
 CAUSES: dict[ErrorCode, Callable[[Case], None]] = {
     ErrorCode.START_STATE_INVALID: start.start_invalid,
     ErrorCode.START_STATE_IN_COLLISION: start.start_in_collision,
@@ -30,23 +33,25 @@ CAUSES: dict[ErrorCode, Callable[[Case], None]] = {
 }
 
 
-def explained(solve: F) -> F:
-    """A planning function whose failed results can be asked `explain()`."""
+def explained(kind: type) -> Callable[[F], F]:
+    """Make a planning function for one kind of request give results that can be asked `explain()`."""
 
-    @wraps(solve)
-    def solve_and_keep(scene: PlanningScene, request: Any, *more: Any, **options: Any) -> PlanResult:
-        result = solve(scene, request, *more, **options)
-        if result.ok:
-            return result
-        return replace(result, explainer=partial(_explain, scene, request, result, solve))
+    def decorate(solve: F) -> F:
+        @wraps(solve)
+        def solve_and_keep(scene: PlanningScene, request: Any, *more: Any, **options: Any) -> PlanResult:
+            result = solve(scene, request, *more, **options)
+            if result.ok:
+                return result
+            return replace(result, explainer=partial(_explain, scene, request, result))
 
-    return cast(F, solve_and_keep)
+        SOLVERS[kind] = solve
+        return cast(F, solve_and_keep)
+
+    return decorate
 
 
-def _explain(
-    scene: PlanningScene, request: Request, result: PlanResult, solve: Solve, seconds: float
-) -> Explanation:
-    case = Case(scene, request, result, solve, time.monotonic() + seconds)
+def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds: float) -> Explanation:
+    case = Case(scene, request, result, SOLVERS, time.monotonic() + seconds)
     if isinstance(request, CartesianRequest) and result.code is not ErrorCode.START_STATE_INVALID:
         cartesian.line_stops(case)
     elif result.code in CAUSES:
@@ -55,9 +60,9 @@ def _explain(
 
 
 def explain_misuse(
-    scene: PlanningScene, request: Request, error: InputError, solve: Solve, seconds: float = 10.0
+    scene: PlanningScene, request: Request, error: InputError, seconds: float = 10.0
 ) -> Explanation:
     """What would mend a request that a planning function refused with an error."""
-    case = Case(scene, request, missing_result(error), solve, time.monotonic() + seconds)
+    case = Case(scene, request, missing_result(error), SOLVERS, time.monotonic() + seconds)
     misuse(case, error)
     return case.explanation()

@@ -12,14 +12,17 @@ from armcell.collision import ExactChecker
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.planning.explanation import words
-from armcell.planning.explanation.case import Case, tell_margins
-from armcell.planning.explanation.changes import change_request, change_start, change_waypoints
-from armcell.planning.explanation.contacts import free_objects, objects_in
+from armcell.planning.explanation.case import CLOSE_TO_LIMIT, Case, tell_margins
+from armcell.planning.explanation.changes import change_request, change_start, change_waypoints, go_freely
+from armcell.planning.explanation.contacts import free_objects
 from armcell.planning.explanation.nearest import ANGLES, DIRECTIONS, DISTANCES
+from armcell.planning.explanation.pose import explain_pose
 from armcell.planning.explanation.start import start_in_collision
 
+SINGULAR = 0.05  # smallest singular value of the Jacobian [m, rad]: far below what working arms have
 BRANCHES = 24  # of the start pose that are tried
 HALVINGS = 6
+DETOURS = (0.05, 0.1, 0.2, 0.4)  # [m] beside the place where it stops
 SHARE = 0.4  # of the time left goes to the search for another last waypoint
 
 
@@ -37,6 +40,8 @@ def line_stops(case: Case) -> None:
     number, pose = _stop(case, request, ik, here)
     _tell_place(case, request, number, pose)
     case.contacts = [c for c in result.evidence.get("contacts", []) if c is not None]
+    if result.code is ErrorCode.NO_IK_SOLUTION:
+        _tell_reach(case, request, ik)
     if result.path is not None:
         case.state = case.group_state(result.path.waypoints[-1])
     if result.code is ErrorCode.PLANNING_FAILED and "joint" in result.evidence:
@@ -44,11 +49,13 @@ def line_stops(case: Case) -> None:
     _other_start(case, request, ik, here)
     _smaller_turn(case, request, here)
     _aside(case, request, ik)
+    _around(case, request, ik, number, pose)
     if case.contacts and result.path is not None:
         last = result.path.waypoints[-1]
-        touching = objects_in(case.scene, case.contacts)
-        if touching:
-            free_objects(case, case.started, last, case.contacts, padded=True)
+        there = next(iter(ik.nearest(request.waypoints[-1], _full(case, last), case.rng, 4)), last)
+        free_objects(case, [there, case.start], case.contacts, padded=True)
+    if _can_stand(case, request, request.waypoints[-1], ik):
+        case.suggest("go there freely instead of on a straight line", go_freely, effort=np.inf)
     _shorter(case, request, number, pose)
 
 
@@ -56,9 +63,7 @@ def _stop(case: Case, request: CartesianRequest, ik: IKSolver, here: SE3) -> tup
     """The number of the waypoint it was on the way to, and the pose of the link where it stopped."""
     if case.result.path is None:
         return 0, here
-    full = case.started.positions.copy()
-    full[case.columns] = case.result.path.waypoints[-1]
-    pose = ik.tree.link_pose(full, ik.tip_link)
+    pose = ik.tree.link_pose(_full(case, case.result.path.waypoints[-1]), ik.tip_link)
     points = [here, *request.waypoints]
     best, number = np.inf, 0
     for k, (a, b) in enumerate(pairwise(points)):
@@ -82,6 +87,30 @@ def _tell_place(case: Case, request: CartesianRequest, number: int, pose: SE3) -
         f"{words.length(metres)} and {words.angle(radians)} are left"
     )
     case.data |= {"fraction": case.result.fraction, "stops_at": pose, "waypoint": number + 1}
+
+
+def _tell_reach(case: Case, request: CartesianRequest, ik: IKSolver) -> None:
+    """Whether the last waypoint is out of reach, or only this way to it; and how singular the arm stands."""
+    path = case.result.path
+    q = case.start if path is None else path.waypoints[-1]
+    found = explain_pose(case.started, request.group, request.waypoints[-1], request.link)
+    if not found.branches:
+        case.say(f"the last waypoint is out of reach: {found.summary}")
+    else:
+        free = sum(b.free for b in found.branches)
+        case.say(
+            f"the last waypoint can be reached with the arm otherwise ({free} of {len(found.branches)} joint "
+            "solutions are free), but not on a straight line from here"
+        )
+    margins = np.minimum(q - ik.lower, ik.upper - q)
+    for k in np.flatnonzero(margins < CLOSE_TO_LIMIT):
+        name = ik.joint_names[k]
+        case.say(f"there {name} is {words.joint_value(case.scene.model, name, margins[k])} from its limit")
+    J = ik.tree.jacobian(_full(case, q), ik.tip_link, ik.joint_names)
+    least = float(np.linalg.svd(J, compute_uv=False)[-1])
+    case.data["least_singular_value"] = least
+    if least < SINGULAR:
+        case.say(f"there the arm is near a singularity (smallest singular value {least:.3f})")
 
 
 def _jump(case: Case, request: CartesianRequest) -> None:
@@ -191,8 +220,44 @@ def _first(case: Case, request: CartesianRequest, rest, sizes, pose, ik):
             if not _can_stand(case, request, pose(step), ik):
                 continue
             if case.succeeds(case.scene, replace(request, waypoints=(*rest, pose(step)))) is not None:
-                return step
+                return _least(case, request, rest, step, pose)
     return None
+
+
+def _least(case: Case, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
+    """As little of a change (3,) as completes the line, between half of it and all of it."""
+    low, high = 0.5, 1.0
+    for _ in range(4):
+        middle = (low + high) / 2
+        found = case.succeeds(case.scene, replace(request, waypoints=(*rest, pose(middle * step))))
+        low, high = (middle, high) if found is None else (low, middle)
+    return high * step
+
+
+def _around(case: Case, request: CartesianRequest, ik: IKSolver, number: int, stop: SE3) -> None:
+    """One more waypoint, beside the place where it stops."""
+    if not _can_stand(case, request, request.waypoints[-1], ik):
+        return
+    until = time.monotonic() + SHARE * max(case.time_left, 0.0)
+    for size in DETOURS:
+        for direction in DIRECTIONS:
+            if time.monotonic() > until:
+                return
+            by = SE3(stop.rotation, stop.translation + size * direction)
+            waypoints = (*request.waypoints[:number], by, *request.waypoints[number:])
+            if not _can_stand(case, request, by, ik):
+                continue
+            if case.succeeds(case.scene, replace(request, waypoints=waypoints)) is not None:
+                text = f"go round by a waypoint {words.offset(size * direction)} of where it stops"
+                case.suggest(text, change_waypoints, {"waypoints": waypoints}, effort=size, known=True)
+                return
+
+
+def _full(case: Case, q: np.ndarray) -> np.ndarray:
+    """All joints (dof,) with the group's at q (n,)."""
+    full = case.started.positions.copy()
+    full[case.columns] = q
+    return full
 
 
 def _can_stand(case: Case, request: CartesianRequest, pose: SE3, ik: IKSolver) -> bool:

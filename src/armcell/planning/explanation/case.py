@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import ArmcellError, Contact, Explanation, JointState, PlanRequest, PlanResult, Suggestion
 from armcell.core.explanation import Change
+from armcell.kinematics import kinematic_tree
 from armcell.planning.explanation.changes import Request
+from armcell.planning.explanation.nearest import nearest_free
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 Solve = Callable[[PlanningScene, Any], PlanResult]
 
 TRY = 2.0  # [s] of planning that a changed request gets at most
+SPARE = 2e-3  # [m] from objects that the nearest free configuration should have
 CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 
@@ -29,14 +32,14 @@ class Case:
     """A failed request.
 
     Attributes:
-        solve: plans a request anew (plan or plan_cartesian): explanation stands below both.
+        solvers: the planning function for each kind of request.
         deadline: [s] of time.monotonic(); no further attempt begins after it.
     """
 
     scene: PlanningScene
     request: Request
     result: PlanResult
-    solve: Solve
+    solvers: Mapping[type, Solve]
     deadline: float
     details: list[str] = field(default_factory=list)
     suggestions: list[Suggestion] = field(default_factory=list)
@@ -75,6 +78,30 @@ class Case:
             checker.relax_margins(self.start)
         return checker
 
+    def nearest_free(self, q: Array) -> Array | None:
+        """The nearest free configuration (n,): with a little room to spare where there is any."""
+        lower, upper = self.scene.model.lower[self.columns], self.scene.model.upper[self.columns]
+        roomy = self.started.with_padding(
+            self.scene.padding + SPARE, {k: v + SPARE for k, v in self.scene.link_padding.items()}
+        )
+        for checker in (KernelChecker(roomy, self.joint_names), self.checker):
+            found = nearest_free(q, checker.is_free, lower, upper, seed=1)
+            if found is not None:
+                return found
+        return None
+
+    def tip_way(self, a: Array, b: Array) -> float | None:
+        """How far [m] the group's tip is moved between two configurations (n,); None: it has no tip."""
+        tip = self.scene.model.group(self.request.group).tip_link
+        if tip is None:
+            return None
+        tree, full = kinematic_tree(self.scene.model), self.started.positions.copy()
+        poses = []
+        for q in (a, b):
+            full[self.columns] = q
+            poses.append(tree.link_pose(full, tip))
+        return poses[0].distance_to(poses[1])[0]
+
     @cached_property
     def rng(self) -> np.random.Generator:
         return np.random.default_rng([getattr(self.request, "seed", 0), 2])
@@ -96,10 +123,9 @@ class Case:
         if self.time_left <= 0:
             return None
         if isinstance(request, PlanRequest):
-            # Not cut short below what was asked for by less than the time that is left.
             request = replace(request, planning_time=min(request.planning_time, seconds))
         try:
-            result = self.solve(scene, request)
+            result = self.solvers[type(request)](scene, request)
         except ArmcellError:
             return None
         return result if result.ok else None
@@ -159,3 +185,10 @@ def tell_margins(case: Case) -> None:
     ]
     if near:
         case.say(f"at the start close to a joint limit: {', '.join(near)}")
+
+
+def tell_way(case: Case, what: str, a: Array, b: Array) -> None:
+    """How far apart two configurations (n,) are, and how far the tip goes between them."""
+    tip = case.tip_way(a, b)
+    moved = f", which moves the tip by {tip * 1000:.0f} mm" if tip is not None else ""
+    case.say(f"{what} is {np.linalg.norm(b - a):.2f} rad away{moved}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.core import SE3, CartesianRequest, Goal, JointState, PlanRequest
+from armcell.core import SE3, CartesianRequest, Goal, JointState, PlanRequest, PoseGoal
 from armcell.scene import PlanningScene
 
 Request = PlanRequest | CartesianRequest
@@ -36,6 +36,15 @@ def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: G
 
 def change_waypoints(scene: PlanningScene, request: CartesianRequest, waypoints: Sequence[SE3]) -> Both:
     return scene, replace(request, waypoints=tuple(waypoints))
+
+
+def go_freely(scene: PlanningScene, request: CartesianRequest) -> Both:
+    """A motion to the last waypoint that need not be straight."""
+    goal = PoseGoal(request.waypoints[-1], request.link)
+    return scene, PlanRequest(
+        request.group, (goal,), start=request.start, velocity_scaling=request.velocity_scaling,
+        acceleration_scaling=request.acceleration_scaling,
+    )  # fmt: skip
 
 
 def remove_objects(scene: PlanningScene, request: Request, names: Sequence[str]) -> Both:

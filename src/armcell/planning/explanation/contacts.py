@@ -33,9 +33,10 @@ def objects_in(scene: PlanningScene, contacts: Iterable[Contact]) -> list[str]:
     return list(dict.fromkeys(n for pair in pairs_of(contacts) for n in pair if n in scene.objects))
 
 
-def way_out(scene: PlanningScene, name: str, joint_names: tuple[str, ...], q: Array,
-            padded: bool = True) -> Array | None:  # fmt: skip
-    """The least shift (3,) [m], of 26 directions, that frees an object from the robot at q (n,).
+def way_out(
+    scene: PlanningScene, name: str, joint_names: tuple[str, ...], qs: list[Array], padded: bool = True
+) -> Array | None:
+    """The least shift (3,) [m], of 26 directions, that frees an object from the robot at each of qs (n,).
 
     It does not push the object into others. None where a metre does not free it.
     """
@@ -43,7 +44,8 @@ def way_out(scene: PlanningScene, name: str, joint_names: tuple[str, ...], q: Ar
     inside = sum(depth for _, depth in overlaps(scene, name))
 
     def free(offset: Array) -> bool:
-        if ExactChecker(moved(alone, name, offset), joint_names).contacts(q, padded=padded):
+        checker = ExactChecker(moved(alone, name, offset), joint_names)
+        if any(name in (c.body_a, c.body_b) for q in qs for c in checker.contacts(q, padded=padded)):
             return False
         return sum(depth for _, depth in overlaps(moved(scene, name, offset), name)) <= inside + FINE
 
@@ -65,24 +67,26 @@ def _least(free, direction: Array, low: float, high: float) -> float:
     return high + SPARE if free((high + SPARE) * direction) else high
 
 
-def free_objects(case: Case, scene: PlanningScene, q: Array, contacts: list[Contact], padded: bool) -> None:
+def free_objects(case: Case, qs: list[Array], contacts: list[Contact], padded: bool) -> None:
     """Suggest to shift the objects that touch, or to take them away.
 
     Args:
-        scene: with everything but the group where it is. q: of the group (n,).
+        qs: of the group (n,), at all of which the objects must be free.
     """
-    names = objects_in(scene, contacts)
+    names = objects_in(case.started, contacts)
     for name in names[:3]:
-        if case.time_left <= 0 or scene.objects[name].has_cloud:
+        if case.time_left <= 0 or case.started.objects[name].has_cloud:
             continue
-        offset = way_out(scene, name, case.joint_names, q, padded)
+        offset = way_out(case.started, name, case.joint_names, qs, padded)
         if offset is None:
             continue
-        text = f"move {name} {words.offset(offset)}"
-        case.say(f"{name} is free of the robot {words.offset(offset)} from where it is")
+        case.say(f"{name} would be free of the robot {words.offset(offset)} from where it is")
         case.data.setdefault("way_out", {})[name] = offset.tolist()
         case.suggest(
-            text, move_object, {"name": name, "offset": offset}, effort=float(np.linalg.norm(offset))
+            f"move {name} {words.offset(offset)}",
+            move_object,
+            {"name": name, "offset": offset},
+            effort=float(np.linalg.norm(offset)),
         )
     if names:
         case.suggest(f"take {' and '.join(names)} away", remove_objects, {"names": names}, effort=np.inf)

@@ -9,13 +9,14 @@ import numpy as np
 from armcell.collision import ExactChecker
 from armcell.core import InputError, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
 from armcell.planning.explanation import words
-from armcell.planning.explanation.case import Case, tell_margins
+from armcell.planning.explanation.case import Case, tell_margins, tell_way
 from armcell.planning.explanation.changes import allow_contact, change_goal, change_padding
 from armcell.planning.explanation.contacts import free_objects, pairs_of
-from armcell.planning.explanation.nearest import PoseSearch, nearest_free
-from armcell.planning.explanation.pose import explain_pose
+from armcell.planning.explanation.nearest import PoseSearch
+from armcell.planning.explanation.pose import Branch, explain_pose
 
 MOST_GOALS = 3  # that are looked into
+MOST_TOLD = 4  # joint solutions in words
 SHARE = 0.4  # of the time left goes to the search for a nearer pose
 
 
@@ -77,16 +78,18 @@ def _joints(case: Case, number: int, goal: JointGoal | NamedGoal) -> None:
             turned[k] = within[k]
     if np.any(over > 1e-9):
         case.data["goal_joints_outside"] = {names[k]: float(over[k]) for k in np.flatnonzero(over > 1e-9)}
-        for at, what in ((turned, "the same place by whole turns"), (within, "at the limit")):
-            if case.checker.is_free(at) and not np.array_equal(at, q):
+        same = np.allclose(np.remainder(turned - q + np.pi, 2 * np.pi), np.pi)
+        for at, what in ((turned, "the same place by whole turns" if same else "at the limit"),
+                         (within, "at the limit")):  # fmt: skip
+            if case.checker.is_free(at):
                 _suggest_joints(case, number, q, at, what)
                 break
     else:
         _contacts_at(case, q)
-    near = nearest_free(within, case.checker.is_free, lower, upper, seed=1)
+    near = None if case.suggestions else case.nearest_free(within)
     if near is not None and not np.allclose(near, q):
+        tell_way(case, "the nearest free configuration", q, near)
         _suggest_joints(case, number, q, near, "the nearest free configuration")
-        case.nearest = case.nearest or case.group_state(near)
     if not np.any(over > 1e-9):
         _other_ways(case, q)
 
@@ -118,7 +121,7 @@ def _other_ways(case: Case, q: np.ndarray) -> None:
     if not contacts:
         return
     _less_padding(case, contacts)
-    free_objects(case, case.started, q, contacts, padded=True)
+    free_objects(case, [q, case.start], contacts, padded=True)
     held = case.scene.attached
     for a, b in pairs_of(contacts):
         if (a in held) != (b in held):
@@ -180,10 +183,12 @@ def _tell_branches(case: Case, found) -> None:
                 f"the pose is {words.length(found.distance)} from the first joint, "
                 f"{words.length(found.distance - found.reach)} beyond the arm's reach"
             )
-    for kind, branches in (("", found.branches), (" outside limits", found.outside)):
-        for count, branch in enumerate(branches, 1):
-            joints = " ".join(f"{v:.0f}" for v in np.rad2deg(branch.positions))
-            case.say(f"joint solution{kind} {count} ({joints} deg): {branch.reason(model)}")
+    _tell_some(case, "joint solution", found.branches)
+    if not found.branches:
+        _tell_some(case, "joint solution outside limits", found.outside)
+    elif found.outside:
+        joints = sorted({name for b in found.outside for name in b.beyond})
+        case.say(f"{len(found.outside)} more joint solutions are outside the limits of {', '.join(joints)}")
     case.data.setdefault("branches", []).extend(
         {
             "positions": b.positions,
@@ -193,6 +198,19 @@ def _tell_branches(case: Case, found) -> None:
         }
         for b in (*found.branches, *found.outside)
     )
+
+
+def _tell_some(case: Case, what: str, branches: list[Branch]) -> None:
+    """The first few; the data has them all."""
+    for count, branch in enumerate(branches[:MOST_TOLD], 1):
+        joints = " ".join(f"{v:.0f}" for v in np.rad2deg(branch.positions))
+        case.say(f"{what} {count} ({joints} deg): {branch.reason(case.scene.model)}")
+    if rest := branches[MOST_TOLD:]:
+        bodies = {n for b in rest for c in b.contacts for n in (c.body_a, c.body_b)}
+        joints = {n for b in rest for n in b.beyond}
+        free = sum(b.free for b in rest)
+        why = f"{free} of them free" if free else f"with {', '.join(sorted(bodies | joints))}"
+        case.say(f"{len(rest)} more, {why}")
 
 
 def _back_into_reach(case: Case, search: PoseSearch, T, closest):

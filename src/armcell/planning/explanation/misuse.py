@@ -48,7 +48,6 @@ def misuse(case: Case, error: InputError) -> None:
     case.data["error"] = str(error)
     if isinstance(error, UnknownNameError):
         case.data |= {"kind": error.kind, "name": str(error.name), "known": error.known}
-        case.say(f"{error.kind}s that exist: {', '.join(error.known) or 'none'}")
         for name in _near(str(error.name), error.known):
             if _rename(case, str(error.name), name):
                 return
@@ -76,10 +75,12 @@ def _rename(case: Case, wrong: str, right: str) -> bool:
     if not fields and planner and normalized_planner_id(planner) == wrong:
         fields = ["planner_id"]
     if fields:
-        return case.suggest(f"{fields[0]}: {right!r}", change_request, {fields[0]: right})
+        return case.suggest(f"name {right!r} as {fields[0]}", change_request, {fields[0]: right})
     if request.start is not None and wrong in request.start.joint_names:
         start = _renamed(request.start, wrong, right)
-        return start is not None and case.suggest(f"start: joint {right!r}", change_request, {"start": start})
+        return start is not None and case.suggest(
+            f"name joint {right!r} in the start", change_request, {"start": start}
+        )
     for number, goal in enumerate(getattr(request, "goals", ())):
         changed = None
         if isinstance(goal, NamedGoal) and goal.name == wrong:
@@ -91,7 +92,9 @@ def _rename(case: Case, wrong: str, right: str) -> bool:
             changed = replace(goal, state=state) if state is not None else None
         if changed is not None:
             return case.suggest(
-                f"goal: {right!r} instead of {wrong!r}", change_goal, {"number": number, "goal": changed}
+                f"name {right!r} instead of {wrong!r} in the goal",
+                change_goal,
+                {"number": number, "goal": changed},
             )
     return False
 

@@ -135,7 +135,7 @@ def _in_the_way(case: Case, request: PlanRequest) -> None:
         case.say("; ".join(f"without {name} there is a path" for name in single))
     else:
         pairs = list(combinations(names, 2))[:MOST_PAIRS]
-        pair = next((list(p) for p in pairs if opens(p)), None)
+        pair = next((sorted(p) for p in pairs if opens(p)), None)
         if pair is None:  # of all of them, leave out who is not needed
             pair = list(names)
             for name in names:

@@ -52,13 +52,13 @@ def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int
 
 
 def _pulled(at: Array, p: Array, free: Free) -> Array:
-    """A free p brought as near to `at` as bisection brings it."""
-    p = _bisected(at, p, free)
-    for k in np.argsort(np.abs(p - at)):  # small detours of single joints first
+    """A free p brought nearer to `at`: joints that need not move put back, the rest bisected."""
+    for k in np.argsort(np.abs(p - at)):  # small detours first
         only = p.copy()
         only[k] = at[k]
-        p = _bisected(only, p, free)
-    return p
+        if free(only):
+            p = only
+    return _bisected(at, p, free)
 
 
 def _bisected(bad: Array, good: Array, free: Free) -> Array:

@@ -7,10 +7,9 @@ import numpy as np
 from armcell.collision import ExactChecker
 from armcell.core import JointState
 from armcell.planning.explanation import words
-from armcell.planning.explanation.case import Case, tell_margins
+from armcell.planning.explanation.case import Case, tell_margins, tell_way
 from armcell.planning.explanation.changes import allow_contact, change_start, reset_state
 from armcell.planning.explanation.contacts import free_objects, pairs_of
-from armcell.planning.explanation.nearest import nearest_free
 
 WITHIN = 1e-6  # [rad or m] inside a limit
 
@@ -53,21 +52,20 @@ def start_in_collision(case: Case) -> None:
     for contact in contacts:
         case.say(contact.describe())
     tell_margins(case)
-    names, columns = case.joint_names, case.columns
-    lower, upper = case.scene.model.lower[columns], case.scene.model.upper[columns]
-    q = nearest_free(case.start, case.checker.is_free, lower, upper, seed=1)
+    q = case.nearest_free(case.start)
     if q is not None:
         case.nearest = case.group_state(q)
-        step = words.joint_steps(case.scene.model, names, q - case.start)
+        step = words.joint_steps(case.scene.model, case.joint_names, q - case.start)
         apart = float(np.linalg.norm(q - case.start))
         case.data["nearest_free_start_rad"] = apart
+        tell_way(case, "the nearest free configuration", case.start, q)
         case.suggest(
             f"start {step} from here (the nearest free configuration)",
             change_start,
             {"state": case.nearest},
             effort=apart,
         )
-    free_objects(case, case.started, case.start, contacts, padded=False)
+    free_objects(case, [case.start], contacts, padded=False)
     held = case.scene.attached
     for a, b in pairs_of(contacts):
         if a in held or b in held:

@@ -50,7 +50,7 @@ def joint_value(model: RobotModel, name: str, value: float) -> str:
 
 def joint_steps(model: RobotModel, names: Iterable[str], difference: ArrayLike, most: int = 4) -> str:
     """The joints that move, the farthest first: "panda_joint2 by +4.0 deg, panda_joint4 by -1.2 deg"."""
-    steps = [(n, float(d)) for n, d in zip(names, np.asarray(difference), strict=True) if abs(d) > 1e-4]
+    steps = [(n, float(d)) for n, d in zip(names, np.asarray(difference), strict=True) if abs(d) > 1e-3]
     steps.sort(key=lambda step: -abs(step[1]))
     told = [f"{n} by {'+' if d > 0 else ''}{joint_value(model, n, d)}" for n, d in steps[:most]]
     rest = f" and {len(steps) - most} more" if len(steps) > most else ""
