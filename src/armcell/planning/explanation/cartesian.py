@@ -271,7 +271,8 @@ def _shorter(case: Case, request: CartesianRequest, number: int, pose: SE3) -> N
     if case.result.path is None or case.result.fraction <= 0:
         return
     waypoints = (*request.waypoints[:number], pose)
-    left = words.length(pose.distance_to(request.waypoints[-1])[0])
+    metres, radians = pose.distance_to(request.waypoints[-1])
+    left = f"{words.length(metres)} and {words.angle(radians)}"
     case.suggest(
         f"end where it stops, {left} before the goal",
         change_waypoints,
