@@ -114,9 +114,11 @@ def _place(scene, item: str, on: str, at) -> Finding:
 
 
 def _reach(cell, scene, item: str, gripper) -> Finding:
+    from armcell.planning import prepare
     from armcell.tasks import Draft, Planning, search
     from armcell.tasks.stages import ChooseGrasp
 
+    prepare(scene, gripper.arm_group)  # or compiling would use up the search's time
     planning = Planning(cell.settings)
     stage = ChooseGrasp(item, gripper, cell.settings.near, cell.settings.approach_distance)
     draft = search([stage], Draft(scene), planning)

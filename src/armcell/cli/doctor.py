@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from armcell import __version__, _cache
@@ -55,7 +56,7 @@ def doctor(
     table = Table(box=None, pad_edge=False, show_header=False)
     for line in _lines(cell, connect):
         lines.append(line)
-        table.add_row(STYLES[line.verdict], line.check, line.found)
+        table.add_row(STYLES[line.verdict], escape(line.check), escape(line.found))
     console.print(table)
     goals.save(json_file, [asdict(line) for line in lines])
     return 1 if any(line.verdict == NO for line in lines) else 0
