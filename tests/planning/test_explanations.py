@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from tests.planning.failing_requests import REQUESTS, Failing
 from tests.planning.helpers import down, panda_wall, request
-from tests.scene.helpers import box, floating, panda, ur10
+from tests.scene.helpers import box, floating, panda
 
 from armcell.collision import ExactChecker
 from armcell.core import (
@@ -145,12 +145,8 @@ def test_solutions_beyond_limits_reach_the_pose_and_are_beyond():
     for branch in found:
         full = scene.positions.copy()
         full[model.columns(names)] = branch.positions
-        assert scene.frame_pose("tool0") is not None
-        there = ur10().model  # the same arm without the tight limits
-        tip = there.group("arm").tip_link
-        from armcell.kinematics import kinematic_tree
-
-        assert kinematic_tree(there).link_pose(full, tip).isclose(target, 1e-5, 1e-4)
+        there = replace(scene, positions=full)
+        assert there.frame_pose(model.group("arm").tip_link).isclose(target, 1e-5, 1e-4)
         over = {
             n: max(model.joint(n).limits.lower - v, v - model.joint(n).limits.upper)
             for n, v in zip(names, branch.positions)
@@ -260,8 +256,18 @@ def test_a_suggestion_as_data():
         Suggestion("nonsense", change_request, {"speed": 1}).apply(scene, asked)
 
 
+def test_a_typo_is_mended_even_where_that_is_not_enough():
+    """The group does not exist, and the pose is out of reach besides."""
+    scene, asked = panda(), replace(request(PoseGoal(down(2.0, 0.0, 0.3))), group="amr")
+    e = explain(scene, asked)
+    assert e.code is ErrorCode.INVALID_GROUP_NAME
+    assert len(e.suggestions) == 1 and e.suggestions[0].works is False and "not enough alone" in e.text()
+    assert explain(*e.suggestions[0].apply(scene, asked)).code is ErrorCode.NO_IK_SOLUTION
+
+
 def test_misuse_that_nothing_mends_is_still_explained():
     e = explain(panda_wall(), request(JointGoal(JointState(("left_wheel",), [0.0]))))
     assert e.code is ErrorCode.INVALID_ROBOT_STATE and "panda_joint1" in e.data["known"]
+    assert not e.suggestions
     with pytest.raises(InputError):
         plan(panda_wall(), request(JointGoal(JointState(("left_wheel",), [0.0]))))

@@ -23,7 +23,8 @@ def check_state(
     """Say what a state touches, how deep, what is nearest, and how far each joint is from its limits.
 
     Without --to or --joints it is the cell's start.
-    Example: armcell check-state panda_pick --joints-deg 'panda_joint2=60 panda_joint4=-60'
+
+    Example: armcell check-state panda_pick --joints-deg 'panda_joint2=60'
 
     Exit status 0 if it is within limits and touches nothing, 1 if not.
     """

@@ -19,6 +19,9 @@ Change = Callable[..., tuple[Any, Any]]
 """(scene, request, **arguments) -> (scene, request)."""
 
 
+TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)"}
+
+
 @dataclass(frozen=True, eq=False)
 class Suggestion:
     """One change of the scene or the request that would help.
@@ -26,7 +29,8 @@ class Suggestion:
     Attributes:
         text: the change in words, an instruction ("move the goal 12 mm along +z").
         effort: how large the change is, to compare suggestions of one kind [m or rad].
-        works: whether the changed request was planned and succeeded; None: not tried.
+        works: whether the changed request was planned and succeeded; None: not tried; False: it is needed,
+            but not enough alone.
     """
 
     text: str
@@ -79,7 +83,7 @@ class Explanation:
         if self.suggestions:
             lines.append("what would help:")
         for number, suggestion in enumerate(self.suggestions, 1):
-            lines.append(f"  {number}. {suggestion.text}" + ("" if suggestion.works else " (not tried)"))
+            lines.append(f"  {number}. {suggestion.text}{TRIED[suggestion.works]}")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:

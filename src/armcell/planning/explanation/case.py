@@ -133,11 +133,13 @@ class Case:
     def suggest(
         self, text: str, change: Change, arguments: Mapping[str, Any] = {}, effort: float = 0.0,
         known: bool = False,
+        anyway: bool = False,
     ) -> bool:  # fmt: skip
         """Try a change, and keep it as a suggestion if the request then succeeds (or nothing could be tried).
 
         Args:
             known: that it works was just seen.
+            anyway: keep it even if the request still fails: without it, it cannot work.
         """
         suggestion = Suggestion(text, change, arguments, effort)
         if known:
@@ -149,11 +151,11 @@ class Case:
                 works = self.succeeds(*suggestion.apply(self.scene, self.request)) is not None
             except ArmcellError:
                 works = False
-        if works is False:
+        if works is False and not anyway:
             self.data.setdefault("tried_without_success", []).append(text)
             return False
         self.suggestions.append(replace(suggestion, works=works))
-        return True
+        return works is not False
 
     def explanation(self) -> Explanation:
         """What was found; the suggestions that work first, otherwise in the order they were found."""

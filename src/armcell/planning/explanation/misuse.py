@@ -48,9 +48,10 @@ def misuse(case: Case, error: InputError) -> None:
     case.data["error"] = str(error)
     if isinstance(error, UnknownNameError):
         case.data |= {"kind": error.kind, "name": str(error.name), "known": error.known}
-        for name in _near(str(error.name), error.known):
-            if _rename(case, str(error.name), name):
-                return
+        wrong = str(error.name)
+        likely = _like(wrong, error.known)
+        if not any(_rename(case, wrong, name) for name in likely or error.known[:3]) and likely:
+            _rename(case, wrong, likely[0], anyway=True)
         return
     _numbers(case)
     if isinstance(case.request, PlanRequest) and case.request.torque_limits and case.request.jerk_limits:
@@ -59,15 +60,15 @@ def misuse(case: Case, error: InputError) -> None:
     _goal_without_tip(case)
 
 
-def _near(name: str, known: list[str]) -> list[str]:
-    """The most likely meant first; where nothing is like it, the first few there are."""
+def _like(name: str, known: list[str]) -> list[str]:
+    """Those that may be meant, the most likely first."""
     folded = {k.lower(): k for k in known}
     like = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
     within = [k for k in known if name.lower() in k.lower() and k.lower() not in like]
-    return [*(folded[k] for k in like), *within[:3]] or known[:3]
+    return [*(folded[k] for k in like), *within[:3]]
 
 
-def _rename(case: Case, wrong: str, right: str) -> bool:
+def _rename(case: Case, wrong: str, right: str, anyway: bool = False) -> bool:
     """Put a name that exists wherever the request has the wrong one."""
     request = case.request
     fields = [f for f in ("group", "link", "planner_id", "pipeline_id") if getattr(request, f, None) == wrong]
@@ -75,11 +76,13 @@ def _rename(case: Case, wrong: str, right: str) -> bool:
     if not fields and planner and normalized_planner_id(planner) == wrong:
         fields = ["planner_id"]
     if fields:
-        return case.suggest(f"name {right!r} as {fields[0]}", change_request, {fields[0]: right})
+        return case.suggest(
+            f"name {right!r} as {fields[0]}", change_request, {fields[0]: right}, anyway=anyway
+        )
     if request.start is not None and wrong in request.start.joint_names:
         start = _renamed(request.start, wrong, right)
         return start is not None and case.suggest(
-            f"name joint {right!r} in the start", change_request, {"start": start}
+            f"name joint {right!r} in the start", change_request, {"start": start}, anyway=anyway
         )
     for number, goal in enumerate(getattr(request, "goals", ())):
         changed = None
@@ -95,6 +98,7 @@ def _rename(case: Case, wrong: str, right: str) -> bool:
                 f"name {right!r} instead of {wrong!r} in the goal",
                 change_goal,
                 {"number": number, "goal": changed},
+                anyway=anyway,
             )
     return False
 
@@ -123,7 +127,7 @@ def _numbers(case: Case) -> None:
             changes[name] = usual  # type: ignore[assignment]
     if changes:
         told = ", ".join(f"{k} {'not given' if v is None else f'{v:g}'}" for k, v in changes.items())
-        case.suggest(f"give {told}", change_request, changes)
+        case.suggest(f"give {told}", change_request, changes, anyway=True)
     if isinstance(request, CartesianRequest) and not request.waypoints:
         tip = request.link or case.scene.model.group(request.group).tip_link
         if tip is not None:

@@ -37,7 +37,7 @@ def turn(rotvec: ArrayLike) -> str:
     main = int(np.argmax(np.abs(v)))
     if size > 0 and abs(v[main]) > 0.99 * size:
         return f"{angle(size)} about the tool's {'-' if v[main] < 0 else ''}{'xyz'[main]}"
-    axis = " ".join(f"{c:.2f}" for c in v / max(size, 1e-12))
+    axis = " ".join(f"{c + 0.0:.2f}" for c in np.round(v / max(size, 1e-12), 2))
     return f"{angle(size)} about the tool's axis ({axis})"
 
 
