@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,20 +14,27 @@ from tests.scene.helpers import box, floating, panda
 
 from armcell.collision import ExactChecker
 from armcell.core import (
+    SO3,
     CartesianRequest,
+    Constraints,
     ErrorCode,
     Explanation,
     InputError,
+    JointConstraint,
     JointGoal,
     JointState,
     NamedGoal,
+    OrientationConstraint,
+    PlanRequest,
     PlanResult,
     PoseGoal,
     Suggestion,
 )
 from armcell.planning import explain, explain_start, plan, plan_cartesian, solve_ik
 from armcell.planning.explanation import beyond_limits
+from armcell.planning.explanation.case import Case
 from armcell.planning.explanation.changes import change_request
+from armcell.planning.explanation.constraints import too_constrained
 from armcell.planning.explanation.contacts import way_out
 from armcell.planning.explanation.nearest import nearest_free
 
@@ -203,6 +211,48 @@ def test_ik_that_fails_explains_itself():
 
 def test_ik_through_an_object_when_not_asked_to_avoid_it():
     assert solve_ik(panda_wall(), "arm", down(0.55, 0.0, 0.2), avoid_collisions=False).ok
+
+
+# --- path constraints: looked into through any planning function; here one whose rule is known ---
+LEVEL = OrientationConstraint(SO3.identity(), (0.1, 0.1, 4.0))
+ELBOW = JointConstraint("panda_joint4", -2.0, 0.1, 0.1)
+
+
+def constrained_case(tolerance: float, joints_allowed: int) -> Case:
+    """Fails while an orientation's first tolerance is below `tolerance`, or with more joint constraints."""
+
+    def solve(scene, asked):
+        c = asked.path_constraints
+        bad = any(o.tolerance[0] < tolerance for o in c.orientations) or len(c.joints) > joints_allowed
+        return PlanResult(ErrorCode.PLANNING_FAILED if bad else ErrorCode.SUCCESS)
+
+    constraints = Constraints((ELBOW,), (), (LEVEL,))
+    asked = request(NamedGoal("extended"), path_constraints=constraints)
+    return Case(panda(), asked, solve(None, asked), {PlanRequest: solve}, time.monotonic() + 60)
+
+
+def test_the_constraint_to_blame_and_how_wide_it_has_to_be():
+    case = constrained_case(0.3, 1)
+    assert too_constrained(case)
+    first, second = case.suggestions
+    wide = first.apply(case.scene, case.request)[1].path_constraints
+    assert wide.orientations[0].tolerance == pytest.approx((0.4, 0.4, np.pi)) and wide.joints == (ELBOW,)
+    left = second.apply(case.scene, case.request)[1].path_constraints
+    assert left.joints == (ELBOW,) and not left.orientations
+    assert "the orientation of the tip" in case.details[0]
+
+
+def test_constraints_that_forbid_it_only_together():
+    case = constrained_case(0.3, 0)
+    assert too_constrained(case) and "no single path constraint" in case.details[0]
+    assert not case.suggestions[0].apply(case.scene, case.request)[1].path_constraints
+
+
+def test_constraints_that_are_not_to_blame():
+    case = constrained_case(0.3, -1)
+    assert (
+        not too_constrained(case) and not case.suggestions and "not the path constraints" in case.details[0]
+    )
 
 
 # --- a start that is not where the robot is ---

@@ -54,8 +54,8 @@ def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds
     case = Case(scene, request, result, SOLVERS, time.monotonic() + seconds)
     if isinstance(request, CartesianRequest) and result.code is not ErrorCode.START_STATE_INVALID:
         cartesian.line_stops(case)
-    elif result.code in CAUSES:
-        CAUSES[result.code](case)
+    else:  # whatever else it is, it may be constraints, time or something in the way
+        CAUSES.get(result.code, motion.no_motion)(case)
     return case.explanation()
 
 

@@ -19,6 +19,7 @@ from armcell.planning.explanation.changes import (
     remove_objects,
     without,
 )
+from armcell.planning.explanation.constraints import too_constrained
 from armcell.planning.explanation.goal import wanted_joints
 from armcell.planning.explanation.nearest import PoseSearch
 
@@ -42,7 +43,7 @@ def no_motion(case: Case) -> None:
         _too_weak(case, evidence["joint"], evidence["torque"], evidence["limit"])
         return
     _tell_search(case)
-    if _more_time(case, request) or _other_planner(case, request):
+    if too_constrained(case) or _more_time(case, request) or _other_planner(case, request):
         return
     _less_padding(case, request)
     _in_the_way(case, request)
