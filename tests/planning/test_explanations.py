@@ -290,10 +290,26 @@ def test_degrees_and_whole_turns_are_seen(factor, added, words):
     assert any(words in line for line in e.details)
 
 
-def test_an_ordinary_difference_is_neither():
+@pytest.mark.parametrize("off", [0.03, 0.1, 3.0])
+def test_an_ordinary_difference_is_neither(off):
     planned = JointState(("a", "b"), [0.5, 1.2])
-    e = explain_start(JointState(("a", "b"), [0.6, 1.2]), planned, 0.01, ErrorCode.CONTROL_FAILED, "")
-    assert len(e.details) == 1
+    measured = JointState(("a", "b"), [0.5 + off, 1.2])
+    assert len(explain_start(measured, planned, 0.01, ErrorCode.CONTROL_FAILED, "").details) == 1
+
+
+def test_a_motion_that_is_not_begun_explains_itself():
+    """The executor finds the robot elsewhere, and its result says so."""
+    from armcell.control import DriverOptions, drivers, execute
+
+    scene = panda()
+    result = plan(scene, request(NamedGoal("extended"), start=JointState(("panda_joint1",), [0.2])))
+    with drivers["fake"](scene, DriverOptions()) as driver:
+        refused = execute(driver, result.trajectory)
+    e = refused.explain()
+    assert e.code is ErrorCode.CONTROL_FAILED and e.data["joints"] == ["panda_joint1"]
+    scene, asked = e.suggestions[0].apply(scene, request(NamedGoal("extended")))
+    with drivers["fake"](scene, DriverOptions()) as driver:
+        assert execute(driver, plan(scene, asked).trajectory).ok
 
 
 def test_a_suggestion_as_data():

@@ -8,6 +8,8 @@ from armcell.core import ErrorCode, Explanation, JointState, PlanRequest, Sugges
 from armcell.planning.explanation.changes import Both, change_request
 from armcell.scene import PlanningScene
 
+ALIKE = 0.02  # [rad] two positions that mean the same differ by less
+
 
 def explain_start(measured: JointState, planned: JointState, tolerance: float, code: ErrorCode,
                   message: str, seconds: float = 0.0) -> Explanation:  # fmt: skip
@@ -27,7 +29,8 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
         for k in order
         if abs(off[k]) > tolerance
     ]
-    if np.all(np.abs(off[np.abs(off) > tolerance] / (2 * np.pi) % 1 - 0.5) > 0.49):
+    turns = np.round(off / (2 * np.pi))
+    if turns.any() and np.all(np.abs(off - 2 * np.pi * turns) <= max(tolerance, ALIKE)):
         details.append("the difference is whole turns: the driver counts turns otherwise than the planner")
     elif _looks_like_degrees(measured, planned):
         details.append("the measured positions look like degrees where radians are wanted")
@@ -52,5 +55,5 @@ def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) ->
 def _looks_like_degrees(measured: JointState, planned: JointState) -> bool:
     values = measured.reindexed(planned.joint_names).positions
     return bool(np.abs(values).max(initial=0.0) > 2 * np.pi and np.allclose(
-        np.deg2rad(values), planned.positions, atol=0.02
+        np.deg2rad(values), planned.positions, atol=ALIKE
     ))  # fmt: skip
