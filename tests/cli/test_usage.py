@@ -13,7 +13,7 @@ COMMANDS = ("run", "check", "explain", "cells")
 OPTIONS = {
     "run": ["--seed", "--mode", "--view", "--json", "--headless", "--runs", "--time-scale", "--port"],
     "check": ["--json"],
-    "explain": ["--pose", "--rpy-deg", "--pick", "--group", "--seed", "--json"],
+    "explain": ["--pose", "--rpy-deg", "--pick", "--group", "--seed", "--json", "--view"],
     "cells": [],
 }
 

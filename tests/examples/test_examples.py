@@ -42,7 +42,7 @@ def number(pattern: str, text: str) -> float:
 
 
 def test_all_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "07", "09", "10", "11", "24"]
+    assert [path.stem[:2] for path in SCRIPTS] == "01 02 03 04 05 07 08 09 10 11 24".split()
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -149,6 +149,20 @@ def test_09_keep_upright(printed):
     assert number(r"without it: .* leans by at most ([\d.]+) deg", said) > 12.2
     assert number(r"farthest from the line: ([\d.]+) mm", said) <= 5.0
     assert "START_STATE_VIOLATES_PATH_CONSTRAINTS: start violates the path constraints: " in said
+
+
+def test_08_why_not(printed):
+    said = printed("08_why_not.py")
+    assert said.startswith("GOAL_IN_COLLISION: ") and "panda_hand touches wall" in said
+    applied = re.findall(r"^-> (.*): (\w+)$", said, re.M)
+    assert len(applied) >= 3 and all(code == "SUCCESS" for _, code in applied)
+    # The wall is 20 mm thick, the goal 30 mm from its middle, the hand 204 mm wide, the padding 5 mm.
+    near = number(r"nearest goal that works is (\d+) mm", said)
+    assert near == pytest.approx(10 + 102 + 5 - 30, abs=4)
+    assert number(r"NO_IK_SOLUTION: (\d+) mm beyond reach", said) > 100
+    assert "panda_joint4 is 21.2 deg above its limits" in said  # 0.3 rad, and the limit -0.0698
+    assert 0 < number(r"the line comes (\d+)%", said) < 100
+    assert "INVALID_GROUP_NAME: unknown planning group 'arms'" in said
 
 
 @pytest.mark.slow

@@ -23,17 +23,18 @@ def check(
     """
     if json_file is not None:
         check_writable(json_file)
-    findings = list(_findings(cell))
+    found = list(findings(cell))
     table = Table(box=None, pad_edge=False, show_header=False)
-    for sound, what, text in findings:
+    for sound, what, text in found:
         table.add_row("[green]ok[/green]" if sound else "[red]no[/red]", what, text)
     console.print(table)
     if json_file is not None:
-        write_json(json_file, [{"ok": s, "check": w, "found": t} for s, w, t in findings])
-    return 0 if all(sound for sound, _, _ in findings) else 1
+        write_json(json_file, [{"ok": s, "check": w, "found": t} for s, w, t in found])
+    return 0 if all(sound for sound, _, _ in found) else 1
 
 
-def _findings(name: str) -> Iterator[Finding]:
+def findings(name: str) -> Iterator[Finding]:
+    """What a cell's files, limits, start, objects and task are found to be."""
     from armcell.cell import load
 
     cell = load(name)  # raises with file, element and cure
@@ -113,9 +114,11 @@ def _place(scene, item: str, on: str, at) -> Finding:
 
 
 def _reach(cell, scene, item: str, gripper) -> Finding:
+    from armcell.planning import prepare
     from armcell.tasks import Draft, Planning, search
     from armcell.tasks.stages import ChooseGrasp
 
+    prepare(scene, gripper.arm_group)  # or compiling would use up the search's time
     planning = Planning(cell.settings)
     stage = ChooseGrasp(item, gripper, cell.settings.near, cell.settings.approach_distance)
     draft = search([stage], Draft(scene), planning)

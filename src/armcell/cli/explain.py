@@ -9,71 +9,101 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from armcell.cli.console import check_writable, console, write_json
+from armcell.cli import goals
+from armcell.cli.console import console
+from armcell.core import Explanation
 
 
 def explain(
-    cell: str = typer.Argument(..., help="Built-in cell, folder with cell.yaml, or YAML file."),
-    pose: tuple[float, float, float] | None = typer.Option(
-        None, metavar="X Y Z", help="Position of the tip in the world frame [m]."
-    ),
-    rpy_deg: tuple[float, float, float] = typer.Option(
-        (180.0, 0.0, 0.0), metavar="R P Y", help="Orientation of the tip [deg]; the default points down."
-    ),
+    cell: str = goals.CELL,
+    to: str | None = goals.TO,
+    pose: goals.Triple | None = goals.POSE,
+    rpy_deg: goals.Triple = goals.RPY_DEG,
+    joints: str | None = goals.JOINTS,
+    joints_deg: str | None = goals.JOINTS_DEG,
+    line: bool = goals.LINE,
     pick: str | None = typer.Option(None, metavar="OBJECT", help="Explain which grasps of an object work."),
-    group: str | None = typer.Option(None, help="Planning group; the arm by default."),
-    seed: int | None = typer.Option(None, min=0, help="Draw of the cell's randomised values."),
+    start_deg: str | None = goals.START_DEG,
+    group: str | None = goals.GROUP,
+    link: str | None = goals.LINK,
+    planner: str = goals.PLANNER,
+    seconds: float = goals.TIME,
+    seed: int | None = goals.SEED,
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the evidence as JSON."),
+    view: bool = typer.Option(
+        False, "--view", help="Show what touches in red and the nearest goal that works as a ghost."
+    ),
+    port: int = goals.PORT,
 ) -> int:
-    """Say whether a pose or a grasp is possible, and the reason for every one that is not.
+    """Say whether a motion, a pose or a grasp is possible; if not, why, and what would help.
 
-    Exit status 0 if it is possible, 1 if not.
+    Example: armcell explain panda_pick --pose 0.55 0.06 0.2
+
+    Exit status 0 if it is possible, 1 if not, 2 for wrong usage.
     """
-    if (pose is None) == (pick is None):
-        raise typer.BadParameter("give either --pose X Y Z or --pick OBJECT")
+    goals.one_of({"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg, "--pick": pick})
+    goals.checked_json(json_file)
     from armcell.cell import load
 
-    if json_file is not None:
-        check_writable(json_file)
     loaded = load(cell)
     scene = loaded.scene(seed)
     if pick is not None:
         possible, data = _explain_pick(loaded, scene, pick)
-    else:
-        possible, data = _explain_pose(scene, group or _arm_group(loaded.model), pose or (0, 0, 0), rpy_deg)
-    if json_file is not None:
-        write_json(json_file, data)
-    return 0 if possible else 1
+        goals.save(json_file, data)
+        return 0 if possible else 1
+    request = goals.request_of(
+        loaded.model, group or goals.arm_group(loaded.model), to, pose, rpy_deg, joints, joints_deg, line,
+        start_deg, planner, seconds, seed, link,
+    )  # fmt: skip
+    data = _joint_solutions(scene, request, link) if pose is not None else {}
+    explanation = _explanation(scene, request)
+    _print(explanation, bool(data))
+    goals.save(json_file, {**data, "possible": explanation.code.ok, "explanation": explanation.as_dict()})
+    if view:
+        from armcell.cli.viewing import show
+
+        show(scene, None, explanation, port, loaded.name)
+    return 0 if explanation.code.ok else 1
 
 
-def _arm_group(model) -> str:
-    from armcell.core import InputError
+def _explanation(scene: Any, request: Any) -> Explanation:
+    from armcell.planning import explain as explain_request
 
-    groups = [g.arm_group for g in model.grippers.values()] or [
-        g.name for g in model.groups.values() if g.tip_link
-    ]
-    if not groups:
-        raise InputError(
-            f"robot {model.name!r} has no arm: no planning group is a chain", cure="name one with --group"
-        )
-    return groups[0]
+    return explain_request(scene, request)
 
 
-def _explain_pose(scene, group: str, xyz, rpy_deg) -> tuple[bool, dict[str, Any]]:
-    from armcell.core import SE3
+def _print(explanation: Explanation, solutions_told: bool) -> None:
+    if explanation.code.ok:
+        console.print("a motion was found")
+        return
+    lines = explanation.text().splitlines()
+    if solutions_told:  # the table has them all
+        lines = [line for line in lines if not line.startswith("  joint solution")]
+    console.print("\n".join(lines), markup=False, soft_wrap=True)
+
+
+def _joint_solutions(scene: Any, request: Any, link: str | None) -> dict[str, Any]:
+    """Print and return every joint solution of the pose asked for."""
+    from dataclasses import replace
+
+    from armcell.core import CartesianRequest
     from armcell.planning import explain_pose
 
-    result = explain_pose(scene, group, SE3.from_xyz_rpy(xyz, np.deg2rad(rpy_deg)))
+    straight = isinstance(request, CartesianRequest)
+    target = request.waypoints[-1] if straight else request.goals[0].T_world_link
+    if request.start is not None:
+        scene = replace(scene, positions=scene.state.updated(request.start).positions)
+    result = explain_pose(scene, request.group, target, link)
     console.print(result.summary, markup=False)
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("joints [deg]", "what touches"):
+    for title in ("joints [deg]", "what is wrong"):
         table.add_column(title, overflow="fold")
-    for branch in result.branches:
+    for branch in (*result.branches, *result.outside):
         joints = " ".join(f"{v:.0f}" for v in np.rad2deg(branch.positions))
-        table.add_row(joints, "; ".join(c.describe() for c in branch.contacts[:3]) or "free")
-    if result.branches:
+        table.add_row(joints, branch.reason(scene.model))
+    if result.branches or result.outside:
         console.print(table)
-    return result.reachable, {
+    return {
         "reachable": result.reachable,
         "summary": result.summary,
         "joint_names": list(result.joint_names),
@@ -85,6 +115,9 @@ def _explain_pose(scene, group: str, xyz, rpy_deg) -> tuple[bool, dict[str, Any]
                 ],
             }
             for b in result.branches
+        ],
+        "outside_limits": [
+            {"positions": b.positions.tolist(), "beyond": dict(b.beyond)} for b in result.outside
         ],
         "position_error_m": result.position_error,
         "rotation_error_rad": result.rotation_error,
@@ -100,7 +133,7 @@ def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
 
     if not scene.object(item).movable:
         raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
-    gripper = loaded.model.gripper(arm_group=_arm_group(loaded.model))
+    gripper = loaded.model.gripper(arm_group=goals.arm_group(loaded.model))
     grasps, rejected = grasp_candidates(scene.object(item), gripper)
     planning = Planning(loaded.settings)
     stage = ChooseGrasp(item, gripper, loaded.settings.near, loaded.settings.approach_distance)

@@ -8,7 +8,7 @@ import sys
 import typer
 
 from armcell import __version__
-from armcell.cli import bench, check, explain, msg, run, serve, topic
+from armcell.cli import bench, check, check_state, doctor, explain, ik, msg, plan, run, serve, topic
 from armcell.cli.console import err
 from armcell.core import ArmcellError
 
@@ -25,7 +25,11 @@ Examples:
 
   armcell serve panda_pick --unity            let Unity join: states out, trajectories in
 
-  armcell explain panda_pick --pose 0.5 0 0.3 can the arm get there, and if not, why
+  armcell plan panda_pick --pose 0.5 0.2 0.3  plan a motion, with its numbers
+
+  armcell explain panda_pick --pose 0.5 0 0.3 can the arm get there, and if not, why, and what would help
+
+  armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
 app = typer.Typer(
@@ -40,6 +44,11 @@ app = typer.Typer(
 app.command("run")(run.run)
 app.command("check")(check.check)
 app.command("explain")(explain.explain)
+app.command("plan")(plan.plan)
+app.command("ik")(ik.ik)
+app.command("fk")(ik.fk)
+app.command("check-state")(check_state.check_state)
+app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")
 app.add_typer(msg.app, name="msg")

@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 
 from armcell.control.driver import Driver
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
 from armcell.core.checks import require
+from armcell.planning import explain_start
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,12 @@ def execute(
             f"{joint} is {worst:.3f} from the trajectory's start (tolerance {settings.start_tolerance:g}): "
             "the robot moved since it was planned; plan again from the current state"
         )
-        return ExecutionResult(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": worst}, began, began)
+        code = ErrorCode.CONTROL_FAILED
+        start, tolerance = trajectory.start, settings.start_tolerance
+        return ExecutionResult(
+            code, text, {"joint": joint, "error": worst}, began, began,
+            explainer=partial(explain_start, measured, start, tolerance, code, text),
+        )  # fmt: skip
     tracking = 0.0
 
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:

@@ -8,8 +8,10 @@ from armcell.core.constraints import (
     OrientationConstraint,
     PositionConstraint,
 )
+from armcell.core.contact import Contact
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
 from armcell.core.events import Event, Observer, StateSample
+from armcell.core.explanation import Explanation, Suggestion
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
@@ -23,7 +25,7 @@ from armcell.core.requests import (
     PlanRequest,
     PoseGoal,
 )
-from armcell.core.results import Contact, ExecutionResult, IKResult, Outcome, PlanResult
+from armcell.core.results import ExecutionResult, IKResult, Outcome, PlanResult
 from armcell.core.transforms import SE3, SO3
 
 __all__ = [
@@ -43,6 +45,7 @@ __all__ = [
     "ErrorCode",
     "Event",
     "ExecutionResult",
+    "Explanation",
     "Goal",
     "IKResult",
     "InputError",
@@ -68,6 +71,7 @@ __all__ = [
     "Shape",
     "Sphere",
     "StateSample",
+    "Suggestion",
     "UnknownNameError",
     "finite_points",
 ]

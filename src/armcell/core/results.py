@@ -10,28 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.core.contact import Contact
 from armcell.core.errors import ErrorCode
+from armcell.core.explanation import Explanation
 from armcell.core.joints import JointPath, JointTrajectory
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Contact:
-    """Two bodies (links or objects) that touch, or nearly do.
-
-    `distance` is negative by the depth of penetration [m]; `position` (3,) is in the world frame [m].
-    """
-
-    body_a: str
-    body_b: str
-    distance: float
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def describe(self) -> str:
-        if self.distance <= 0:
-            return f"{self.body_a} touches {self.body_b} ({-self.distance * 1000:.1f} mm deep)"
-        return f"{self.body_a} is {self.distance * 1000:.1f} mm from {self.body_b}"
 
 
 @dataclass(frozen=True)
@@ -41,10 +25,23 @@ class Outcome:
     code: ErrorCode
     message: str = ""
     evidence: dict[str, Any] = field(default_factory=dict)
+    explainer: Callable[[float], Explanation] | None = field(
+        default=None, repr=False, compare=False, kw_only=True
+    )
 
     @property
     def ok(self) -> bool:
         return self.code is ErrorCode.SUCCESS
+
+    def explain(self, seconds: float = 10.0) -> Explanation:
+        """Why it failed and what would help; takes time, at most about so many seconds.
+
+        Where nobody can look further into it: the code, the message and the contacts of the evidence.
+        """
+        if self.explainer is not None:
+            return self.explainer(seconds)
+        contacts = tuple(c for c in self.evidence.get("contacts", ()) if isinstance(c, Contact))
+        return Explanation(self.code, self.message or self.code.name, contacts=contacts, data=self.evidence)
 
     def __bool__(self) -> bool:
         return self.ok

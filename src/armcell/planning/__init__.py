@@ -3,7 +3,8 @@
 from armcell.planning.adapters import adapter_names
 from armcell.planning.cartesian import plan_cartesian
 from armcell.planning.constraint_check import constraint_errors, satisfied, violations
-from armcell.planning.explain import Branch, PoseExplanation, explain_pose
+from armcell.planning.explain import explain, solve_ik
+from armcell.planning.explanation import Branch, PoseExplanation, explain_pose, explain_start
 from armcell.planning.library import LibraryStatistics, PlanLibrary
 from armcell.planning.moving import plan_among_moving
 from armcell.planning.native.warm_up import prepare, warm_up
@@ -19,7 +20,9 @@ __all__ = [
     "Problem",
     "adapter_names",
     "constraint_errors",
+    "explain",
     "explain_pose",
+    "explain_start",
     "find_planner",
     "normalized_planner_id",
     "pipelines",
@@ -28,6 +31,7 @@ __all__ = [
     "plan_cartesian",
     "prepare",
     "satisfied",
+    "solve_ik",
     "violations",
     "warm_up",
 ]

@@ -13,6 +13,7 @@ from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, PlanResult
 from armcell.kinematics import IKSolver, ik_solver
+from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along, finish
 from armcell.planning.placed import Placed
 from armcell.planning.speed import check_speed, slowed
@@ -25,6 +26,7 @@ ROTATION_STEP = 0.05  # [rad] between checked poses
 DEVIATION = 2e-3  # [rad] the tip keeps its line: corners between the small steps are hardly cut
 
 
+@explained(CartesianRequest)
 def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResult:
     """A straight-line motion of a link through the poses of the request.
 

@@ -1,80 +1,71 @@
-"""Why not? The evidence behind a pose that cannot be reached, one joint solution at a time."""
+"""Plan a request and explain what comes of it; inverse kinematics that can be explained, too."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
-from armcell.collision import ExactChecker
-from armcell.core import SE3, Contact
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import (
+    SE3,
+    CartesianRequest,
+    ErrorCode,
+    Explanation,
+    IKResult,
+    InputError,
+    PlanRequest,
+    PoseGoal,
+)
 from armcell.kinematics import ik_solver
+from armcell.planning.cartesian import plan_cartesian
+from armcell.planning.explanation import explain_misuse
+from armcell.planning.pipeline import plan
 from armcell.scene import PlanningScene
 
-MAX_BRANCHES = 16
+
+def explain(
+    scene: PlanningScene, request: PlanRequest | CartesianRequest, seconds: float = 10.0
+) -> Explanation:
+    """Plan, and say why it fails and what would help; also where the request itself is wrong.
+
+    Args:
+        seconds: about the most that the explanation may take, besides the planning itself.
+    """
+    try:
+        if isinstance(request, CartesianRequest):
+            return plan_cartesian(scene, request).explain(seconds)
+        return plan(scene, request).explain(seconds)
+    except InputError as error:
+        return explain_misuse(scene, request, error, seconds)
 
 
-@dataclass(frozen=True, eq=False)
-class Branch:
-    """One joint solution (n,) of a pose and what touches there (or is within the padding)."""
+def solve_ik(
+    scene: PlanningScene,
+    group: str,
+    T_world_link: SE3,
+    link: str | None = None,
+    avoid_collisions: bool = True,
+    seed: int = 0,
+) -> IKResult:
+    """Joint positions that put a link (the group's tip by default) at a pose, near the scene's state.
 
-    positions: np.ndarray
-    contacts: list[Contact]
-
-    @property
-    def free(self) -> bool:
-        return not self.contacts
-
-
-@dataclass(frozen=True, eq=False)
-class PoseExplanation:
-    """What stands between an arm and a pose."""
-
-    reachable: bool
-    summary: str
-    joint_names: tuple[str, ...]
-    branches: list[Branch] = field(default_factory=list)
-    start_contacts: list[Contact] = field(default_factory=list)
-    position_error: float = 0.0  # [m] of the closest pose, where there is no solution
-    rotation_error: float = 0.0  # [rad]
-    joints_at_limit: list[str] = field(default_factory=list)
-
-
-def explain_pose(
-    scene: PlanningScene, group: str, target: SE3, link: str | None = None, seed: int = 0
-) -> PoseExplanation:
-    """Look at every joint solution found for a pose of a link (the group's tip by default)."""
+    Returns:
+        SUCCESS with `positions` (n,) of the group; NO_IK_SOLUTION where none is within limits, or each is
+        in collision. `explain()` says which, solution by solution, and which pose nearby can be reached.
+    Raises:
+        InputError: unknown group or link, or a pose that is not finite.
+    """
     ik = ik_solver(scene.model, group, link)
-    checker = ExactChecker(scene, ik.joint_names)
-    start = checker.contacts(scene.positions[ik.columns], padded=False)
-    rng = np.random.default_rng(seed)
-    branches = []
-    for q in ik.solutions(target, scene.positions, rng):
-        branches.append(Branch(q, checker.contacts(q)))
-        if len(branches) >= MAX_BRANCHES:
-            break
-    branches.sort(key=lambda b: (not b.free, -min((c.distance for c in b.contacts), default=0.0)))
-    if not branches:
-        result = ik.solve(target, scene.positions, rng=rng)
-        limits = result.evidence.get("joints_at_limit", [])
-        return PoseExplanation(
-            False,
-            result.message,
-            ik.joint_names,
-            [],
-            start,
-            result.position_error,
-            result.rotation_error,
-            limits,
-        )
-    free = sum(b.free for b in branches)
-    if free:
-        summary = f"{free} of {len(branches)} joint solutions are free"
-    else:
-        worst = branches[0].contacts[0]
-        summary = (
-            f"each of {len(branches)} joint solutions touches something; in the best one {worst.describe()}"
-        )
-    if start:
-        summary += f"; but the start is in collision: {start[0].describe()}"
-    return PoseExplanation(free > 0, summary, ik.joint_names, branches, start)
+    free = KernelChecker(scene, ik.joint_names).is_free if avoid_collisions else None
+    result = ik.solve(T_world_link, scene.positions, free, np.random.default_rng(seed))
+    if result.ok:
+        return result
+    evidence = {k: v for k, v in result.evidence.items() if k != "invalid"}
+
+    def explainer(seconds: float) -> Explanation:
+        request = PlanRequest(group, (PoseGoal(T_world_link, link),), seed=seed)
+        found = plan(scene, request).explain(seconds)
+        return replace(found, code=ErrorCode.NO_IK_SOLUTION)
+
+    return replace(result, evidence=evidence, explainer=explainer)

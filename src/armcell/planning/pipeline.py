@@ -26,6 +26,7 @@ from armcell.core import (
 )
 from armcell.planning.adapters import adapted
 from armcell.planning.constraints.plan import check_planner, plan_constrained
+from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
@@ -45,6 +46,7 @@ MAX_ROUNDS = 5
 ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds of one attempt are not another attempt
 
 
+@explained(PlanRequest)
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
     """A certified, timed motion of one group.
 

@@ -1,0 +1,76 @@
+"""`armcell check-state`: is a robot state within limits and free of contact?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from armcell.cli import goals
+from armcell.cli.console import console, millimetres
+
+
+def check_state(
+    cell: str = goals.CELL,
+    to: str | None = goals.TO,
+    joints: str | None = goals.JOINTS,
+    joints_deg: str | None = goals.JOINTS_DEG,
+    group: str | None = goals.GROUP,
+    seed: int | None = goals.SEED,
+    json_file: Path | None = goals.JSON,
+) -> int:
+    """Say what a state touches, how deep, what is nearest, and how far each joint is from its limits.
+
+    Without --to or --joints it is the cell's start.
+
+    Example: armcell check-state panda_pick --joints-deg 'panda_joint2=60'
+
+    Exit status 0 if it is within limits and touches nothing, 1 if not.
+    """
+    goals.checked_json(json_file)
+    from armcell.cell import load
+    from armcell.collision import ExactChecker
+
+    loaded = load(cell)
+    model, scene = loaded.model, loaded.scene(seed)
+    name = group or goals.arm_group(model)
+    state = scene.state.updated(goals.state_of(model, name, scene, to, joints, joints_deg))
+    q = state.positions
+    margins = np.minimum(q - model.lower, model.upper - q)
+    checker = ExactChecker(scene)
+    contacts = checker.contacts(q, padded=False)
+    nearest = checker.nearest(q)
+    inside = bool(np.all(margins >= 0))
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("joint", "position", "to its nearer limit"):
+        table.add_column(title, overflow="fold")
+    for joint, value, margin in zip(model.joint_names, q, margins, strict=True):
+        slide = model.joint(joint).type == "prismatic"
+        at, left = (f"{v * 1000:.1f} mm" if slide else f"{np.rad2deg(v):.1f} deg" for v in (value, margin))
+        table.add_row(
+            joint, at, left if np.isfinite(margin) else "none", style=None if margin >= 0 else "red"
+        )
+    console.print(table)
+    for contact in contacts:
+        console.print(contact.describe(), markup=False)
+    if not contacts:
+        within = checker.contacts(q)
+        console.print(
+            "touches nothing"
+            + (f"; nearest: {nearest.describe()}" if nearest is not None else "")
+            + (f", within the padding of {millimetres(scene.padding)}" if within else ""),
+            markup=False,
+        )
+    goals.save(
+        json_file,
+        {
+            "ok": inside and not contacts,
+            "within_limits": inside,
+            "contacts": contacts,
+            "nearest": nearest,
+            "joints": state,
+            "limit_margins": dict(zip(model.joint_names, margins, strict=True)),
+        },
+    )
+    return 0 if inside and not contacts else 1

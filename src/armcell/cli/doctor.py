@@ -1,0 +1,250 @@
+"""`armcell doctor`: what this machine, a cell or an endpoint lacks, and the cure."""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+import socket
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from armcell import __version__, _cache
+from armcell.cli import goals
+from armcell.cli.console import console
+from armcell.cli.installed import EXTRAS, NEEDED
+from armcell.core import InputError
+
+PORTS = {10000: "Unity (ROS-TCP)", 11311: "ROS 1 master", 8080: "viewer"}
+PATIENCE = 3.0  # [s] to connect
+OK, NO, NOTE = "ok", "no", "note"
+STYLES = {OK: "[green]ok[/green]", NO: "[red]no[/red]", NOTE: "[yellow]--[/yellow]"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One thing looked at. `verdict`: ok, no (with the cure), or note: not wrong, but good to know."""
+
+    verdict: str
+    check: str
+    found: str
+
+
+def doctor(
+    cell: str | None = typer.Argument(None, help="Also look at this cell: built-in, folder or YAML file."),
+    connect: str | None = typer.Option(
+        None, metavar="HOST:PORT", help="Also try to reach an endpoint, e.g. Unity's 127.0.0.1:10000."
+    ),
+    json_file: Path | None = goals.JSON,
+) -> int:
+    """Check the installation, and what a cell needs to run; each line ok or no, with the cure.
+
+    Example: armcell doctor panda_pick --connect 192.168.1.20:10000
+
+    Exit status 0 if nothing is wrong, 1 if something is.
+    """
+    goals.checked_json(json_file)
+    lines: list[Line] = []
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for line in _lines(cell, connect):
+        lines.append(line)
+        table.add_row(STYLES[line.verdict], escape(line.check), escape(line.found))
+    console.print(table)
+    goals.save(json_file, [asdict(line) for line in lines])
+    return 1 if any(line.verdict == NO for line in lines) else 0
+
+
+def _lines(cell: str | None, connect: str | None) -> Iterator[Line]:
+    yield from machine()
+    yield from packages()
+    yield from cache()
+    yield opengl()
+    yield from ports()
+    if connect is not None:
+        yield endpoint(connect)
+    if cell is not None:
+        yield from of_cell(cell)
+
+
+# --- the machine ---
+def machine() -> Iterator[Line]:
+    yield Line(OK, "armcell", f"{__version__} in {Path(__file__).parents[1]}")
+    found = f"{platform.python_version()} ({sys.executable})"
+    fit = (3, 11) <= sys.version_info[:2] < (3, 14)
+    yield Line(OK if fit else NO, "Python", found if fit else f"{found}: 3.11 to 3.13 are supported")
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield Line(OK, "machine", f"{platform.platform(terse=True)}, {platform.machine()}, {usable} cores usable")
+
+
+def packages() -> Iterator[Line]:
+    have = {name: _version(name) for name in NEEDED}
+    missing = [name for name, found in have.items() if found is None]
+    told = ", ".join(f"{name} {found}" for name, found in have.items() if found)
+    if missing:
+        yield Line(NO, "packages", f"missing: {', '.join(missing)} (pip install {' '.join(missing)})")
+    else:
+        yield Line(OK, "packages", told)
+    for extra, names in EXTRAS.items():
+        absent = [name for name in names if _version(name) is None]
+        if absent:
+            yield Line(NOTE, f"extra {extra}", f"not installed (pip install 'armcell[{extra}]')")
+        else:
+            yield Line(OK, f"extra {extra}", ", ".join(f"{name} {_version(name)}" for name in names))
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def cache() -> Iterator[Line]:
+    root, folder = _cache.cache_root(), Path(os.environ["NUMBA_CACHE_DIR"])
+    if _cache.writable(root):
+        size = sum(f.stat().st_size for f in root.rglob("*") if f.is_file())
+        yield Line(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
+    else:
+        cure = "kernels compile anew in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
+        yield Line(NO, "cache folder", f"{root} is not writable: {cure}")
+    kept = len(list(folder.rglob("*.nbi")))
+    if kept:
+        yield Line(OK, "compiled kernels", f"{kept} functions kept in {folder}")
+    else:
+        yield Line(NOTE, "compiled kernels", "none yet: the first plan compiles for about half a minute")
+
+
+def opengl() -> Line:
+    from armcell.sim.gl import gl_backend
+
+    backend = gl_backend()
+    if backend:
+        return Line(OK, "OpenGL", f"cameras draw with {backend}")
+    cure = "cameras cast rays, which is slower (apt install libegl1 libosmesa6, or unset MUJOCO_GL)"
+    return Line(NOTE, "OpenGL", cure)
+
+
+# --- the network ---
+def ports() -> Iterator[Line]:
+    for port, what in PORTS.items():
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+                yield Line(OK, f"port {port}", f"free, for {what}")
+            except OSError as error:
+                cure = f"taken ({error.strerror}): stop that program, or give another port"
+                yield Line(NOTE, f"port {port}", f"{cure} for {what}")
+
+
+def endpoint(connect: str) -> Line:
+    """Down, wrong address or firewall: a connection refused, a name unknown, no answer at all."""
+    from armcell.cli.serve import address
+
+    host, port = address(connect)
+    what = f"endpoint {host}:{port}"
+    try:
+        with socket.create_connection((host, port), timeout=PATIENCE):
+            return Line(OK, what, "accepts connections")
+    except socket.gaierror:
+        return Line(NO, what, f"wrong address: {host!r} is not known (check the name, or give the number)")
+    except ConnectionRefusedError:
+        cure = "the machine answers, but nothing listens there: start the endpoint, or give its port"
+        return Line(NO, what, cure)
+    except TimeoutError:
+        cure = f"no answer in {PATIENCE:g} s: a firewall drops it (open TCP {port}), or the address is wrong"
+        return Line(NO, what, cure)
+    except OSError as error:
+        return Line(NO, what, f"cannot be reached ({error.strerror}): check the network and the address")
+
+
+# --- a cell ---
+def of_cell(name: str) -> Iterator[Line]:
+    """The findings of `armcell check`, and meshes, gains, transforms and controllers."""
+    from armcell.cell import load
+    from armcell.cli.check import findings
+
+    heard = _Warnings()
+    logger = logging.getLogger("armcell")
+    logger.addHandler(heard)
+    try:
+        loaded = load(name)
+    except InputError as error:
+        yield Line(NO, "cell", str(error))
+        return
+    finally:
+        logger.removeHandler(heard)
+    yield from (Line(OK if sound else NO, what, text) for sound, what, text in findings(name))
+    meshes = sum(v.file is not None for link in loaded.model.links.values() for v in link.visuals)
+    if heard.lines:
+        yield from (Line(NO, "robot's files", text) for text in heard.lines)
+    else:
+        yield Line(OK, "robot's files", f"all found; {meshes} visual meshes")
+    yield from transforms(loaded.model)
+    yield from strength(loaded)
+    yield from controllers(loaded.model)
+
+
+class _Warnings(logging.Handler):
+    """Keeps what is warned of."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(record.getMessage())
+
+
+def transforms(model: Any) -> Iterator[Line]:
+    """One tree: every link but the root has one parent and leads to the root."""
+    below = set(model.subtree(model.root_link))
+    loose = [name for name in model.links if name not in below]
+    if loose:
+        yield Line(NO, "TF tree", f"not below {model.root_link}: {', '.join(loose)} (give them a joint)")
+    else:
+        yield Line(OK, "TF tree", f"{len(below)} frames, all below {model.root_link}")
+
+
+def strength(loaded: Any) -> Iterator[Line]:
+    """Whether the drives can hold the robot at its start, and follow: effort limits and gains."""
+    import numpy as np
+
+    from armcell.kinematics import InverseDynamics
+
+    model, physics = loaded.model, loaded.physics
+    names = model.joint_names
+    effort = model.limits(names, "effort")
+    weak = [n for n, e in zip(names, effort, strict=True) if not 0 < e < np.inf]
+    if weak:
+        yield Line(NO, "effort limits", f"{', '.join(weak)} have none: add <limit effort=...> to the URDF")
+        return
+    q, zero = loaded.scene().positions, np.zeros(len(names))
+    held = np.abs(InverseDynamics(model, names, q).torques(q, zero, zero)[0])
+    share = held / effort
+    k = int(np.argmax(share))
+    text = f"holding the start takes {share[k]:.0%} of {names[k]}'s effort ({held[k]:.3g} of {effort[k]:.3g})"
+    cure = ": the robot would sag; check masses and effort limits in the URDF"
+    yield Line(OK if share[k] <= 1 else NO, "gains", text if share[k] <= 1 else text + cure)
+    gains = [physics.arm_kp * min(1.0, e / physics.full_gain_effort) for e in effort]
+    low, high = min(gains), max(gains)
+    yield Line(OK, "gains in physics", f"stiffness {low:.3g} to {high:.3g} Nm/rad (fingers have their own)")
+
+
+def controllers(model: Any) -> Iterator[Line]:
+    """The names under which trajectories are taken, with the joints they must name."""
+    groups = [g.arm_group for g in model.grippers.values()]
+    groups = groups or [g.name for g in model.groups.values() if g.tip_link]
+    for group in groups:
+        joints = ", ".join(model.group(group).joint_names)
+        yield Line(OK, f"controller {group}_controller", f"follow_joint_trajectory of {joints}")
+    if not groups:
+        yield Line(NO, "controllers", "the robot has no arm: give it a planning group that is a chain (SRDF)")

@@ -1,0 +1,17 @@
+"""Which packages armcell uses, and in which extra the optional ones are."""
+
+from __future__ import annotations
+
+NEEDED = (
+    "coal", "example-robot-data", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
+    "ompl", "pillow", "pycollada", "pydantic", "pyyaml", "rich", "rosbags", "ruckig", "scipy", "trimesh",
+    "typer", "viser", "xacrodoc",
+)  # fmt: skip
+EXTRAS = {
+    "vision": ("opencv-python-headless",),
+    "ik": ("eaik",),
+    "decompose": ("coacd",),
+    "ros2": ("cyclonedds",),
+    "campaign": ("ray", "duckdb"),
+    "trees": ("py_trees",),
+}

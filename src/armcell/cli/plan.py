@@ -1,0 +1,90 @@
+"""`armcell plan`: one motion, with its numbers; where there is none, why, and what would help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from armcell.cli import goals
+from armcell.cli.console import console, millimetres
+
+
+def plan(
+    cell: str = goals.CELL,
+    to: str | None = goals.TO,
+    pose: goals.Triple | None = goals.POSE,
+    rpy_deg: goals.Triple = goals.RPY_DEG,
+    joints: str | None = goals.JOINTS,
+    joints_deg: str | None = goals.JOINTS_DEG,
+    line: bool = goals.LINE,
+    start_deg: str | None = goals.START_DEG,
+    group: str | None = goals.GROUP,
+    link: str | None = goals.LINK,
+    planner: str = goals.PLANNER,
+    seconds: float = goals.TIME,
+    seed: int | None = goals.SEED,
+    json_file: Path | None = goals.JSON,
+    view: bool = goals.VIEW,
+    port: int = goals.PORT,
+) -> int:
+    """Plan a motion of a cell's arm and print its numbers; on failure the reason and what would help.
+
+    Example: armcell plan panda_pick --pose 0.5 0.2 0.3 --planner ompl/RRTConnect
+
+    Exit status 0 if a motion was found, 1 if not, 2 for wrong usage.
+    """
+    goals.checked_json(json_file)
+    goals.one_of({"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg})
+    from armcell.cell import load
+    from armcell.core import CartesianRequest
+    from armcell.planning import plan as plan_free
+    from armcell.planning import plan_cartesian
+
+    loaded = load(cell)
+    scene = loaded.scene(seed)
+    request = goals.request_of(
+        loaded.model, group or goals.arm_group(loaded.model), to, pose, rpy_deg, joints, joints_deg, line,
+        start_deg, planner, seconds, seed, link,
+    )  # fmt: skip
+    if isinstance(request, CartesianRequest):
+        result = plan_cartesian(scene, request)
+    else:
+        result = plan_free(scene, request)
+    explanation = None if result.ok else result.explain()
+    data = numbers(result)
+    if explanation is not None:
+        data["explanation"] = explanation.as_dict()
+        console.print(explanation.text(), markup=False, soft_wrap=True)
+    else:
+        console.print(
+            f"planned by {result.planner_id} in {result.planning_time * 1000:.1f} ms: "
+            f"{data['duration_s']:.2f} s, {data['waypoints']} waypoints, {data['length_rad']:.2f} rad long, "
+            f"clearance {millimetres(data['clearance_m'])}"
+        )
+    goals.save(json_file, data)
+    if view:
+        from armcell.cli.viewing import show
+
+        show(scene, result.trajectory if result.ok else None, explanation, port, loaded.name)
+    return 0 if result.ok else 1
+
+
+def numbers(result: Any) -> dict[str, Any]:
+    """Of a plan, for JSON."""
+    trajectory, path = result.trajectory, result.path
+    return {
+        "ok": result.ok,
+        "code": int(result.code),
+        "code_name": result.code.name,
+        "message": result.message,
+        "planner": result.planner_id,
+        "planning_time_s": result.planning_time,
+        "fraction": result.fraction,
+        "duration_s": trajectory.duration if trajectory is not None else None,
+        "points": len(trajectory.times) if trajectory is not None else 0,
+        "waypoints": len(path.waypoints) if path is not None else 0,
+        "length_rad": path.length if path is not None else None,
+        "clearance_m": result.min_clearance if trajectory is not None else None,
+        "joint_names": list(path.joint_names) if path is not None else [],
+        "path": path.waypoints.tolist() if path is not None else [],
+    }

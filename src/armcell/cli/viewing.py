@@ -1,0 +1,34 @@
+"""`--view` of the planning commands: the motion, or what is in the way, in the browser."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from armcell.cli.console import console
+from armcell.core import Explanation, JointState, JointTrajectory, StateSample
+
+FRAME = 1 / 30  # [s]
+
+
+def show(
+    scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, port: int, title: str
+) -> None:
+    """Play a trajectory once in real time, or show an explanation; then wait for Enter."""
+    from armcell.viewer import CellViewer, show_explanation
+
+    with CellViewer(scene, port=port, title=title) as viewer:
+        console.print(f"view: {viewer.url}")
+        if explanation is not None:
+            show_explanation(viewer, scene, explanation)
+        if trajectory is not None:
+            viewer.on_trajectory(0.0, trajectory)
+            began = time.monotonic()
+            while (t := time.monotonic() - began) < trajectory.duration + FRAME:
+                state = JointState(trajectory.joint_names, trajectory.sample(t)[0])
+                viewer.on_state(StateSample(t, state))
+                time.sleep(FRAME)
+        if sys.stdin.isatty():
+            console.print("press Enter to end")
+            sys.stdin.readline()

@@ -1,0 +1,130 @@
+"""Why a request failed, and what would help: in words and as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core.contact import Contact
+from armcell.core.errors import ErrorCode
+from armcell.core.joints import JointState
+from armcell.core.transforms import SE3, SO3
+
+Change = Callable[..., tuple[Any, Any]]
+"""(scene, request, **arguments) -> (scene, request)."""
+
+
+TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)"}
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """One change of the scene or the request that would help.
+
+    Attributes:
+        text: the change in words, an instruction ("move the goal 12 mm along +z").
+        effort: how large the change is, to compare suggestions of one kind [m or rad].
+        works: whether the changed request was planned and succeeded; None: not tried; False: it is needed,
+            but not enough alone.
+    """
+
+    text: str
+    change: Change
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    effort: float = 0.0
+    works: bool | None = None
+
+    def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
+        """The scene and the request with the change made; the given ones stay as they are."""
+        return self.change(scene, request, **self.arguments)
+
+    def as_dict(self) -> dict[str, Any]:
+        name = getattr(self.change, "__name__", type(self.change).__name__)
+        return {
+            "text": self.text,
+            "change": name,
+            "arguments": plain(self.arguments),
+            "effort": plain(self.effort),
+            "works": self.works,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Why not, and what would help.
+
+    Attributes:
+        summary: one line.
+        details: one line for each finding.
+        suggestions: those that were tried and work first; `effort` compares those of one kind.
+        contacts: what touches, deepest first.
+        state: the robot as it stands where they touch.
+        nearest: the robot at the nearest goal (or start) that works.
+        data: the findings by name.
+    """
+
+    code: ErrorCode
+    summary: str
+    details: tuple[str, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    state: JointState | None = None
+    nearest: JointState | None = None
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Everything, line by line."""
+        lines = [f"{self.code.name}: {self.summary}", *(f"  {line}" for line in self.details)]
+        if self.suggestions:
+            lines.append("what would help:")
+        for number, suggestion in enumerate(self.suggestions, 1):
+            lines.append(f"  {number}. {suggestion.text}{TRIED[suggestion.works]}")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "code": int(self.code),
+            "code_name": self.code.name,
+            "summary": self.summary,
+            "details": list(self.details),
+            "suggestions": [s.as_dict() for s in self.suggestions],
+            "contacts": plain(self.contacts),
+            "state": plain(self.state),
+            "nearest": plain(self.nearest),
+            "data": plain(self.data),
+        }
+
+
+def plain(value: Any) -> Any:
+    """A value as what JSON knows: numbers that are not finite become None, poses position and quaternion."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, SE3):
+        return {"xyz": value.translation.tolist(), "quat_xyzw": value.quat_xyzw.tolist()}
+    if isinstance(value, SO3):
+        return value.quat_xyzw.tolist()
+    if isinstance(value, JointState):
+        return plain(value.as_dict())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, Iterable):
+        return [plain(v) for v in _items(value)]
+    return str(value)
+
+
+def _items(value: Iterable[Any] | NDArray[Any]) -> list[Any]:
+    return value.tolist() if isinstance(value, np.ndarray) else list(value)

@@ -1,0 +1,75 @@
+"""An explanation in the view: what touches in red, the nearest state that works as a ghost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from armcell.core import SE3, Explanation, JointState
+from armcell.kinematics import kinematic_tree
+from armcell.scene import PlanningScene
+from armcell.viewer.geometry import Color, add_object_shape, add_part, collision_part, node_name
+from armcell.viewer.viewer import CellViewer
+
+BLOCKING: Color = (0.85, 0.10, 0.10, 0.75)
+GHOST: Color = (0.15, 0.65, 0.35, 0.30)
+POINT_M = 0.012  # radius of the ball at a contact
+
+
+def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
+    """Draw what an explanation found into a view of the scene; returns viser's handles.
+
+    The bodies that touch are red, where they touch: links as they stand there. The ghost is the whole robot
+    at `explanation.nearest`, green. The summary stands in the panel.
+    """
+    api = viewer.server.scene
+    handles: list[Any] = []
+    bodies = list(dict.fromkeys(n for c in explanation.contacts for n in (c.body_a, c.body_b)))
+    with viewer.server.atomic():
+        there = _at(scene, explanation.state)
+        for name in bodies:
+            handles += _body(api, there, name, "blocking", BLOCKING)
+        for number, contact in enumerate(explanation.contacts):
+            handles.append(
+                api.add_icosphere(
+                    node_name("why", "contact", str(number)),
+                    radius=POINT_M,
+                    color=tuple(round(255 * c) for c in BLOCKING[:3]),  # pyright: ignore[reportArgumentType]
+                    position=contact.position,
+                )
+            )
+        if explanation.nearest is not None:
+            ghost = _at(scene, explanation.nearest)
+            for name in (*scene.model.links, *scene.attached):
+                handles += _body(api, ghost, name, "ghost", GHOST)
+    lines = [f"**{explanation.code.name}**", explanation.summary]
+    lines += [f"{n}. {s.text}" for n, s in enumerate(explanation.suggestions, 1)]
+    with viewer.server.gui.add_folder("Why not"):
+        handles.append(viewer.server.gui.add_markdown("\n\n".join(lines)))
+    return handles
+
+
+def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
+    """The scene with some joints elsewhere; joints without a number at the model's own."""
+    positions = scene.state.updated(state).positions if state is not None else scene.positions
+    usual = scene.model.default_positions()
+    return replace(scene, positions=np.where(np.isfinite(positions), positions, usual))
+
+
+def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
+    """A link's collision shapes, or an object, in one colour."""
+    if name in scene.model.links:
+        T = kinematic_tree(scene.model).link_pose(scene.positions, name)
+        shapes = [(c.shape, T @ c.T_link_shape) for c in scene.model.links[name].collisions]
+        return [
+            add_part(api, node_name("why", kind, name, str(i)), replace(collision_part(s), color=color), at)
+            for i, (s, at) in enumerate(shapes)
+        ]
+    item = scene.object(name)
+    T_world: SE3 = item.T_world_object
+    return [
+        add_object_shape(api, node_name("why", kind, name, str(i)), shape, T_world @ T, color)
+        for i, (shape, T) in enumerate(item.shapes)
+    ]
