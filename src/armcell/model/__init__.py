@@ -15,6 +15,7 @@ from armcell.model.robot import (
     RobotModel,
     Visual,
 )
+from armcell.model.setup import MoveItConfig
 from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "JointLimits",
     "Link",
     "Mimic",
+    "MoveItConfig",
     "Part",
     "RobotModel",
     "Visual",
