@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from armcell.cell.setup_poses import with_poses
 from armcell.collision.self_collision import LinkPair, link_pairs
@@ -128,7 +129,7 @@ def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
 
 
 def _robot_yaml(model: RobotModel, urdf: str, srdf: str) -> str:
-    data = {
+    data: dict[str, Any] = {
         "name": model.name,
         "source": "armcell setup",
         "urdf": f"config/{urdf}",
@@ -165,7 +166,7 @@ def _cell_yaml(model: RobotModel) -> str:
     arms = [g.arm_group for g in model.grippers.values()] or [
         g.name for g in model.groups.values() if g.tip_link
     ]
-    data: dict = {
+    data: dict[str, Any] = {
         "description": f"{model.name}, set up by armcell.",
         "robot": ".",
         "start": start,

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 TRIED = 400  # random states among which home and ready are looked for
 FLAW = 0.95  # pairs in contact in so many of them are flaws of the meshes, not a reason to refuse a state
-ROOM = 0.02  # [m] from itself that a robot at home should have
+ROOM = 0.01  # [m] from itself that a robot should have: a UR's wrist passes its forearm at 15 to 19 mm
 TURN = np.pi / 2  # [rad] farthest from the middle of a joint's range that "ready" may be
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,7 +28,7 @@ Examples:
 
   armcell setup my_robot.urdf.xacro -o my_cell --web    look at it in the browser before it is written
 
-  armcell setup ur10.urdf ur10.urdf --prefix left_ --prefix right_ --at 0 0.6 0 --at 0 -0.6 0 -o two_arms
+  armcell setup ur10.urdf ur10.urdf --prefix left_ --prefix right_ --at 0,0.6,0 --at 0,-0.6,0 -o two_arms
 
   armcell setup my_robot_moveit_config -o my_cell       a cell on a MoveIt package, its groups and pairs kept
 
@@ -49,11 +50,11 @@ def setup(
     prefix: list[str] = typer.Option(
         [], "--prefix", metavar="TEXT", help="Before every name; once per robot."
     ),
-    at: list[tuple[float, float, float]] = typer.Option(
-        [], "--at", metavar="X Y Z", help="Where a robot stands in the world [m]; once per robot."
+    at: list[str] = typer.Option(
+        [], "--at", metavar="X,Y,Z", help="Where a robot stands in the world [m]; once per robot."
     ),
-    rpy_deg: list[tuple[float, float, float]] = typer.Option(
-        [], "--rpy-deg", metavar="R P Y", help="How it is turned there [deg]; once per robot."
+    rpy_deg: list[str] = typer.Option(
+        [], "--rpy-deg", metavar="R,P,Y", help="How it is turned there [deg]; once per robot."
     ),
     name: str | None = typer.Option(None, help="Name of the robot; the URDF's by default."),
     samples: int = typer.Option(
@@ -93,9 +94,11 @@ def setup(
     return 0
 
 
-def _parts(robots, prefixes, places, turns) -> list[UrdfPart]:
+def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list[str]) -> list[UrdfPart]:
     from armcell.model.setup import UrdfPart
 
+    places = [_numbers("--at", text) for text in at]
+    turns = [_numbers("--rpy-deg", text) for text in rpy_deg]
     for option, values in (("--prefix", prefixes), ("--at", places), ("--rpy-deg", turns)):
         if values and len(values) != len(robots):
             raise typer.BadParameter(f"{len(robots)} robots, but {option} is given {len(values)} times")
@@ -112,6 +115,16 @@ def _parts(robots, prefixes, places, turns) -> list[UrdfPart]:
         )
         for i, file in enumerate(robots)
     ]
+
+
+def _numbers(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text!r} is not three numbers, as 0,0.6,0") from None
+    if not all(math.isfinite(v) for v in (x, y, z)):
+        raise typer.BadParameter(f"{option} {text!r} is not finite")
+    return x, y, z
 
 
 @contextmanager

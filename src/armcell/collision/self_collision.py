@@ -125,10 +125,10 @@ class _Survey:
                 count = touching.get(pair, 0)
             if pair in self.adjacent:
                 reason = "Adjacent"
-            elif pair in default or MOSTLY * self.samples <= count < self.samples:
-                reason = "Default"
             elif count == self.samples:
                 reason = "Always"
+            elif pair in default or count >= MOSTLY * self.samples:
+                reason = "Default"
             elif count == 0 and (proven or not self._can_meet(a, b, unproven[pair])):
                 reason = "Never"
             else:
