@@ -42,7 +42,7 @@ def number(pattern: str, text: str) -> float:
 
 
 def test_all_are_there():
-    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "24"]
+    assert [path.stem[:2] for path in SCRIPTS] == ["01", "02", "03", "04", "05", "06", "24"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -123,6 +123,20 @@ def test_the_own_cell_is_sound(capsys):
     from armcell.cli.main import main
 
     assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
+
+
+@pytest.mark.slow
+def test_06_set_up_a_robot(printed):
+    said = printed("06_set_up_a_robot.py")
+    assert "group arm: 6 joints to tool0, states: home, ready" in said
+    assert number(r"(\d+) Adjacent", said) == 7 and number(r"(\d+) Never", said) >= 7
+    assert 1 < number(r"in ([\d.]+) % of the samples", said) < 20
+    for name in ("cell.yaml", "joint_limits.yaml", "moveit_controllers.yaml", "ur10.srdf", "ur10.urdf"):
+        assert name in said
+    assert "to ready: SUCCESS" in said and "controllers: arm_controller" in said
+    assert "unknown joint 'elbo_joint'" in said and "did you mean 'elbow_joint'?" in said
+    assert "two arms: left_arm, right_arm, both_arms" in said
+    assert "both to ready: SUCCESS, 12 joints at once" in said
 
 
 @pytest.mark.slow

@@ -3,5 +3,18 @@
 from armcell.cell.cell import Cell, built_in_cells, cell_names, load
 from armcell.cell.live import Arm, LiveCell
 from armcell.cell.run import run_task
+from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
 
-__all__ = ["Arm", "Cell", "LiveCell", "built_in_cells", "cell_names", "load", "run_task"]
+__all__ = [
+    "Arm",
+    "Cell",
+    "LiveCell",
+    "Proposal",
+    "built_in_cells",
+    "cell_names",
+    "load",
+    "propose",
+    "propose_from_package",
+    "run_task",
+    "write_cell",
+]
