@@ -76,7 +76,7 @@ class PairSampler:
             within: [m] as near as this counts as well.
             progress: told how many samples are done.
         """
-        self._slack_pair[:] = within
+        self._slack[:] = self._slack_pair[:] = within  # of bodies too: by theirs far pairs are passed over
         numbers = np.ascontiguousarray(numbers, dtype=np.int64)
         found = np.zeros((len(numbers), len(q)), bool)
         for start in range(0, len(q), CHUNK):
