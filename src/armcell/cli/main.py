@@ -8,7 +8,7 @@ import sys
 import typer
 
 from armcell import __version__
-from armcell.cli import bench, check, check_state, doctor, explain, ik, msg, plan, run, serve, topic
+from armcell.cli import bench, check, check_state, doctor, explain, ik, msg, plan, run, serve, setup, topic
 from armcell.cli.console import err
 from armcell.core import ArmcellError
 
@@ -22,6 +22,8 @@ Examples:
   armcell run my_cell/ --seed 7 --json out.json
 
   armcell check my_cell/                      what is wrong with a cell, and the cure
+
+  armcell setup my_robot.urdf -o my_cell      a cell and MoveIt's files from a URDF
 
   armcell serve panda_pick --unity            let Unity join: states out, trajectories in
 
@@ -43,6 +45,7 @@ app = typer.Typer(
 )
 app.command("run")(run.run)
 app.command("check")(check.check)
+app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
 app.command("explain")(explain.explain)
 app.command("plan")(plan.plan)
 app.command("ik")(ik.ik)

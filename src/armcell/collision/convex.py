@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel.store import keep, key_of, recall
 from armcell.core import InputError, Mesh
 
 Array = NDArray[np.float64]
@@ -19,13 +20,28 @@ Array = NDArray[np.float64]
 MIN_SAVING = 0.02
 """Of the whole hull's volume that a cut must save to be worth another geom."""
 MAX_PIECES = 12
+VERSION = 1  # to be raised when `convex_pieces` gives others
 _FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 @lru_cache(maxsize=256)
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Convex meshes whose union holds `mesh`; one if it is (nearly) convex. Deterministic."""
-    import trimesh  # slow to load, and not needed where there are no meshes
+    """Convex meshes whose union holds `mesh`; one if it is (nearly) convex. Deterministic, kept on disk."""
+    key = key_of(str(VERSION), mesh.vertices.astype(float), mesh.faces.astype(np.int32))
+    stored = recall("pieces", key)
+    if stored is None:
+        pieces = _cut(mesh)
+        counts = np.array([(len(p.vertices), len(p.faces)) for p in pieces])
+        vertices, faces = np.vstack([p.vertices for p in pieces]), np.vstack([p.faces for p in pieces])
+        keep("pieces", key, counts=counts, vertices=vertices, faces=faces)
+        return pieces
+    v, f = np.cumsum(stored["counts"], axis=0)[:-1].T
+    parts = zip(np.split(stored["vertices"], v), np.split(stored["faces"], f), strict=True)
+    return tuple(Mesh(vertices, faces.astype(np.int32)) for vertices, faces in parts)
+
+
+def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
+    import trimesh  # slow to load, and not needed where pieces come from the disk
 
     triangles = mesh.vertices[mesh.faces]
     total = _hull_volume(triangles)

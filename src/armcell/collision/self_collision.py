@@ -1,61 +1,225 @@
-"""Which link pairs need no checking: adjacent, always touching, never touching (by sampling the meshes)."""
+"""Which pairs of links need no checking, found from the meshes.
+
+Sampling alone calls a pair "never in contact" that touches once in a million states. So pairs with few joints
+between them are proven apart (`kernel.near`), and for the others the samples are only the start: from those
+where a pair comes near, a search goes on to where it comes nearest.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armcell.collision.exact import ExactChecker
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.kernel.pair_samples import PairSampler
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 
-ALWAYS_FRACTION = 0.95
-"""MoveIt's figure: pairs that touch in at least this share of the samples are "always" in collision."""
+Array = NDArray[np.float64]
+Progress = Callable[[int], None]
+
+NEAR = 0.03  # [m] samples as near as this are where the search for contact begins
+STARTS, STEPS = 6, 120  # of that search, for each pair
+RARE = 2000  # samples in contact for the kernel: with more there is no doubt that the meshes touch too
+MOSTLY = 0.95
+"""MoveIt's figure for "always" in collision. A pair that touches in so many states, but not in all, is a
+flaw of the meshes; with it hardly any state would be free."""
+
+
+@dataclass(frozen=True)
+class LinkPair:
+    """What is known of two links.
+
+    `reason` is the SRDF's word for ignoring their contact: "Adjacent" (joined by a joint), "Always" and
+    "Never" (in contact in all or none of the samples), "Default" (in contact in the default state, or in a
+    named state of the gripper that both belong to, or nearly always); empty where the pair has to be checked.
+    """
+
+    link_a: str
+    link_b: str
+    reason: str
+    touching: int  # samples in contact
+    samples: int
+    proven: bool = False  # for all states, not only those sampled
+
+    @property
+    def links(self) -> frozenset[str]:
+        return frozenset((self.link_a, self.link_b))
+
+
+def link_pairs(
+    model: RobotModel, samples: int = 100_000, seed: int = 0, progress: Progress | None = None
+) -> list[LinkPair]:
+    """Every pair of links with collision geometry, in the model's order.
+
+    Args:
+        model: its default state and its end effectors' named states decide what is "Default"; pairs that it
+            disables already are looked at as all others.
+        samples: states, uniform within the joint limits.
+        progress: told how many samples are done.
+    """
+    return _Survey(model, samples, seed).pairs(progress)
 
 
 def disabled_collision_pairs(
-    model: RobotModel, samples: int = 10_000, seed: int = 0, progress: Callable[[int], None] | None = None
+    model: RobotModel, samples: int = 10_000, seed: int = 0, progress: Progress | None = None
 ) -> dict[frozenset[str], str]:
     """Pairs of links with the reason ("Adjacent", "Default", "Always", "Never") to ignore their contact.
 
-    "Default": touching in the model's default state. Samples are uniform within the joint limits.
+    See `link_pairs`, which gives the counts as well.
     """
-    adjacent = {frozenset((j.parent, j.child)) for j in model.joints.values()}
-    # Links joined by fixed links without geometry are neighbours as well (panda_link7 and panda_hand).
-    solid_parent: dict[str, str] = {}
+    return {pair.links: pair.reason for pair in link_pairs(model, samples, seed, progress) if pair.reason}
+
+
+def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
+    """Links joined by a joint, links without geometry between them passed over (a flange, a frame)."""
+    adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
         parent = joint.parent
         if not model.links[parent].collisions and parent in solid_parent:
             parent = solid_parent[parent]
         solid_parent[joint.child] = parent
-        if model.links[joint.child].collisions:
+        if model.links[joint.child].collisions and model.links[parent].collisions:
             adjacent.add(frozenset((parent, joint.child)))
-    bare = replace(model, disabled_collisions=dict.fromkeys(adjacent, "Adjacent"))
-    checker = ExactChecker(PlanningScene.of(bare))
-    bodies = [link.name for link in model.links.values() if link.collisions]
-    default = {frozenset((c.body_a, c.body_b)) for c in checker.contacts(model.default_positions())}
-    rng = np.random.default_rng(seed)
+    return adjacent
+
+
+def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
+    """States (count, dof), uniform within the limits; joints without any turn once."""
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
-    touched: Counter[frozenset[str]] = Counter()
-    for i in range(samples):
-        for contact in checker.contacts(rng.uniform(low, high)):
-            touched[frozenset((contact.body_a, contact.body_b))] += 1
-        if progress and i % 100 == 99:
-            progress(i + 1)
-    result = {}
-    for i, a in enumerate(bodies):
-        for b in bodies[i + 1 :]:
+    return rng.uniform(low, high, (count, model.dof))
+
+
+class _Survey:
+    def __init__(self, model: RobotModel, samples: int, seed: int):
+        self.model, self.samples = model, samples
+        self.rng = np.random.default_rng(seed)
+        self.scene = PlanningScene.of(replace(model, disabled_collisions={}))
+        self.exact = ExactChecker(self.scene)
+        self.states = random_states(model, samples, self.rng)
+        self.solids: dict[str, list[int]] = {}  # link -> its geometries in the exact checker
+        for i, geometry in enumerate(self.exact.geometries):
+            self.solids.setdefault(geometry.body, []).append(i)
+        rigid = {link: i for i, links in enumerate(model.rigid_groups) for link in links}
+        self.adjacent = adjacent_links(model)
+        self.rigid = lambda a, b: rigid[a] == rigid[b]
+
+    def pairs(self, progress: Progress | None) -> list[LinkPair]:
+        bodies = [link.name for link in self.model.links.values() if link.collisions]
+        every = [(a, b) for i, a in enumerate(bodies) for b in bodies[i + 1 :]]
+        touching, unproven = self._count(progress)
+        default = self._default(every)
+        found = []
+        for a, b in every:
             pair = frozenset((a, b))
-            if pair in adjacent:
-                result[pair] = "Adjacent"
-            elif pair in default:
-                result[pair] = "Default"
-            elif touched[pair] >= ALWAYS_FRACTION * samples:
-                result[pair] = "Always"
-            elif touched[pair] == 0:
-                result[pair] = "Never"
-    return result
+            proven = pair not in unproven
+            if self.rigid(a, b):
+                self.exact.place(self.model.neutral())
+                count = self.samples if self._distance(a, b) <= 0 else 0
+            else:
+                count = touching.get(pair, 0)
+            if pair in self.adjacent:
+                reason = "Adjacent"
+            elif count == self.samples:
+                reason = "Always"
+            elif pair in default or count >= MOSTLY * self.samples:
+                reason = "Default"
+            elif count == 0 and (proven or not self._can_meet(a, b, unproven[pair])):
+                reason = "Never"
+            else:
+                reason = ""
+            found.append(LinkPair(a, b, reason, count, self.samples, proven))
+        return found
+
+    def _count(self, progress: Progress | None) -> tuple[dict[frozenset[str], int], dict[frozenset, Array]]:
+        """How often each pair that may meet touches; and where those that never do are near, (k, dof)."""
+        if self.model.dof == 0:
+            return {}, {}
+        sampler = PairSampler(KernelChecker(self.scene))
+        numbers = np.arange(len(sampler.pairs))
+        close = sampler.close(numbers, self.states, progress=progress)
+        counts, names = close.sum(axis=1), [frozenset(pair) for pair in sampler.pairs]
+        for n, (a, b) in enumerate(sampler.pairs):
+            if names[n] in self.adjacent:
+                continue
+            # The kernel's solids are a little larger than the meshes, which have the last word.
+            states = self.states[close[n]]
+            if 0 < counts[n] <= RARE and not any(self._touch(a, b, q) for q in states):
+                counts[n] = 0
+            elif counts[n] == self.samples:
+                counts[n] -= not all(self._touch(a, b, q) for q in states)
+        never = numbers[counts == 0]
+        near = sampler.close(never, self.states, NEAR)
+        unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
+        for n, rows in zip(never, near, strict=True):
+            unproven[names[n]] = self.states[np.flatnonzero(rows)]
+        return dict(zip(names, counts.tolist(), strict=True)), unproven
+
+    def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
+        """Pairs in contact in the default state, or within a gripper in one of its named states."""
+        model = self.model
+        q = model.default_positions()
+        found = {frozenset((c.body_a, c.body_b)) for c in self.exact.contacts(q)}
+        for group in self._hands():
+            links = set(model.groups[group].link_names)
+            for state in model.named_states.get(group, {}):
+                at = self.scene.with_state(model.named_state(group, state)).positions
+                self.exact.place(at)
+                found |= {
+                    frozenset((a, b))
+                    for a, b in every
+                    if a in links and b in links and not self.rigid(a, b) and self._distance(a, b) <= 0
+                }
+        return found
+
+    def _hands(self) -> set[str]:
+        """Groups of grippers: those of end effectors, and what shares no joint with any chain."""
+        model = self.model
+        hands = {e.group for e in model.end_effectors.values()}
+        driven = {n for g in model.groups.values() if g.tip_link for n in g.joint_names}
+        return hands | {g.name for g in model.groups.values() if not driven & set(g.joint_names)}
+
+    # --- on the meshes themselves ---
+    def _distance(self, a: str, b: str) -> float:
+        """Signed distance [m] of two links where the exact checker has placed them."""
+        return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
+
+    def _touch(self, a: str, b: str, q: Array) -> bool:
+        self.exact.place(q)
+        pairs = np.array([(i, j) for i in self.solids[a] for j in self.solids[b]])
+        near = pairs[self.exact.pair_gaps(pairs) <= 0]
+        return any(self.exact.pair_touches(int(i), int(j)) for i, j in near)
+
+    def _can_meet(self, a: str, b: str, near: Array) -> bool:
+        """Whether a search that starts at states (k, dof) where two links are near ends in contact."""
+        columns = self._between(a, b)
+        low, high = self.model.lower[columns], self.model.upper[columns]
+        starts = near[self.rng.permutation(len(near))[:STARTS]]
+        for start in starts:
+            q, step = start.copy(), 0.2
+            self.exact.place(q)
+            best = self._distance(a, b)
+            for _ in range(STEPS):
+                trial = q.copy()
+                move = self.rng.normal(size=len(columns)) * (self.rng.random(len(columns)) < 0.6)
+                trial[columns] = np.clip(q[columns] + step * move, low, high)
+                self.exact.place(trial)
+                distance = self._distance(a, b)
+                if distance <= 0:
+                    return True
+                if distance < best:
+                    q, best, step = trial, distance, min(step * 1.5, 0.5)
+                else:
+                    step = max(step * 0.85, 1e-3)
+        return False
+
+    def _between(self, a: str, b: str) -> list[int]:
+        """Columns of the joints that move one link against another."""
+        tree = self.exact.tree
+        apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
+        return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

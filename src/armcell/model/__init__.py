@@ -1,5 +1,6 @@
 """Robots: from URDF, xacro and SRDF to one frozen `RobotModel`; composing; the robot library."""
 
+from armcell.model.assets import find_file
 from armcell.model.compose import Part, compose, prefixed
 from armcell.model.loader import load_robot, robot_names
 from armcell.model.robot import (
@@ -15,6 +16,7 @@ from armcell.model.robot import (
     RobotModel,
     Visual,
 )
+from armcell.model.setup import MoveItConfig, UrdfPart
 from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
@@ -27,10 +29,13 @@ __all__ = [
     "JointLimits",
     "Link",
     "Mimic",
+    "MoveItConfig",
     "Part",
     "RobotModel",
+    "UrdfPart",
     "Visual",
     "compose",
+    "find_file",
     "load_robot",
     "load_urdf",
     "parse_urdf",

@@ -25,6 +25,15 @@ def installed_share() -> list[Path]:
     return [share for share in found if share.is_dir()]
 
 
+def find_file(uri: str) -> Path:
+    """A file by `package://` URI or path, from the current folder.
+
+    Raises:
+        InputError: no such file; lists where it was looked for.
+    """
+    return resolve_uri(uri, Path.cwd())
+
+
 def resolve_uri(uri: str, base: Path) -> Path:
     """The file a URDF's mesh URI means.
 

@@ -82,10 +82,6 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
     return root
 
 
-def read_xml(path: Path) -> etree._Element:
-    return parse_xml(read_text(path), path)
-
-
 def _check_events(text: str, path: Path) -> None:
     """Refuse what is cheap to write and dear to build: deep nesting and "billion laughs" aliases."""
     aliases = depth = 0

@@ -12,6 +12,8 @@ from armcell.model.compose import Part, compose
 from armcell.model.files import read_yaml
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
+from armcell.model.setup.gripper import find_grippers
+from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
 from armcell.model.urdf import load_urdf
 
@@ -29,8 +31,8 @@ def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
     """A robot model.
 
     Args:
-        robot: a library name (`robot_names()`), a folder with robot.yaml, or a URDF or xacro file
-            (an SRDF of the same name beside it is applied).
+        robot: a library name (`robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
+            or a URDF or xacro file (an SRDF of the same name beside it is applied).
         base: folder that relative paths start from; the current folder by default.
     Raises:
         InputError: with file, element, reason and cure.
@@ -54,8 +56,10 @@ def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
 
 
 def load_folder(folder: Path) -> RobotModel:
-    """A robot from a folder with robot.yaml: one URDF, or parts mounted on each other."""
+    """A robot from a folder with robot.yaml (a URDF, or parts mounted on each other), or a MoveIt package."""
     file = folder / ROBOT_FILE
+    if not file.is_file() and is_moveit_config(folder):
+        return find_grippers(MoveItConfig.load(folder).model)
     data = read_yaml(file)
     for key in data:
         if key not in _KEYS:

@@ -10,7 +10,7 @@ from pathlib import Path
 from lxml import etree
 
 from armcell.core import InputError, UnknownNameError
-from armcell.model.files import read_xml
+from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import EndEffector, Group, JointLimits, RobotModel
 
 logger = logging.getLogger(__name__)
@@ -22,7 +22,12 @@ def with_srdf(model: RobotModel, path: Path) -> RobotModel:
     Raises:
         InputError: broken XML, or a name the URDF does not have (with file and line).
     """
-    root = read_xml(Path(path))
+    return with_srdf_text(model, read_text(Path(path)), Path(path))
+
+
+def with_srdf_text(model: RobotModel, text: str, path: Path) -> RobotModel:
+    """As `with_srdf`, for a text (an expanded xacro, say); `path` is used for messages."""
+    root = parse_xml(text, path)
     if root.tag != "robot":
         raise InputError("root element is not <robot>", file=path, cure="is this an SRDF file?")
     groups = _groups(model, root, path)

@@ -1,0 +1,188 @@
+"""Named states for a robot that has none: home and ready for the arms, open and close for the grippers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import ExactChecker
+from armcell.collision.self_collision import adjacent_links
+from armcell.kinematics import kinematic_tree
+from armcell.model import RobotModel
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+TRIED = 400  # random states among which home and ready are looked for
+FLAW = 0.95  # pairs in contact in so many of them are flaws of the meshes, not a reason to refuse a state
+ROOM = 0.01  # [m] from itself that a robot should have: a UR's wrist passes its forearm at 15 to 19 mm
+TURN = np.pi / 2  # [rad] farthest from the middle of a joint's range that "ready" may be
+
+
+def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
+    """The model with states "open" and "close" of its grippers, and "home" and "ready" of its arms.
+
+    Home is the zero state where that keeps clear of itself, else the middle of the joints' ranges, one or
+    two joints a quarter turn away, or the freest of random states. Ready is bent: of random states near the
+    middle of the ranges, with the grippers open, the one from which the tips move best in every direction.
+    """
+    states = {group: dict(named) for group, named in model.named_states.items()}
+    hands = _hands(model)
+    for group in hands:
+        states.setdefault(group, {}).update(_open_and_close(model, group))
+    model = replace(model, named_states=states)
+    arms = [g for g in model.groups.values() if g.joint_names and g.name not in hands]
+    if not arms:
+        return model
+    poses = _home_and_ready(model, {n for g in arms for n in g.joint_names}, seed)
+    for group in arms:
+        columns = model.columns(group.joint_names)
+        named = states.setdefault(group.name, {})
+        for name, q in poses.items():
+            named[name] = {n: round(float(q[c]), 6) for n, c in zip(group.joint_names, columns, strict=True)}
+    return replace(model, named_states=states)
+
+
+def _hands(model: RobotModel) -> list[str]:
+    """Groups of grippers that move."""
+    hands = {e.group for e in model.end_effectors.values()}
+    chains = any(g.tip_link for g in model.groups.values())
+    return [g.name for g in model.groups.values() if g.joint_names and (g.name in hands or not chains)]
+
+
+def _checker(model: RobotModel) -> ExactChecker:
+    bare = replace(model, disabled_collisions=dict.fromkeys(adjacent_links(model), "Adjacent"))
+    return ExactChecker(PlanningScene.of(bare))
+
+
+def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
+    """The two ends of the joints' ranges; open is the one where the moving links are farther apart."""
+    names = model.groups[group].joint_names
+    checker = _checker(model)
+    moving = [n for n in model.groups[group].link_names if _moves(model, n, names)]
+    solids = {n: [i for i, g in enumerate(checker.geometries) if g.body == n] for n in model.links}
+    others = moving if len(moving) > 1 else list(model.groups[group].link_names)
+    rigid = {link: i for i, links in enumerate(model.rigid_groups) for link in links}
+    limits = [model.joints[n].limits for n in names]
+    ends = [np.array([v.lower for v in limits]), np.array([v.upper for v in limits])]
+    if not all(np.all(np.isfinite(end)) for end in ends):
+        return {}  # a gripper that turns without end has no ends
+    spread = []
+    for end in ends:
+        q = model.neutral()
+        q[model.columns(names)] = end
+        checker.place(q)
+        gaps = [
+            checker.pair_distance(i, j)
+            for a in moving for b in others if rigid[a] != rigid[b]
+            for i in solids[a] for j in solids[b]
+        ]  # fmt: skip
+        # Meshes at both ends may touch somewhere: what counts is how far the fingers are apart on the whole.
+        spread.append((min(gaps, default=0.0), float(np.mean(gaps)) if gaps else 0.0))
+    wide = ends[1] if spread[1][1] >= spread[0][1] else ends[0]
+    narrow = ends[0] if wide is ends[1] else ends[1]
+    return {
+        "open": {n: round(float(v), 6) for n, v in zip(names, wide, strict=True)},
+        "close": {n: round(float(v), 6) for n, v in zip(names, narrow, strict=True)},
+    }
+
+
+def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
+    """Whether a link hangs below one of some joints (or one that mimics it)."""
+    tree = kinematic_tree(model)
+    columns = set(model.columns(names))
+    return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
+
+
+def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str, Array]:
+    rng = np.random.default_rng(seed)
+    columns = model.columns([n for n in model.joint_names if n in joints])
+    rest = model.default_positions()  # grippers open
+    # One turn at most: a joint that can turn twice is at home in the middle.
+    low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
+    middle = (low + high) / 2
+    half = np.minimum((high - low) / 2, TURN)
+
+    def drawn(low: Array, high: Array) -> Array:
+        samples = np.tile(rest, (TRIED, 1))
+        samples[:, columns] = rng.uniform(low, high, (TRIED, model.dof))[:, columns]
+        return samples
+
+    wide, bent = drawn(low, high), drawn(middle - half, middle + half)
+    judge = _Judge(model, wide)
+    zero, centre = rest.copy(), rest.copy()
+    zero[columns], centre[columns] = model.neutral()[columns], middle[columns]
+    simple = [zero, centre, *_quarter_turns(zero, columns, low, high)]
+    near_middle = sorted(
+        (q for q in np.vstack([bent, wide]) if judge.is_free(q)),
+        key=lambda q: float(np.sum((q - middle)[columns] ** 2)),
+    )
+    best, home = -np.inf, zero
+    for q in (*simple, *near_middle):
+        room = judge.room(q)
+        if room > best:
+            best, home = room, q
+        if room >= ROOM:
+            break
+    tips = [g for g in model.groups.values() if g.tip_link and set(g.joint_names) <= joints]
+    able = sorted((q for q in bent if judge.is_free(q)), key=lambda q: -_dexterity(model, q, tips))
+    ready = next((q for q in able if judge.room(q) >= ROOM), home)
+    return {"home": np.clip(home.round(4), low, high), "ready": np.clip(ready.round(2), low, high)}
+
+
+def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
+    """The zero state with one joint, then with two joints, a quarter turn to either side."""
+    for count in (1, 2):
+        for some in combinations(columns, count):
+            for turns in product((-np.pi / 2, np.pi / 2), repeat=count):
+                q = zero.copy()
+                q[list(some)] += turns
+                if np.all(q >= low) and np.all(q <= high):
+                    yield q
+
+
+class _Judge:
+    """Whether a state is free, and how far apart what could touch is."""
+
+    def __init__(self, model: RobotModel, samples: Array):
+        checker = _checker(model)
+        counts: Counter[frozenset[str]] = Counter()
+        for q in samples:
+            counts.update({frozenset((c.body_a, c.body_b)) for c in checker.contacts(q)})
+        # Contact in nearly all states is a flaw of the meshes and no reason to refuse one; pairs that never
+        # touch may be close to each other in every state.
+        flaws = [pair for pair, n in counts.items() if n >= FLAW * len(samples)]
+        self.checker = self._ignoring(checker, flaws)
+        bodies = [n for n, link in model.links.items() if link.collisions]
+        every = {frozenset((a, b)) for i, a in enumerate(bodies) for b in bodies[:i]}
+        self.measured = self._ignoring(checker, [*flaws, *(every - set(counts))])
+
+    @staticmethod
+    def _ignoring(checker: ExactChecker, pairs: list[frozenset[str]]) -> ExactChecker:
+        disabled = {**checker.model.disabled_collisions, **dict.fromkeys(pairs, "")}
+        return ExactChecker(PlanningScene.of(replace(checker.model, disabled_collisions=disabled)))
+
+    def is_free(self, q: Array) -> bool:
+        return self.checker.is_free(q)
+
+    def room(self, q: Array) -> float:
+        """Distance [m] of the nearest pair that can touch; negative where any does."""
+        if not self.is_free(q):
+            return -1.0
+        near = self.measured.nearest(q, cutoff=1.0)
+        return 1.0 if near is None else near.distance
+
+
+def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
+    """The least of the groups' manipulability measures, sqrt(det(J J^T)) (Yoshikawa 1985)."""
+    tree = kinematic_tree(model)
+    values = [1.0]
+    for group in groups:
+        singular = np.linalg.svd(tree.jacobian(q, group.tip_link, group.joint_names), compute_uv=False)
+        values.append(float(np.prod(singular)))
+    return min(values)

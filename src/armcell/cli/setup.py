@@ -1,0 +1,203 @@
+"""`armcell setup`: from a URDF to a planning cell, without a GUI and without ROS."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from armcell.cli.console import console, errors
+
+if TYPE_CHECKING:
+    from armcell.cell.setup import Proposal
+    from armcell.collision.self_collision import LinkPair
+    from armcell.model.setup import UrdfPart
+
+EXAMPLES = """
+Examples:
+
+  armcell setup my_robot.urdf -o my_cell                one robot
+
+  armcell setup my_robot.urdf.xacro -o my_cell --web    look at it in the browser before it is written
+
+  armcell setup ur10.urdf ur10.urdf --prefix left_ --prefix right_ --at 0,0.6,0 --at 0,-0.6,0 -o two_arms
+
+  armcell setup my_robot_moveit_config -o my_cell       a cell on a MoveIt package, its groups and pairs kept
+
+The folder holds a MoveIt configuration package (config/) and cell.yaml. What is found: arms are the longest
+rows of joints, grippers what branches off their ends; pairs of links need no check where they are joined,
+always touch or never do, by sampled states and proofs on the meshes. Then:
+
+  armcell check my_cell
+
+  armcell run my_cell
+"""
+
+
+def setup(
+    robots: list[Path] = typer.Argument(
+        ..., metavar="ROBOT...", help="URDF or xacro files (several: one robot each), or a MoveIt package."
+    ),
+    output: Path = typer.Option(..., "--output", "-o", metavar="FOLDER", help="Folder to write."),
+    prefix: list[str] = typer.Option(
+        [], "--prefix", metavar="TEXT", help="Before every name; once per robot."
+    ),
+    at: list[str] = typer.Option(
+        [], "--at", metavar="X,Y,Z", help="Where a robot stands in the world [m]; once per robot."
+    ),
+    rpy_deg: list[str] = typer.Option(
+        [], "--rpy-deg", metavar="R,P,Y", help="How it is turned there [deg]; once per robot."
+    ),
+    name: str | None = typer.Option(None, help="Name of the robot; the URDF's by default."),
+    samples: int = typer.Option(
+        100_000, min=100, max=10_000_000, help="States sampled for the pairs of links."
+    ),
+    seed: int = typer.Option(0, min=0, help="Of the samples."),
+    force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
+    web: bool = typer.Option(False, "--web", help="Show it in the browser; write when 'Write' is clicked."),
+    port: int = typer.Option(8080, min=1, max=65535, help="Of --web."),
+) -> int:
+    """Make a planning cell and a MoveIt package from a URDF: groups, gripper, poses, self-collision pairs.
+
+    Exit status 0 when the folder is written.
+    """
+    from armcell.cell.setup import propose, propose_from_package, write_cell
+    from armcell.model.setup import check_folder, is_moveit_config
+
+    check_folder(output, force)
+    if any(robot.is_dir() for robot in robots):
+        if len(robots) > 1 or not is_moveit_config(robots[0]) or prefix or at or rpy_deg:
+            raise typer.BadParameter("a MoveIt package (a folder with config/*.srdf) is set up by itself")
+        proposal = propose_from_package(robots[0])
+    else:
+        parts = _parts(robots, prefix, at, rpy_deg)
+        with _progress(samples) as tell:
+            proposal = propose(parts, samples, seed, name, tell)
+    _show(proposal)
+    if web:
+        proposal_or_none = _in_browser(proposal, port)
+        if proposal_or_none is None:
+            console.print("nothing written")
+            return 1
+        proposal = proposal_or_none
+    write_cell(proposal, output, force)
+    console.print(f"written: {output}/ (MoveIt: {output}/config)", markup=False)
+    console.print(f"next:    armcell check {output}", markup=False)
+    return 0
+
+
+def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list[str]) -> list[UrdfPart]:
+    from armcell.model.setup import UrdfPart
+
+    places = [_numbers("--at", text) for text in at]
+    turns = [_numbers("--rpy-deg", text) for text in rpy_deg]
+    for option, values in (("--prefix", prefixes), ("--at", places), ("--rpy-deg", turns)):
+        if values and len(values) != len(robots):
+            raise typer.BadParameter(f"{len(robots)} robots, but {option} is given {len(values)} times")
+    if len(robots) > 1 and not prefixes:
+        raise typer.BadParameter(f"{len(robots)} robots need a --prefix each, such as left_ and right_")
+    if len(robots) > 1 and not places:  # side by side, a metre and a half apart
+        places = [(0.0, 0.75 * (len(robots) - 1) - 1.5 * i, 0.0) for i in range(len(robots))]
+    return [
+        UrdfPart(
+            file,
+            prefixes[i] if prefixes else "",
+            places[i] if places else ((0.0, 0.0, 0.0) if turns else None),
+            turns[i] if turns else (0.0, 0.0, 0.0),
+        )
+        for i, file in enumerate(robots)
+    ]
+
+
+def _numbers(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text!r} is not three numbers, as 0,0.6,0") from None
+    if not all(math.isfinite(v) for v in (x, y, z)):
+        raise typer.BadParameter(f"{option} {text!r} is not finite")
+    return x, y, z
+
+
+@contextmanager
+def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
+    """A bar on standard error where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda what, done: None
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=errors, transient=True) as bar:
+        task = bar.add_task("reading", total=samples)
+        yield lambda what, done: bar.update(task, description=what, completed=done)
+
+
+def _show(proposal: Proposal) -> None:
+    model = proposal.model
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("group", "joints", "from", "to", "states"):
+        table.add_column(title, overflow="fold")
+    for group in model.groups.values():
+        states = ", ".join(model.named_states.get(group.name, {}))
+        table.add_row(group.name, str(len(group.joint_names)), group.base_link, group.tip_link, states)
+    console.print(f"{model.name}: {len(model.links)} links, {model.dof} driven joints", markup=False)
+    console.print(table)
+    for end in model.end_effectors.values():
+        known = "no parallel gripper with a tcp frame: to pick and place, add 'grippers' to robot.yaml"
+        if end.name in model.grippers:
+            known = f"opens {1000 * model.grippers[end.name].max_width:.0f} mm"
+        console.print(f"end effector {end.name} on {end.parent_link}: {known}", markup=False)
+    if proposal.loose_joints:
+        console.print(f"in no group: {', '.join(proposal.loose_joints)}", markup=False)
+    _show_pairs(proposal)
+
+
+def _show_pairs(proposal: Proposal) -> None:
+    if not proposal.pairs:
+        return
+    total = len(proposal.pairs)
+    words = []
+    for reason in ("Adjacent", "Always", "Never", "Default"):
+        some = [p for p in proposal.pairs if p.reason == reason]
+        if some:
+            proven = sum(p.proven for p in some)
+            words.append(
+                f"{len(some)} {reason.lower()}" + (f" ({proven} proven)" if reason == "Never" else "")
+            )
+    samples = proposal.pairs[0].samples
+    console.print(f"{total} pairs of links, {samples:,} states: {', '.join(words)}", markup=False)
+    checked = sorted((p for p in proposal.pairs if not p.reason), key=lambda p: -p.touching)
+    console.print(f"{len(checked)} pairs are checked; those in contact most often:", markup=False)
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for pair in checked[:8]:
+        table.add_row(f"  {pair.link_a}", pair.link_b, _share(pair))
+    console.print(table)
+    for pair in proposal.pairs:
+        if pair.reason == "Default":
+            console.print(f"  ignored though they touch only in {_share(pair)}: {pair.link_a}, {pair.link_b}")
+
+
+def _share(pair: LinkPair) -> str:
+    return f"{100 * pair.touching / pair.samples:.2f} %"
+
+
+def _in_browser(proposal: Proposal, port: int) -> Proposal | None:
+    from armcell.viewer.setup_view import SetupView
+
+    with SetupView(proposal, port=port) as view:
+        console.print(f"look at it at {view.url}; 'Write' there writes the folder, Ctrl-C ends without")
+        while not view.done:
+            time.sleep(0.1)
+        return view.answer

@@ -1,0 +1,91 @@
+"""Which pairs of bodies touch in which of very many configurations: pair by pair, 16 at a time.
+
+`check_block` stops a lane at its first contact. Here every pair is asked by itself, which costs nothing but
+a few numbers in the head of the pack: it is made to list that one pair only.
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.block import EVERY, EXACT, PROVE, ask, handle_of, ints, lanes_of
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.kernel.frames import workspace
+from armcell.collision.kernel.layout import NEAR, PAIR, PAIRS
+from armcell.collision.kernel.simd import L, pointer
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Masks = NDArray[np.uint16]
+
+CHUNK = 4096  # samples between two calls of `progress`
+
+
+@njit(cache=True, nogil=True)
+def _ask_pairs(handle, pairs, q, masks):
+    """Fill masks (pairs, blocks): the lanes (bits) of each block of 16 rows of q in which a pair is close."""
+    k = pointer(handle)
+    I, w = ints(k), lanes_of(k)
+    first_pair, first_near, dof = I[PAIR], I[NEAR], q.shape[1]
+    I[PAIRS] = np.int32(1)
+    for block in range(masks.shape[1]):
+        for lane in range(L):
+            row = min(block * L + lane, len(q) - 1)
+            for j in range(dof):
+                w[j * L + lane] = np.float32(q[row, j])
+        for p in range(len(pairs)):
+            I[PAIR] = np.int32(first_pair + 2 * pairs[p])
+            I[NEAR] = np.int32(first_near + pairs[p])
+            # A proof over an interval without any width is the question for the configuration itself, and
+            # goes on to the end for every lane.
+            masks[p, block] = np.uint16(ask(k, EVERY, np.int64(EXACT | PROVE)))
+    I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
+
+
+class PairSampler:
+    """Asks a scene's pairs of bodies one by one. Pairs that `near` proved apart are not among them.
+
+    Attributes:
+        pairs: (k, 2) names of the bodies that can meet, as far as is known.
+    """
+
+    def __init__(self, checker: KernelChecker):
+        I, F, D = checker.flat
+        self._flat = (I.copy(), F, D)  # others read the original
+        self._work = workspace(self._flat)
+        self._slack = np.zeros(max(len(checker.pack.frame), 1), np.float32)
+        self._slack_pair = np.zeros(max(len(checker.pack.pairs), 1), np.float32)
+        self._handle = handle_of((*self._flat, *self._work, self._slack, self._slack_pair))
+        self._count = len(checker.pack.pairs)
+        names = checker.names.bodies
+        self.pairs = [(names[i], names[j]) for i, j in checker.pack.pairs]
+
+    def close(
+        self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
+    ) -> NDArray[np.bool_]:
+        """(len(numbers), samples) whether a pair (by its number in `pairs`) is in contact.
+
+        Args:
+            q: configurations (samples, dof) of all joints.
+            within: [m] as near as this counts as well.
+            progress: told how many samples are done.
+        """
+        self._slack[:] = self._slack_pair[:] = within  # of bodies too: by theirs far pairs are passed over
+        numbers = np.ascontiguousarray(numbers, dtype=np.int64)
+        found = np.zeros((len(numbers), len(q)), bool)
+        for start in range(0, len(q), CHUNK):
+            part = np.ascontiguousarray(q[start : start + CHUNK], dtype=float)
+            masks = np.zeros((len(numbers), -(-len(part) // L)), np.uint16)
+            if len(numbers):
+                _ask_pairs(self._handle, numbers, part, masks)
+            bits = np.unpackbits(masks.view(np.uint8), axis=1, bitorder="little")
+            found[:, start : start + len(part)] = bits[:, : len(part)]
+            if progress:
+                progress(min(start + CHUNK, len(q)))
+        return found

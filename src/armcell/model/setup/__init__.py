@@ -1,0 +1,26 @@
+"""Setting up a robot without a GUI: groups from the tree, MoveIt's files written and read."""
+
+from armcell.model.setup import defaults
+from armcell.model.setup.chains import Chain, find_chains, with_groups
+from armcell.model.setup.folder import check_folder, write_folder, yaml_text
+from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config, package_files
+from armcell.model.setup.semantics import described, parse_srdf, srdf_text
+from armcell.model.setup.urdf_text import UrdfPart, merged_urdf
+
+__all__ = [
+    "Chain",
+    "MoveItConfig",
+    "UrdfPart",
+    "check_folder",
+    "defaults",
+    "described",
+    "find_chains",
+    "is_moveit_config",
+    "merged_urdf",
+    "package_files",
+    "parse_srdf",
+    "srdf_text",
+    "with_groups",
+    "write_folder",
+    "yaml_text",
+]

@@ -1,0 +1,204 @@
+"""Arms and grippers, found in the tree of joints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from armcell.core import InputError
+from armcell.model.robot import EndEffector, Group, Joint, RobotModel
+
+JAW = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pincer", re.IGNORECASE)
+TOOL = re.compile(r"tcp|tool|grasp|ee_link|end_effector|gripper$", re.IGNORECASE)
+HAND_AFTER = 3  # joints in a row, before what branches off them can be fingers
+
+
+@dataclass(frozen=True)
+class Chain:
+    """One arm: the link it stands on, its driven joints, its tip; and the palm of the gripper it carries."""
+
+    base: str
+    tip: str
+    joints: tuple[str, ...]
+    palm: str | None = None
+
+
+def find_chains(model: RobotModel) -> list[Chain]:
+    """The longest serial chains: an arm ends where the tree ends, or where fingers branch off.
+
+    Joints in a row that lead to a branch with longer rows below are a torso, and belong to no arm. Rows less
+    than half as long as the longest (a head, a wheel) are left out.
+    """
+    found: list[Chain] = []
+    _follow(model, model.root_link, found)
+    longest = max((len(c.joints) for c in found), default=0)
+    return [c for c in found if 2 * len(c.joints) >= longest]
+
+
+def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
+    """The model with a planning group for every arm and gripper, and its end effectors.
+
+    Args:
+        prefixes: of the robots that it was put together from; groups are named by them.
+    Raises:
+        InputError: nothing moves.
+    """
+    chains = find_chains(model)
+    if not chains:
+        return replace(model, **_only_a_gripper(model))
+    groups: dict[str, Group] = {}
+    ends: dict[str, EndEffector] = {}
+    for chain, (arm, hand) in zip(chains, _names(chains, prefixes), strict=True):
+        joints = model.chain(chain.base, chain.tip)
+        groups[arm] = Group(arm, chain.joints, tuple(j.child for j in joints), chain.base, chain.tip)
+        if chain.palm is None:
+            continue
+        links = set(model.subtree(chain.palm)) - set(groups[arm].link_names)
+        mount = model.parent_joint[chain.palm]
+        if not mount.movable:  # else the palm is the arm's last link, which the arm's group moves
+            links.add(chain.palm)
+        groups[hand] = _hand(model, hand, links)
+        parent = chain.palm if mount.movable else mount.parent
+        ends[hand] = EndEffector(hand, hand, parent, arm)
+    if len(chains) == 2 and not set(chains[0].joints) & set(chains[1].joints):
+        arms = [g for g in groups.values() if g.tip_link]
+        driven = {n for g in arms for n in g.joint_names}
+        moved = {n for g in arms for n in g.link_names}
+        groups["both_arms"] = Group(
+            "both_arms",
+            tuple(n for n in model.joint_names if n in driven),
+            tuple(n for n in model.links if n in moved),
+        )
+    return replace(model, groups=groups, end_effectors=ends)
+
+
+def _hand(model: RobotModel, name: str, links: set[str]) -> Group:
+    driven = {j.name for j in model.joints.values() if j.actuated and j.child in links}
+    return Group(
+        name, tuple(n for n in model.joint_names if n in driven), tuple(n for n in model.links if n in links)
+    )
+
+
+def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
+    if not model.joint_names:
+        raise InputError(
+            f"robot {model.name!r} has no joint that moves",
+            cure="give a URDF with revolute or prismatic joints",
+        )
+    return {"groups": {"gripper": _hand(model, "gripper", set(model.links))}}
+
+
+# --- the tree ---
+def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
+    """Chains that begin at or below a link."""
+    starts = _next_movable(model, link)
+    if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
+        return  # fingers without an arm
+    for first in starts:
+        row, ends = _row(model, first)
+        below = [_depth(model, j) for j in ends]
+        if ends and not (len(row) >= HAND_AFTER and max(below) < len(row)):
+            _follow(model, row[-1].child, found)  # a torso: the arms are further down
+            continue
+        driven, jaws = row, ends
+        while len(driven) > 1 and not ends and JAW.search(driven[-1].name + driven[-1].child):
+            jaws, driven = [driven[-1]], driven[:-1]  # one jaw moves, the other is part of the last link
+        names = tuple(j.name for j in driven if j.actuated)
+        if not names or all(JAW.search(j.name + j.child) for j in driven):
+            continue
+        palm = _common_link(model, [j.parent for j in jaws]) if jaws else _fixed_hand(model, driven[-1].child)
+        tip = _tip(model, driven[-1].child, palm)
+        found.append(Chain(driven[0].parent, tip, names, palm))
+
+
+def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
+    """Movable joints one below the other from `first`, and those that branch off the last one's link."""
+    row = [first]
+    while len(ends := _next_movable(model, row[-1].child)) == 1:
+        row.append(ends[0])
+    return row, ends
+
+
+def _next_movable(model: RobotModel, link: str) -> list[Joint]:
+    """The first movable joints below a link, along fixed ones."""
+    found: list[Joint] = []
+    rigid = {link}
+    for joint in model.joints.values():
+        if joint.parent in rigid:
+            if joint.movable:
+                found.append(joint)
+            else:
+                rigid.add(joint.child)
+    return found
+
+
+def _depth(model: RobotModel, joint: Joint) -> int:
+    """Movable joints in the longest row from a joint down."""
+    return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
+
+
+def _rigid_below(model: RobotModel, link: str) -> list[str]:
+    """A link and what is fixed to it further down, in the tree's order."""
+    rigid = [link]
+    for joint in model.joints.values():
+        if not joint.movable and joint.parent in rigid:
+            rigid.append(joint.child)
+    return rigid
+
+
+def _common_link(model: RobotModel, links: list[str]) -> str:
+    """The lowest link that all of some links hang from (or are)."""
+    trails = []
+    for link in links:
+        trail = [link]
+        while trail[-1] in model.parent_joint:
+            trail.append(model.parent_joint[trail[-1]].parent)
+        trails.append(trail[::-1])
+    return [level[0] for level in zip(*trails) if len(set(level)) == 1][-1]
+
+
+def _fixed_hand(model: RobotModel, last: str) -> str | None:
+    """The palm of a gripper whose fingers do not move in this URDF: where several bodies branch off."""
+    for link in _rigid_below(model, last):
+        branches = [
+            j.child
+            for j in model.joints.values()
+            if j.parent == link and any(model.links[n].collisions for n in model.subtree(j.child))
+        ]
+        if link != last and len(branches) > 1:
+            return link
+    return None
+
+
+def _tip(model: RobotModel, last: str, palm: str | None) -> str:
+    """The link that poses are given for: a tool frame, else the palm, else the end of the chain."""
+    rigid = _rigid_below(model, last)
+    frames = [n for n in rigid if n != last and not model.links[n].collisions and TOOL.search(n)]
+    if palm is not None:
+        below = set(model.subtree(palm))
+        return next((n for n in frames if n in below), palm)
+    if frames:
+        return frames[-1]
+    leaves = [n for n in rigid if not any(j.parent == n for j in model.joints.values())]
+    return next((n for n in leaves if TOOL.search(n)), leaves[0] if len(leaves) == 1 else last)
+
+
+# --- names ---
+def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
+    """(arm, gripper) for every chain; with several, what their joints' names begin with is put before."""
+    prefixes = [_prefix(c.joints, robots) for c in chains] if len(chains) > 1 else [""]
+    if len(set(prefixes)) < len(prefixes) or not all(prefixes[1:]):
+        numbers = range(1, len(chains) + 1)
+        return [(f"arm_{i}", f"gripper_{i}") for i in numbers]
+    return [(f"{p}arm", f"{p}gripper") for p in prefixes]
+
+
+def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
+    """The prefix of the robot that joints belong to, or what all names begin with, up to an underscore."""
+    for robot in sorted(robots, key=len, reverse=True):
+        if robot and joints[0].startswith(robot):
+            return robot
+    words = [name.split("_")[:-1] for name in joints]
+    shared = [level[0] for level in zip(*words) if len(set(level)) == 1]
+    return "".join(f"{word}_" for word in shared)

@@ -1,0 +1,464 @@
+"""A MoveIt configuration package: a folder with an SRDF and YAML files under config/, read as it is."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from armcell.core import InputError, UnknownNameError
+from armcell.model.assets import resolve_uri
+from armcell.model.files import parse_xml, read_text, read_yaml
+from armcell.model.robot import RobotModel
+from armcell.model.setup.defaults import ACCELERATION, VELOCITY
+from armcell.model.setup.folder import write_folder, yaml_text
+from armcell.model.setup.semantics import Element, parse_srdf, srdf_text
+from armcell.model.setup.urdf_text import find_meshes, xml_text
+from armcell.model.srdf import with_srdf_text
+from armcell.model.urdf import expand_xacro, parse_urdf
+
+logger = logging.getLogger(__name__)
+
+Data = dict[str, Any]
+
+# What is read, under which names it is found (the first that is there), whether MoveIt cannot do without.
+FILES: dict[str, tuple[tuple[str, ...], bool]] = {
+    "joint_limits": (("joint_limits.yaml",), True),
+    "kinematics": (("kinematics.yaml",), True),
+    "ompl_planning": (("ompl_planning.yaml",), False),
+    "controllers": (
+        (
+            "moveit_controllers.yaml",
+            "simple_moveit_controllers.yaml",
+            "ros_controllers.yaml",
+            "controllers.yaml",
+        ),
+        False,
+    ),
+    "sensors_3d": (("sensors_3d.yaml",), False),
+    "pilz_cartesian_limits": (("pilz_cartesian_limits.yaml", "cartesian_limits.yaml"), False),
+}  # fmt: skip
+SETUP_FILE = ".setup_assistant"
+
+PACKAGE_XML = """<?xml version="1.0"?>
+<package format="3">
+  <name>{name}</name>
+  <version>0.1.0</version>
+  <description>MoveIt configuration, written by armcell setup</description>
+  <maintainer email="nobody@localhost">nobody</maintainer>
+  <license>Apache-2.0</license>
+  <buildtool_depend>ament_cmake</buildtool_depend>
+  <exec_depend>moveit_configs_utils</exec_depend>
+  <export><build_type>ament_cmake</build_type></export>
+</package>
+"""
+CMAKE_LISTS = """cmake_minimum_required(VERSION 3.22)
+project({name})
+find_package(ament_cmake REQUIRED)
+ament_package()
+install(DIRECTORY config DESTINATION share/${{PROJECT_NAME}})
+install(FILES .setup_assistant DESTINATION share/${{PROJECT_NAME}})
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class MoveItConfig:
+    """What a package says, whole (`srdf`, `files`), and what follows from it (`model` and the properties).
+
+    Attributes:
+        model: the robot with groups, end effectors, named states, pairs and limits applied.
+        srdf: the SRDF's <robot> element, everything in it.
+        files: content of the YAML files by their key in `FILES`, as read; missing ones are not in it.
+        names: file names by the same key, and "srdf" and "urdf".
+    """
+
+    folder: Path
+    model: RobotModel
+    srdf: Element
+    urdf_text: str
+    files: Mapping[str, Data] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    @staticmethod
+    def load(folder: str | Path, urdf: str | Path | None = None) -> MoveItConfig:
+        """Read a package's folder.
+
+        Args:
+            urdf: the URDF or xacro file; by default what `.setup_assistant` names, or lies in config/.
+        Raises:
+            InputError: a missing file, a name that the robot does not have, a value of the wrong type; with
+                the file and the key.
+        """
+        return _Reader(Path(folder)).read(None if urdf is None else Path(urdf))
+
+    # --- what planners and controllers ask for ---
+    @property
+    def planner_configs(self) -> dict[str, dict[str, Any]]:
+        """Planner configurations by name: `type` and parameters, numbers as numbers."""
+        found = self._ompl().get("planner_configs") or {}
+        return {name: {k: _number(v) for k, v in entry.items()} for name, entry in found.items()}
+
+    @property
+    def group_planning(self) -> dict[str, dict[str, Any]]:
+        """By planning group: its list `planner_configs` and keys as longest_valid_segment_fraction."""
+        return {
+            group: {k: _number(v) for k, v in entry.items()}
+            for group, entry in self._ompl().items()
+            if group in self.model.groups and isinstance(entry, dict)
+        }
+
+    @property
+    def controllers(self) -> dict[str, dict[str, Any]]:
+        """Controllers by name: `type`, `action_ns`, `default`, `joints`."""
+        return _controllers(_unwrapped(self.files.get("controllers", {})))
+
+    @property
+    def kinematics(self) -> Data:
+        """Solver settings by planning group."""
+        return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
+
+    def _ompl(self) -> Data:
+        return _unwrapped(self.files.get("ompl_planning", {}), "ompl")
+
+    # --- writing ---
+    def texts(self, package: str) -> dict[str, str]:
+        """The files of a package of that name, by their path in its folder."""
+        texts = {f"config/{self.names['srdf']}": srdf_text(self.srdf)}
+        texts[f"config/{self.names['urdf']}"] = self.urdf_text
+        for key, data in self.files.items():
+            texts[f"config/{self.names[key]}"] = yaml_text(data)
+        texts |= package_files(package, self.names["urdf"], self.names["srdf"])
+        return texts
+
+    def write(self, folder: str | Path, force: bool = False) -> None:
+        """Write the package: all of it or nothing. The URDF (a xacro expanded) goes to config/ as well."""
+        write_folder(Path(folder), self.texts(Path(folder).resolve().name), force)
+
+
+def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
+    """What makes a folder a ROS 2 package that MoveItConfigsBuilder finds its files in."""
+    where = {
+        "urdf": {"package": package, "relative_path": f"config/{urdf}"},
+        "srdf": {"relative_path": f"config/{srdf}"},
+    }
+    return {
+        SETUP_FILE: yaml_text({"moveit_setup_assistant_config": where}),
+        "package.xml": PACKAGE_XML.format(name=package),
+        "CMakeLists.txt": CMAKE_LISTS.format(name=package),
+    }
+
+
+def is_moveit_config(folder: Path) -> bool:
+    """Whether a folder looks like a MoveIt configuration package."""
+    return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
+
+
+def _unwrapped(data: Data, *inner: str) -> Data:
+    """The content of a parameter file: below ROS 2's node name, `ros__parameters` and known namespaces."""
+    while isinstance(data, dict) and len(data) == 1:
+        key = next(iter(data))
+        if key not in ("/**", "/move_group", "move_group", "ros__parameters", *inner):
+            break
+        data = data[key]
+    return data
+
+
+def _number(value: Any) -> Any:
+    """YAML 1.1 reads 10e-10 as a text."""
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def _controllers(data: Data) -> dict[str, dict[str, Any]]:
+    manager = data.get("moveit_simple_controller_manager", data)
+    if isinstance(manager.get("controller_list"), list):
+        return {
+            entry["name"]: {k: v for k, v in entry.items() if k != "name"}
+            for entry in manager["controller_list"]
+        }
+    return {name: manager[name] for name in manager.get("controller_names") or []}
+
+
+class _Reader:
+    """Carries the folder through the files, for messages."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.config = folder / "config"
+
+    def read(self, urdf: Path | None) -> MoveItConfig:
+        if not self.folder.is_dir():
+            raise InputError("no such folder", file=self.folder, cure="give a MoveIt configuration package")
+        if not self.config.is_dir():
+            raise InputError("has no folder config/", file=self.folder, cure="is this a MoveIt package?")
+        setup = self.setup()
+        urdf_file = urdf or self.urdf(setup)
+        urdf_text = self.text(urdf_file)
+        model = parse_urdf(urdf_text, urdf_file)
+        srdf_file = self.srdf(setup)
+        srdf = self.text(srdf_file)
+        model = with_srdf_text(model, srdf, srdf_file)
+        names = {
+            "srdf": srdf_file.name.removesuffix(".xacro"),
+            "urdf": urdf_file.name.removesuffix(".xacro"),
+        }
+        files: dict[str, Data] = {}
+        for key, (choices, needed) in FILES.items():
+            file = next((self.config / c for c in choices if (self.config / c).is_file()), None)
+            if file is None:
+                if needed:
+                    missing = self.config / choices[0]
+                    raise InputError("file not found", file=missing, cure="MoveIt's packages have one")
+                continue
+            files[key] = read_yaml(file)
+            names[key] = file.name
+            getattr(self, f"check_{key}")(files[key], file, model)
+        model = self.limited(model, files["joint_limits"], self.config / names["joint_limits"])
+        urdf_text = _with_full_paths(urdf_text, urdf_file)
+        return MoveItConfig(self.folder, model, parse_srdf(srdf, srdf_file), urdf_text, files, names)
+
+    # --- URDF and SRDF ---
+    def setup(self) -> Data:
+        file = self.folder / SETUP_FILE
+        if not file.is_file():
+            return {}
+        data = read_yaml(file).get("moveit_setup_assistant_config")
+        return self.mapping(data, file, "moveit_setup_assistant_config")
+
+    def urdf(self, setup: Data) -> Path:
+        file = self.folder / SETUP_FILE
+        entry = setup.get("urdf", setup.get("URDF"))
+        if entry is not None:
+            entry = self.mapping(entry, file, "urdf")
+            package, path = entry.get("package") or "", entry.get("relative_path")
+            if isinstance(path, str) and path:
+                inside = self.folder / path
+                if inside.is_file():
+                    return inside
+                if package:
+                    try:
+                        return resolve_uri(f"package://{package}/{path}", self.folder)
+                    except InputError as error:
+                        raise InputError(error.reason, file=file, element="urdf", cure=error.cure) from None
+                raise InputError("file not found", file=inside, cure=f"named by {SETUP_FILE}")
+        found = [
+            f
+            for p in ("*.urdf", "*.urdf.xacro")
+            for d in ("config", "urdf")
+            for f in self.folder.glob(f"{d}/{p}")
+        ]
+        if not found:
+            raise InputError(
+                f"no *.urdf or *.urdf.xacro in config/ or urdf/, and no {SETUP_FILE} that names one",
+                file=self.folder,
+                cure="give the URDF beside the folder",
+            )
+        return sorted(found)[0]
+
+    def srdf(self, setup: Data) -> Path:
+        entry = setup.get("srdf", setup.get("SRDF"))
+        if isinstance(entry, dict) and isinstance(entry.get("relative_path"), str):
+            file = self.folder / entry["relative_path"]
+            if not file.is_file():
+                raise InputError("file not found", file=file, cure=f"named by {SETUP_FILE}")
+            return file
+        found = sorted(self.config.glob("*.srdf")) or sorted(self.config.glob("*.srdf.xacro"))
+        if not found:
+            raise InputError(
+                "no *.srdf in it", file=self.config, cure="make one with armcell setup ROBOT.urdf -o FOLDER"
+            )
+        return found[0]
+
+    def text(self, file: Path) -> str:
+        text = read_text(file)
+        return expand_xacro(file, text) if file.suffix == ".xacro" else text
+
+    # --- values of the right type ---
+    def mapping(self, value: Any, file: Path, key: str) -> Data:
+        if not isinstance(value, dict):
+            raise InputError(f"is {_type(value)}, a mapping is needed", file=file, element=key)
+        return value
+
+    def sequence(self, value: Any, file: Path, key: str) -> list[Any]:
+        if not isinstance(value, list):
+            raise InputError(f"is {_type(value)}, a list is needed", file=file, element=key)
+        return value
+
+    def number(self, value: Any, file: Path, key: str) -> float:
+        value = _number(value)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"is {_type(value)} ({value!r}), a number is needed", file=file, element=key)
+        if not math.isfinite(value):
+            raise InputError(f"is {value}, a finite number is needed", file=file, element=key)
+        return float(value)
+
+    def word(self, value: Any, file: Path, key: str) -> str:
+        if not isinstance(value, str) or not value:
+            raise InputError(f"is {_type(value)}, a name is needed", file=file, element=key)
+        return value
+
+    def known_group(self, name: str, file: Path, model: RobotModel) -> bool:
+        """As MoveIt: settings of a group that the SRDF does not have are passed over."""
+        if name not in model.groups:
+            known = ", ".join(sorted(model.groups))
+            logger.warning("%s: planning group %r is not in the SRDF (it has %s)", file, name, known)
+        return name in model.groups
+
+    # --- each file ---
+    def check_joint_limits(self, data: Data, file: Path, model: RobotModel) -> None:
+        for name, entry in self.limits(data, file).items():
+            if name not in model.joints:
+                raise UnknownNameError("joint", name, model.joints, file=file, element="joint_limits")
+            for key, value in self.mapping(entry, file, f"joint_limits/{name}").items():
+                place = f"joint_limits/{name}/{key}"
+                if key.startswith("has_") or key == "angle_wraparound":
+                    if not isinstance(value, bool):
+                        raise InputError(
+                            f"is {_type(value)}, true or false is needed", file=file, element=place
+                        )
+                else:
+                    self.number(value, file, place)
+
+    def limits(self, data: Data, file: Path) -> Data:
+        inner = _unwrapped(data, "robot_description_planning")
+        if "joint_limits" not in self.mapping(inner, file, "robot_description_planning"):
+            raise InputError("has no mapping 'joint_limits'", file=file)
+        return self.mapping(inner["joint_limits"] or {}, file, "joint_limits")
+
+    def limited(self, model: RobotModel, data: Data, file: Path) -> RobotModel:
+        """Limits applied where they are tighter than the URDF's; wider ones are passed over and told."""
+        joints = dict(model.joints)
+        for name, entry in self.limits(data, file).items():
+            limits = joints[name].limits
+            for kind, attribute in (
+                ("velocity", "velocity"),
+                ("acceleration", "acceleration"),
+                ("jerk", "jerk"),
+            ):
+                value = _number(entry.get(f"max_{kind}"))
+                if value is None or not entry.get(f"has_{kind}_limits", True) or value <= 0:
+                    continue
+                if value > getattr(limits, attribute) * (1 + 1e-6):
+                    logger.warning(
+                        "%s: max_%s %g of %s is above the URDF's %g, which is kept",
+                        file, kind, value, name, getattr(limits, attribute),
+                    )  # fmt: skip
+                    continue
+                limits = replace(limits, **{attribute: float(value)})
+            if entry.get("has_position_limits", True):
+                low = max(limits.lower, _number(entry.get("min_position", limits.lower)))
+                high = min(limits.upper, _number(entry.get("max_position", limits.upper)))
+                if low > high:
+                    raise InputError(
+                        f"leaves no range ({low:g} to {high:g})", file=file, element=f"joint_limits/{name}"
+                    )
+                limits = replace(limits, lower=low, upper=high)
+            joints[name] = replace(joints[name], limits=limits)
+        for name, joint in joints.items():  # as MoveIt, where there is no limit
+            velocity = VELOCITY if math.isinf(joint.limits.velocity) else None
+            acceleration = ACCELERATION if math.isinf(joint.limits.acceleration) else None
+            if joint.movable and (velocity or acceleration):
+                given = {"velocity": velocity, "acceleration": acceleration}
+                limits = replace(joint.limits, **{k: v for k, v in given.items() if v})
+                joints[name] = replace(joint, limits=limits)
+        return replace(model, joints=joints)
+
+    def check_kinematics(self, data: Data, file: Path, model: RobotModel) -> None:
+        inner = self.mapping(
+            _unwrapped(data, "robot_description_kinematics"), file, "robot_description_kinematics"
+        )
+        for group, entry in inner.items():
+            if not self.known_group(group, file, model):
+                continue
+            entry = self.mapping(entry, file, group)
+            self.word(entry.get("kinematics_solver"), file, f"{group}/kinematics_solver")
+            for key in ("kinematics_solver_search_resolution", "kinematics_solver_timeout"):
+                if key in entry:
+                    self.number(entry[key], file, f"{group}/{key}")
+
+    def check_ompl_planning(self, data: Data, file: Path, model: RobotModel) -> None:
+        inner = self.mapping(_unwrapped(data, "ompl"), file, "ompl")
+        configs = self.mapping(inner.get("planner_configs") or {}, file, "planner_configs")
+        for name, entry in configs.items():
+            entry = self.mapping(entry, file, f"planner_configs/{name}")
+            self.word(entry.get("type"), file, f"planner_configs/{name}/type")
+        for group, entry in inner.items():
+            if group == "planner_configs":
+                continue
+            if not isinstance(entry, dict):
+                if group in model.groups:
+                    self.mapping(entry, file, group)
+                continue  # settings of the pipeline: planning_plugin, request_adapters, ...
+            if not self.known_group(group, file, model):
+                continue
+            listed = self.sequence(entry.get("planner_configs") or [], file, f"{group}/planner_configs")
+            for name in (
+                *listed,
+                *([entry["default_planner_config"]] if "default_planner_config" in entry else []),
+            ):
+                if self.word(name, file, f"{group}/planner_configs") not in configs:
+                    place = f"{group}/planner_configs"
+                    raise UnknownNameError("planner config", name, configs, file=file, element=place)
+            if "longest_valid_segment_fraction" in entry:
+                place = f"{group}/longest_valid_segment_fraction"
+                self.number(entry["longest_valid_segment_fraction"], file, place)
+
+    def check_controllers(self, data: Data, file: Path, model: RobotModel) -> None:
+        inner = self.mapping(_unwrapped(data), file, "top level")
+        manager = self.mapping(
+            inner.get("moveit_simple_controller_manager", inner), file, "moveit_simple_controller_manager"
+        )
+        if "controller_list" in manager:
+            for i, entry in enumerate(self.sequence(manager["controller_list"], file, "controller_list")):
+                entry = self.mapping(entry, file, f"controller_list/{i}")
+                self.controller(
+                    entry, file, self.word(entry.get("name"), file, f"controller_list/{i}/name"), model
+                )
+            return
+        for name in self.sequence(manager.get("controller_names") or [], file, "controller_names"):
+            name = self.word(name, file, "controller_names")
+            if name not in manager:
+                known = [k for k, v in manager.items() if isinstance(v, dict)]
+                raise UnknownNameError("controller", name, known, file=file, element="controller_names")
+            self.controller(self.mapping(manager[name], file, name), file, name, model)
+
+    def controller(self, entry: Data, file: Path, name: str, model: RobotModel) -> None:
+        self.word(entry.get("type"), file, f"{name}/type")
+        for joint in self.sequence(entry.get("joints") or [], file, f"{name}/joints"):
+            if joint not in model.joints:
+                raise UnknownNameError("joint", joint, model.joints, file=file, element=f"{name}/joints")
+
+    def check_sensors_3d(self, data: Data, file: Path, model: RobotModel) -> None:
+        inner = self.mapping(_unwrapped(data), file, "top level")
+        for i, entry in enumerate(self.sequence(inner.get("sensors") or [], file, "sensors")):
+            if isinstance(entry, str):
+                if entry not in inner:
+                    known = [k for k, v in inner.items() if isinstance(v, dict)]
+                    raise UnknownNameError("sensor", entry, known, file=file, element="sensors")
+                entry = inner[entry]
+            self.mapping(entry, file, f"sensors/{i}")
+
+    def check_pilz_cartesian_limits(self, data: Data, file: Path, model: RobotModel) -> None:
+        inner = self.mapping(_unwrapped(data, "robot_description_planning"), file, "top level")
+        limits = self.mapping(inner.get("cartesian_limits"), file, "cartesian_limits")
+        for key, value in limits.items():
+            self.number(value, file, f"cartesian_limits/{key}")
+
+
+def _with_full_paths(text: str, file: Path) -> str:
+    """The URDF with meshes that lie beside it given by their full path."""
+    root = parse_xml(text, file)
+    find_meshes(root, file.resolve().parent)
+    return xml_text(root)
+
+
+def _type(value: Any) -> str:
+    kinds = {dict: "a mapping", list: "a list", str: "a text", bool: "true or false", type(None): "empty"}
+    return next((name for kind, name in kinds.items() if isinstance(value, kind)), "a number")

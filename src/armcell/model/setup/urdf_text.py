@@ -1,0 +1,133 @@
+"""URDF files put together as text: everything in them is kept, names get prefixes, meshes stay findable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+
+from lxml import etree
+
+from armcell.core import InputError
+from armcell.model.assets import resolve_uri
+from armcell.model.files import parse_xml, read_text
+from armcell.model.urdf import expand_xacro
+
+NOWHERE = Path("/")
+"""A folder to look from that no robot description lies above: what is found from here is installed."""
+
+
+@dataclass(frozen=True)
+class UrdfPart:
+    """A URDF or xacro file to build in: its prefix, and where its root link stands in the world."""
+
+    file: Path
+    prefix: str = ""
+    xyz: tuple[float, float, float] | None = None  # [m]
+    rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def merged_urdf(parts: Sequence[UrdfPart], name: str | None = None) -> tuple[str, str]:
+    """(name, text) of one URDF made of several; one part without a place is itself.
+
+    Raises:
+        InputError: a file that cannot be read, two parts with the same names.
+    """
+    if len({part.prefix for part in parts}) < len(parts):
+        raise InputError(
+            f"{len(parts)} robots, but the prefixes {', '.join(repr(p.prefix) for p in parts)} are not all "
+            "different",
+            cure="give each robot its own: --prefix left_ --prefix right_",
+        )
+    roots = [_read(part.file) for part in parts]
+    own = "_and_".join(dict.fromkeys(root.get("name") or part.file.stem for root, part in zip(roots, parts)))
+    whole = etree.Element("robot", name=name or (own if len(parts) == 1 else f"dual_{own}"))
+    placed = len(parts) > 1 or any(part.xyz is not None for part in parts)
+    if placed:
+        whole.append(etree.Element("link", name="world"))
+    for root, part in zip(roots, parts):
+        find_meshes(root, part.file.resolve().parent)
+        base = part.prefix + _root_link(root, part.file)
+        if part.prefix:
+            _prefix(root, part.prefix)
+        taken = _names(whole) & _names(root)
+        if taken:
+            raise InputError(
+                f"{part.file.name} brings {sorted(taken)[0]!r}, which is there already",
+                file=part.file,
+                cure="give each robot its own --prefix",
+            )
+        whole.extend([deepcopy(child) for child in root])
+        if placed:
+            whole.append(_mount(base, part))
+    return str(whole.get("name")), xml_text(whole)
+
+
+def xml_text(root: etree._Element) -> str:
+    """An XML file, one element a line."""
+    etree.indent(root, "  ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
+
+
+def _read(file: Path) -> etree._Element:
+    text = read_text(file)
+    if file.suffix == ".xacro":
+        text = expand_xacro(file, text)
+    root = parse_xml(text, file)
+    if root.tag != "robot":
+        raise InputError("root element is not <robot>", file=file, cure="is this a URDF file?")
+    return root
+
+
+def _root_link(root: etree._Element, file: Path) -> str:
+    children = {c.get("link") for c in root.iterfind("joint/child")}
+    roots = [link.get("name") for link in root.iterfind("link") if link.get("name") not in children]
+    if len(roots) != 1:
+        raise InputError(f"has {len(roots)} root links, exactly one is needed", file=file)
+    return str(roots[0])
+
+
+def _names(root: etree._Element) -> set[str]:
+    return {f"{e.tag} {e.get('name')}" for e in root if e.tag in ("link", "joint")}
+
+
+def _prefix(root: etree._Element, prefix: str) -> None:
+    """A prefix before every name; what belongs to one simulator or driver is left out."""
+    for tag in ("gazebo", "transmission", "ros2_control"):
+        for found in root.findall(tag):
+            root.remove(found)
+    for tag in ("link", "joint", "material"):
+        for found in root.iter(tag):
+            if found.get("name"):
+                found.set("name", prefix + found.get("name"))
+    for path, attribute in (("joint/parent", "link"), ("joint/child", "link"), ("joint/mimic", "joint")):
+        for found in root.iterfind(path):
+            found.set(attribute, prefix + str(found.get(attribute)))
+
+
+def find_meshes(root: etree._Element, folder: Path) -> None:
+    """Meshes that are only found beside the URDF get their full path: the new file lies elsewhere."""
+    for mesh in (*root.iter("mesh"), *root.iter("texture")):
+        uri = mesh.get("filename") or ""
+        try:
+            if uri.startswith("package://"):
+                resolve_uri(uri, NOWHERE)
+                continue
+        except InputError:
+            pass
+        try:
+            mesh.set("filename", resolve_uri(uri, folder).resolve().as_uri())
+        except InputError:
+            continue  # a missing visual is a warning, a missing collision mesh an error, when it is loaded
+
+
+def _mount(base: str, part: UrdfPart) -> etree._Element:
+    joint = etree.Element("joint", name=f"world_to_{base}", type="fixed")
+    joint.append(etree.Element("parent", link="world"))
+    joint.append(etree.Element("child", link=base))
+    xyz = " ".join(f"{v:g}" for v in part.xyz or (0.0, 0.0, 0.0))
+    rpy = " ".join(f"{radians(v):.9g}" for v in part.rpy_deg)
+    joint.append(etree.Element("origin", xyz=xyz, rpy=rpy))
+    return joint

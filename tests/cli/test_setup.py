@@ -1,0 +1,89 @@
+"""`armcell setup`: what it says, writes and refuses."""
+
+from __future__ import annotations
+
+import pytest
+from tests.cell.test_setup import small_arm
+from tests.cli.helpers import call
+
+QUICK = ("--samples", "500")
+
+
+def test_help_teaches(capsys):
+    said = call(capsys, "setup", "--help")
+    assert said.status == 0
+    for word in (
+        "--prefix",
+        "--at",
+        "--force",
+        "--web",
+        "--samples",
+        "armcell check my_cell",
+        "left_",
+        "MoveIt",
+    ):
+        assert word in said.out
+
+
+def test_a_cell_that_check_and_run_accept(capsys, tmp_path):
+    said = call(capsys, "setup", small_arm(tmp_path), "-o", tmp_path / "cell", *QUICK)
+    assert said.status == 0, said.err
+    assert "3 driven joints" in said.words and "500 states" in said.words and "armcell check" in said.words
+    assert call(capsys, "check", tmp_path / "cell").status == 0
+    said = call(capsys, "run", tmp_path / "cell", "--mode", "fake", "--json", tmp_path / "run.json")
+    assert said.status == 0, said.err
+
+
+def test_two_robots(capsys, tmp_path):
+    file = small_arm(tmp_path)
+    said = call(
+        capsys, "setup", file, file, "--prefix", "a_", "--prefix", "b_",
+        "--at", "0,1,0", "--at", "0,-1,0", "-o", tmp_path / "two", *QUICK,
+    )  # fmt: skip
+    assert said.status == 0, said.err
+    assert "a_arm" in said.out and "b_arm" in said.out and "both_arms" in said.out
+    assert call(capsys, "check", tmp_path / "two").status == 0
+
+
+def test_a_package(capsys, tmp_path):
+    assert call(capsys, "setup", small_arm(tmp_path), "-o", tmp_path / "one", *QUICK).status == 0
+    said = call(capsys, "setup", tmp_path / "one", "-o", tmp_path / "two")
+    assert said.status == 0, said.err
+    assert call(capsys, "check", tmp_path / "two").status == 0
+
+
+USAGE = {
+    "no prefix": (2, (), "need a --prefix each"),
+    "one prefix": (2, ("--prefix", "a_"), "--prefix is given 1 times"),
+    "one place": (2, ("--prefix", "a_", "--prefix", "b_", "--at", "0,0,0"), "--at is given 1 times"),
+    "not numbers": (2, ("--prefix", "a_", "--prefix", "b_", "--at", "0,0", "--at", "0,0,0"), "three numbers"),
+    "same prefix": (1, ("--prefix", "a_", "--prefix", "a_"), "not all different"),
+}
+
+
+@pytest.mark.parametrize("case", USAGE)
+def test_two_robots_misnamed(capsys, tmp_path, case):
+    status, options, message = USAGE[case]
+    file = small_arm(tmp_path)
+    said = call(capsys, "setup", file, file, *options, "-o", tmp_path / "cell")
+    assert said.status == status and message in " ".join(said.err.replace("│", " ").split())
+    assert not (tmp_path / "cell").exists()
+
+
+def test_refuses_with_the_cure(capsys, tmp_path):
+    file = small_arm(tmp_path)
+    assert call(capsys, "setup", file).status == 2  # no -o
+    said = call(capsys, "setup", tmp_path / "no.urdf", "-o", tmp_path / "cell")
+    assert said.status == 1 and "no.urdf: file not found" in said.err
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").write_text("x")
+    said = call(capsys, "setup", file, "-o", tmp_path / "full")
+    assert said.status == 1 and "add --force" in said.err
+    said = call(capsys, "setup", file, "-o", tmp_path / "a" / "b")
+    assert said.status == 1 and "mkdir -p" in said.err
+    (tmp_path / "bad.urdf").write_text("<robot name='r'><link name='a'/></robot>")
+    said = call(capsys, "setup", tmp_path / "bad.urdf", "-o", tmp_path / "cell")
+    assert said.status == 1 and "no joint that moves" in said.err
+    said = call(capsys, "setup", tmp_path / "full", "-o", tmp_path / "cell")
+    assert said.status == 2 and "MoveIt package" in said.err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.urdf", "full", "small.urdf"]
