@@ -1,4 +1,9 @@
-"""A path that gets shorter for as long as there is time: AORRTC with simplification between its rounds."""
+"""A path that gets shorter for as long as there is time: AORRTC with simplification between its rounds.
+
+What AORRTC finds has to be shorter than the best path as it is found, before anything shortens it. Early on
+that is rare, and a few quick first paths from other samples, shortened, gain more: each round begins with
+some.
+"""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -33,6 +38,7 @@ class AnytimeSettings:
     least_gain: float = 1e-4  # what counts as shorter when the path is polished
     round_iterations: int = 2000  # of a round after an improvement; twice as many after each without one
     max_nodes: int = 16_384  # per tree and round (a multiple of 16); then the round begins anew
+    restarts: int = 8  # other first paths in such a round: shortened, one may be better than any so far
     polish: int = 3  # attempts in a row to shorten a new path locally that may fail before the next round
 
 
@@ -103,14 +109,25 @@ class AnytimePlanner:
             left = settings.max_iterations - iterations
             if stop[0] or left <= 0 or length(best) < least * (1 + SHORTEST):
                 break
+            improved = False
+            for _ in range(settings.restarts * limit // settings.round_iterations):
+                ask = (lower, upper, int(rng.integers(1, 2**31)), stop, self.first.settings.step)
+                count, more, nodes = self.first.search(start, goals, *ask, iterations=min(left, limit))
+                iterations, most, left = iterations + more, max(most, nodes), left - more
+                count = self.first.shorten(count, stop) if count else 0
+                if count and length(self.first.path[:count]) < length(best):
+                    improved = True
+                    keep(self.first.path[:count].copy())
+                if stop[0] or left <= 0:
+                    break
             bound = length(best) * (1 - settings.gain)
             count, more, nodes = self._round(roots, lower, upper, bound, random, stop, min(left, limit))
             iterations, rounds, most = iterations + more, rounds + 1, max(most, nodes)
             count = self.first.shorten(count, stop) if count else 0
-            improved = count > 0 and length(self.first.path[:count]) < length(best)
-            limit = settings.round_iterations if improved else 2 * limit
-            if improved:
+            if count and length(self.first.path[:count]) < length(best):
+                improved = True
                 keep(self.first.path[:count].copy())
+            limit = settings.round_iterations if improved else 2 * limit
         return AnytimeAnswer(best, history, iterations, most, rounds)
 
     def _round(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
