@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench-planning bench-planners bench-constraints bench-wires test-interop lint format clean FORCE
+.PHONY: help demo test check fuzz bench-planning bench-kernel bench-planners bench-constraints bench-wires test-interop lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -49,6 +49,9 @@ format: $(VENV)/.stamp ## let ruff put the source in order
 
 bench-planners: $(VENV)/.stamp ## set up, then measure every planner on a handful of problems (5 minutes)
 	$(PY) -m benchmarks.planners $(BENCH)
+
+bench-kernel: $(VENV)/.stamp ## set up, then look at what the kernel calls free with exact meshes (15 minutes)
+	$(PY) -m benchmarks.kernel_truth
 
 bench-planning: $(VENV)/.stamp-bench ## set up, then measure planning beside others (15 minutes); MBM=/path names the problems
 	$(PY) -m benchmarks.planning $(BENCH)
