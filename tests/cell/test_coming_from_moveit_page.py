@@ -18,7 +18,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.S)
 def test_the_code_blocks_run_one_after_the_other(capsys):
     names: dict = {}
     for block in BLOCKS:
-        exec(compile(block, "coming_from_moveit.md", "exec"), names)  # noqa: S102
+        exec(compile(block, "coming_from_moveit.md", "exec"), names)
     said = capsys.readouterr().out
     assert len(BLOCKS) >= 6
     assert "CONTROL_FAILED" in said and "NO_IK_SOLUTION" in said and "ompl" in said
