@@ -96,7 +96,8 @@ def exchanged(whole: Constraints, old: One, new: One) -> Constraints:
 
 def _works(case: Case, put: Put, constraints: Constraints) -> bool:
     change, arguments = put(constraints)
-    return case.succeeds(*change(case.scene, case.request, **arguments), SHORT) is not None
+    scene, request = change(case.scene, case.request, **arguments)
+    return case.succeeds(scene, request, SHORT) is not None
 
 
 def _wider(case: Case, put: Put, whole: Constraints, one: One, called: str) -> bool:
