@@ -12,7 +12,7 @@ from armcell.planning.explanation.case import Case
 from armcell.planning.explanation.changes import change_goal, change_request
 from armcell.planning.explanation.tolerances import One, name, scaled, told
 
-FIELDS = ("joints", "positions", "orientations")
+FIELDS = ("joints", "positions", "orientations", "visibilities")
 FACTORS = (1.5, 2.0, 4.0, 8.0)
 SHORT = 0.5  # [s] of planning for one "what if"
 Put = Callable[[Constraints], tuple[Callable, dict]]

@@ -17,17 +17,20 @@ from armcell.core import (
     PositionConstraint,
     Shape,
     Sphere,
+    VisibilityConstraint,
 )
 from armcell.planning.constraint_check import ConstraintError
 from armcell.planning.explanation import words
 
-One = JointConstraint | PositionConstraint | OrientationConstraint
+One = JointConstraint | PositionConstraint | OrientationConstraint | VisibilityConstraint
 SPARE = (1.05, 1e-3)  # factor and addition [rad or m] to what is just needed
 
 
 def name(one: One) -> str:
     if isinstance(one, JointConstraint):
         return one.joint
+    if isinstance(one, VisibilityConstraint):
+        return f"the view of {one.sensor}"
     what = "the orientation" if isinstance(one, OrientationConstraint) else "the position"
     return f"{what} of {one.link or 'the tip'}"
 
@@ -38,11 +41,15 @@ def told(one: One) -> str:
         return ", ".join(words.angle(t) for t in one.tolerance)
     if isinstance(one, JointConstraint):
         return f"+{one.tolerance_above:.3g}, -{one.tolerance_below:.3g}"
+    if isinstance(one, VisibilityConstraint):
+        return words.length(one.target_radius)
     return " or ".join(_size(shape) for shape, _ in one.region)
 
 
 def scaled(one: One, factor: float) -> One | None:
-    """With its tolerance so many times as wide; None: a half space, which has no size."""
+    """With its tolerance so many times as wide; None: a half space, which has no size, or a view."""
+    if isinstance(one, VisibilityConstraint):
+        return None
     if isinstance(one, OrientationConstraint):
         x, y, z = (min(t * factor, np.pi) for t in one.tolerance)
         return replace(one, tolerance=(x, y, z))
@@ -61,6 +68,8 @@ def loosened(one: One, error: ConstraintError) -> One:
     Args:
         one: the error's constraint, or what was made of it for another state.
     """
+    if isinstance(one, VisibilityConstraint):
+        return one
     need = [float(v) for v in np.abs(error.error) * SPARE[0] + SPARE[1]]
     if isinstance(one, OrientationConstraint):
         x, y, z = (
