@@ -5,19 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from armcell.control import Driver
-from armcell.core import (
-    SE3,
-    Goal,
-    InputError,
-    JointGoal,
-    JointState,
-    NamedGoal,
-    Observer,
-    Outcome,
-    PoseGoal,
-    UnknownNameError,
-)
-from armcell.planning import prepare
+from armcell.core import InputError, Observer, Outcome, UnknownNameError
+from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
 
@@ -37,15 +26,9 @@ class Arm:
         """Put a held object on another one, `at` [m] from the middle of its surface."""
         return place(self._ctx, item, on, at)
 
-    def move_to(self, goal: str | SE3 | JointState | Goal) -> Outcome:
-        """Move to a named state, a pose of the tip (world frame), joint positions, or any goal."""
-        if isinstance(goal, SE3):
-            goal = PoseGoal(goal)
-        elif isinstance(goal, JointState):
-            goal = JointGoal(goal)
-        elif isinstance(goal, str):
-            goal = NamedGoal(goal)
-        return move_to(self._ctx, self.group, goal)
+    def move_to(self, target: Target) -> Outcome:
+        """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""
+        return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
 
     def open(self) -> Outcome:
         """Open the gripper fully and forget what it held."""

@@ -7,6 +7,7 @@ from armcell.collision.exact import ExactChecker, neighbours
 from armcell.collision.self_collision import disabled_collision_pairs
 from armcell.collision.self_filter import robot_mask, without_robot
 from armcell.collision.touch_links import attached_by_contact, touching_links
+from armcell.collision.view import cone, links_within
 
 __all__ = [
     "Certificate",
@@ -16,7 +17,9 @@ __all__ = [
     "attached_by_contact",
     "certify_path",
     "certify_timed",
+    "cone",
     "disabled_collision_pairs",
+    "links_within",
     "neighbours",
     "robot_mask",
     "touching_links",

@@ -67,7 +67,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             around = coal.Box(*np.maximum(2 * half * scale, 1e-6))
             return Solid(around, around, centre * scale, half * scale, None, Many.of(shape, scale))
         case Mesh():
-            outer = _hull(shape.vertices * scale)
+            outer = convex_hull(shape.vertices * scale)
             if is_convex(shape):
                 return Solid(outer, outer, centre * scale, half * scale)
             hollow = Mesh(shape.vertices * scale, shape.faces)
@@ -108,7 +108,8 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
     return points
 
 
-def _hull(vertices: Array) -> coal.CollisionGeometry:
+def convex_hull(vertices: Array) -> coal.CollisionGeometry:
+    """The hull of points (v, 3); the box around them where they are flat."""
     try:
         return coal.ConvexBase.convexHull(_points(vertices), True, "Qt")
     except Exception:  # qhull on a flat mesh: the box around it is a convex outer shape as well

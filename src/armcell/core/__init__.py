@@ -7,6 +7,7 @@ from armcell.core.constraints import (
     JointConstraint,
     OrientationConstraint,
     PositionConstraint,
+    VisibilityConstraint,
 )
 from armcell.core.contact import Contact
 from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtraError, UnknownNameError
@@ -73,5 +74,6 @@ __all__ = [
     "StateSample",
     "Suggestion",
     "UnknownNameError",
+    "VisibilityConstraint",
     "finite_points",
 ]

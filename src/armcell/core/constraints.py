@@ -47,6 +47,25 @@ class OrientationConstraint:
 
 
 @dataclass(frozen=True, eq=False)
+class VisibilityConstraint:
+    """A disc that a sensor sees: no link of the robot is in the cone from the sensor's origin to the disc.
+
+    The sensor's own link and the one that carries the disc do not count, nor does what is attached (as in
+    MoveIt). Objects of the world are not looked at.
+    """
+
+    sensor: str  # link or frame that carries the sensor
+    T_frame_target: SE3  # the disc's centre; its z is the side that is to be seen
+    target_radius: float  # [m]
+    frame: str = WORLD  # of the target
+    T_link_sensor: SE3 = SE3.identity()  # where the sensor is in its frame
+    view_axis: str = "z"  # of the sensor: the way it looks; or "x"
+    max_view_angle: float | None = None  # [rad] between the way it looks and the disc's axis; None: any
+    max_range_angle: float | None = None  # [rad] between the way it looks and the disc's centre; None: any
+    cone_sides: int = 16  # of the pyramid that stands for the cone
+
+
+@dataclass(frozen=True, eq=False)
 class Constraints:
     """All of them at once."""
 
@@ -54,6 +73,7 @@ class Constraints:
     positions: tuple[PositionConstraint, ...] = ()
     orientations: tuple[OrientationConstraint, ...] = ()
     name: str = ""
+    visibilities: tuple[VisibilityConstraint, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.joints or self.positions or self.orientations)
+        return bool(self.joints or self.positions or self.orientations or self.visibilities)

@@ -160,22 +160,30 @@ class KinematicTree:
             i = self.parent[i - 1]
         return np.array(found[::-1], dtype=np.int64)
 
-    def jacobian(self, q: ArrayLike, link: str, joint_names: tuple[str, ...] | None = None) -> Array:
-        """Geometric Jacobian (6, n) at the link's origin, in the root frame: linear over angular velocity.
+    def jacobian(
+        self,
+        q: ArrayLike,
+        link: str,
+        joint_names: tuple[str, ...] | None = None,
+        point: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Array:
+        """Geometric Jacobian (6, n) at a point of a link, in the root frame: linear over angular velocity.
 
         Args:
             q: positions (dof,).
             joint_names: columns wanted; all actuated joints by default.
+            point: (3,) [m] in the link's frame.
         """
         self.model.link(link)
         names = self.model.joint_names if joint_names is None else joint_names
         group_column = np.full(self.model.dof, -1, dtype=np.int64)
         group_column[self.model.columns(names)] = np.arange(len(names))
         Ts = self.link_transforms(q)
+        T = Ts[self.link_index[link]]
         out = np.empty((6, len(names)))
+        at = T[:3, :3] @ np.asarray(point, dtype=float) + T[:3, 3]
         chain_jacobian(
-            Ts, Ts[self.link_index[link], :3, 3], self.path_to(link), self.kind, self.axis, self.column,
-            self.multiplier, group_column, out,
+            Ts, at, self.path_to(link), self.kind, self.axis, self.column, self.multiplier, group_column, out,
         )  # fmt: skip
         return out
 

@@ -286,6 +286,20 @@ class RobotModel:
                 )
         return values
 
+    def enforce_bounds(self, q: ArrayLike, joint_names: Iterable[str] | None = None) -> Array:
+        """The positions, each joint as near as its limits allow; a continuous one turned into (-pi, pi].
+
+        Raises:
+            InputError: wrong length, or not finite.
+        """
+        names = tuple(joint_names) if joint_names is not None else self.joint_names
+        values = np.array(q, dtype=float)
+        if values.shape != (len(names),) or not np.all(np.isfinite(values)):
+            raise InputError(f"{len(names)} finite positions are needed for {self.name!r}, not {q}")
+        turns = np.array([self.joint(name).type == "continuous" for name in names], dtype=bool)
+        values[turns] = np.pi - np.remainder(np.pi - values[turns], 2 * np.pi)
+        return np.clip(values, self.limits(names, "lower"), self.limits(names, "upper"))
+
     def subtree(self, link: str) -> tuple[str, ...]:
         """A link and everything below it."""
         self.link(link)

@@ -10,6 +10,7 @@ from armcell.planning.moving import plan_among_moving
 from armcell.planning.native.warm_up import prepare, warm_up
 from armcell.planning.pipeline import plan
 from armcell.planning.problem import Answer, Problem, find_planner, normalized_planner_id, pipelines
+from armcell.planning.targets import Target, goal_of
 
 __all__ = [
     "Answer",
@@ -18,12 +19,14 @@ __all__ = [
     "PlanLibrary",
     "PoseExplanation",
     "Problem",
+    "Target",
     "adapter_names",
     "constraint_errors",
     "explain",
     "explain_pose",
     "explain_start",
     "find_planner",
+    "goal_of",
     "normalized_planner_id",
     "pipelines",
     "plan",

@@ -24,8 +24,10 @@ from armcell.core import (
     Shape,
     Sphere,
     UnknownNameError,
+    VisibilityConstraint,
 )
 from armcell.planning.placed import Placed, positioned
+from armcell.planning.visibility import visibility
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -39,11 +41,11 @@ class ConstraintError:
     """How far positions are from keeping to one constraint.
 
     `error`: a joint's distance from the constraint's position (1,) [rad or m]; a point's distance from its
-    region (1,) [m], 0 inside; a rotation's error (3,) [rad]. `excess` (same shape): what is beyond the
-    tolerance.
+    region (1,) [m], 0 inside; a rotation's error (3,) [rad]; of a view (3,) see `visibility`. `excess` (same
+    shape): what is beyond the tolerance.
     """
 
-    constraint: JointConstraint | PositionConstraint | OrientationConstraint
+    constraint: JointConstraint | PositionConstraint | OrientationConstraint | VisibilityConstraint
     error: Array
     excess: Array
     words: str
@@ -56,7 +58,7 @@ class ConstraintError:
 def constraint_errors(
     scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
 ) -> tuple[ConstraintError, ...]:
-    """One error per constraint, joints first, then positions and orientations.
+    """One error per constraint: joints first, then positions, orientations and visibilities.
 
     Args:
         q: positions (n,) of the group's joints; the others are where they are in the scene.
@@ -69,6 +71,7 @@ def constraint_errors(
         *(_joint(at, c) for c in constraints.joints),
         *(_position(at, group, c) for c in constraints.positions),
         *(_orientation(at, group, c) for c in constraints.orientations),
+        *(ConstraintError(c, *visibility(at, c)) for c in constraints.visibilities),
     )
 
 

@@ -16,6 +16,7 @@ from armcell.core import (
 from armcell.kinematics import ik_solver
 from armcell.planning.constraint_check import PARAMETERIZATIONS, distance_to_shape, region_distance
 from armcell.planning.placed import Placed
+from armcell.planning.visibility import check_visibility
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -55,6 +56,8 @@ def check_constraints(scene: PlanningScene, group: str, constraints: Constraints
         _tolerances("an orientation", orientation.tolerance)
         if orientation.parameterization not in PARAMETERIZATIONS:
             raise UnknownNameError("parameterization", orientation.parameterization, PARAMETERIZATIONS)
+    for view in constraints.visibilities:
+        check_visibility(scene, view)
 
 
 def _tolerances(what: str, values: tuple[float, ...]) -> None:

@@ -99,7 +99,8 @@ def _check_goal(scene: PlanningScene, request: PlanRequest, goal: Any) -> None:
     if isinstance(goal, ConstraintGoal):
         if not goal.constraints:
             raise InputError(
-                "a constraint goal asks nothing", cure="give it joints, positions or orientations"
+                "a constraint goal asks nothing",
+                cure="give it joints, positions, orientations or visibilities",
             )
         check_constraints(scene, request.group, goal.constraints)
     elif isinstance(goal, JointGoal):

@@ -109,9 +109,17 @@ class RemoveObject:
 
 @dataclass(frozen=True)
 class RemoveAllObjects:
-    """Everything in the world taken away but the octomap; what is attached stays (as in MoveIt)."""
+    """Everything in the world taken away but the octomap; what is attached stays (as in MoveIt).
+
+    With `attached`, that too: as moveit_commander's PlanningSceneInterface.clear().
+    """
+
+    attached: bool = False
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
+        if self.attached:
+            for name in tuple(scene.attached):
+                scene = scene.with_detached(name)
         for name in tuple(scene.objects):
             if name != OCTOMAP:
                 scene = scene.without_object(name)

@@ -35,7 +35,12 @@ PLANNER = "RRTConnect"
 
 
 def check_planner(question: Question) -> None:
-    """Raises InputError where the planner that is named cannot keep to path constraints."""
+    """Raises InputError where the planner that is named cannot keep to the path constraints."""
+    if question.request.path_constraints.visibilities:
+        raise InputError(
+            "visibility constraints cannot be kept along a path",
+            cure="give them in a ConstraintGoal; for the way, constrain the sensor's orientation",
+        )
     pipeline_id = question.request.pipeline_id or "native"
     if pipeline_id != "native" or question.planner_id != PLANNER:
         raise InputError(

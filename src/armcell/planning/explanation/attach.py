@@ -9,7 +9,7 @@ from functools import partial, wraps
 from typing import Any, TypeVar, cast
 
 from armcell.core import CartesianRequest, ErrorCode, Explanation, InputError, PlanResult
-from armcell.planning.explanation import cartesian, goal, motion, start
+from armcell.planning.explanation import cartesian, goal, motion, start, violated
 from armcell.planning.explanation.case import Case, Solve
 from armcell.planning.explanation.changes import Request
 from armcell.planning.explanation.misuse import missing_result, misuse
@@ -23,6 +23,8 @@ SOLVERS: dict[type, Solve] = {}
 CAUSES: dict[ErrorCode, Callable[[Case], None]] = {
     ErrorCode.START_STATE_INVALID: start.start_invalid,
     ErrorCode.START_STATE_IN_COLLISION: start.start_in_collision,
+    ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS: violated.start_violates,
+    ErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS: violated.goal_violates,
     ErrorCode.GOAL_STATE_INVALID: goal.goals,
     ErrorCode.GOAL_IN_COLLISION: goal.goals,
     ErrorCode.NO_IK_SOLUTION: goal.goals,

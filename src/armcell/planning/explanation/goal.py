@@ -7,10 +7,11 @@ import time
 import numpy as np
 
 from armcell.collision import ExactChecker
-from armcell.core import InputError, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
+from armcell.core import ConstraintGoal, InputError, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
 from armcell.planning.explanation import words
 from armcell.planning.explanation.case import Case, tell_margins, tell_way
 from armcell.planning.explanation.changes import allow_contact, change_goal, change_padding
+from armcell.planning.explanation.constraints import goal_too_constrained
 from armcell.planning.explanation.contacts import free_objects, pairs_of
 from armcell.planning.explanation.nearest import PoseSearch
 from armcell.planning.explanation.pose import Branch, explain_pose
@@ -32,6 +33,8 @@ def goals(case: Case) -> None:
             _pose(case, number, goal)
         elif isinstance(goal, JointGoal | NamedGoal):
             _joints(case, number, goal)
+        elif isinstance(goal, ConstraintGoal):
+            goal_too_constrained(case, number, goal)
 
 
 def _no_goal(case: Case) -> None:

@@ -1,0 +1,49 @@
+"""What of a robot is in the view of a sensor: its links against a convex body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import coal
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.collision.shapes import convex_hull, solid
+from armcell.core import SE3
+from armcell.kinematics import kinematic_tree
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+
+def cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -> Array:
+    """Corners (sides + 1, 3) [m] of a pyramid: from a point (3,) to a polygon on a disc about its z axis."""
+    angles = 2 * np.pi * np.arange(sides) / sides
+    rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(sides)])
+    return np.vstack([np.asarray(origin, dtype=float), T_world_disc.apply(rim)])
+
+
+def links_within(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
+    """Links of the robot in the convex hull of points (k, 3), with how deep [m], as the scene stands.
+
+    Args:
+        ignored: links that may be there. What is attached is not looked at, nor is padding.
+    """
+    hull, tree = convex_hull(corners), kinematic_tree(scene.model)
+    Ts, here = tree.link_transforms(scene.positions), coal.Transform3s()
+    request, result, found = coal.DistanceRequest(), coal.DistanceResult(), {}
+    for link in scene.model.links.values():
+        if link.name in ignored:
+            continue
+        T_world_link = SE3.from_matrix(Ts[tree.link_index[link.name]])
+        for part in link.collisions:
+            shape = solid(part.shape, scene.link_scale.get(link.name, 1.0))
+            T = T_world_link @ part.T_link_shape
+            result.clear()
+            there = coal.Transform3s(T.rotation.matrix, T.translation)
+            distance = float(coal.distance(shape.exact, there, hull, here, request, result))
+            if distance > 0 and shape.holds(T.inv().apply(corners[0])):
+                distance = -distance  # wholly inside a mesh that is not convex
+            if distance <= 0:
+                found[link.name] = max(found.get(link.name, 0.0), -distance)
+    return found
