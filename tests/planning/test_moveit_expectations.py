@@ -189,7 +189,7 @@ def test_get_jacobian_matrix():
 
 def test_get_jacobian_matrix_at_a_reference_point():
     """At (1, 1, 1) in the tip's frame. MoveIt's test writes a matrix down here, and does not compare it: the
-    signs of four entries differ from how the point moves, which is what decides here."""
+    signs of three entries differ from how the point moves, which is what decides here."""
     tree, point, h = kinematic_tree(fanuc()), np.ones(3), 1e-6
     J = tree.jacobian(np.zeros(6), "l6", point=point)
     for k in range(6):
