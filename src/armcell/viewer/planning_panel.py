@@ -134,19 +134,22 @@ class PlanningPanel:
 
     def seek(self, t: float) -> None:
         """Show the planned motion at a time [s]."""
-        self._player.stop()
-        self._show_motion(t, follow=False)
+        self._player.seek(t)
 
-    def _show_motion(self, t: float, follow: bool = True) -> None:
+    def _show_motion(self, t: float) -> None:
+        """In the player's thread, and in no other, or an old time might be shown last."""
         session = self.session
-        if session.result is None or session.result.trajectory is None or session.busy == "executing":
+        result = session.result
+        if result is None or result.trajectory is None or session.busy == "executing":
             self._player.stop()
             return
         positions = session.positions_at(t)
         with self.viewer.server.atomic():
             self.preview_ghost.place(session.scene, positions)
-            if follow:
+            if self._player.playing:
                 self.plan.show_time(t)
+            if session.result is not result:
+                self.preview_ghost.hide()
 
     # --- showing ---
     def refresh(self) -> None:
@@ -219,7 +222,7 @@ class PlanningPanel:
 
 
 def _pose_of(control: viser.TransformControlsHandle) -> SE3:
-    return SE3.from_quat_wxyz(control.position, control.wxyz)
+    return SE3.from_quat_wxyz(np.array(control.position), np.array(control.wxyz))  # viser's arrays change
 
 
 def _move(control: viser.TransformControlsHandle, T: SE3) -> None:

@@ -26,6 +26,7 @@ class Player:
         self._show, self._loop, self._end = show, loop, end
         self._wake = threading.Condition()
         self._duration: float | None = None
+        self._at: float | None = None  # to be shown once
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="armcell-preview", daemon=True)
         self._thread.start()
@@ -34,6 +35,12 @@ class Player:
         """From the beginning."""
         with self._wake:
             self._duration = duration
+            self._wake.notify()
+
+    def seek(self, t: float) -> None:
+        """Stand still at a time [s]."""
+        with self._wake:
+            self._duration, self._at = None, t
             self._wake.notify()
 
     def stop(self) -> None:
@@ -54,12 +61,17 @@ class Player:
     def _run(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closing or self._duration is not None)
+                self._wake.wait_for(
+                    lambda: self._closing or self._duration is not None or self._at is not None
+                )
                 if self._closing:
                     return
-                duration = self._duration
+                duration, at, self._at = self._duration, self._at, None
             try:
-                self._once(duration or 0.0)
+                if duration is not None:
+                    self._once(duration)
+                elif at is not None:
+                    self._show(at)
             except Exception:
                 logger.exception("could not show the motion")
                 self.stop()
