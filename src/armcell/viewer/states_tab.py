@@ -67,7 +67,8 @@ class StatesTab:
             q = session.start_positions if self.is_start else session.goal.positions
             at = JointState(session.scene.model.joint_names, q)
             for name, slider in self.sliders.items():
-                value = float(np.clip(at[name] * self._unit(name)[1], slider.min, slider.max))
+                shown = round(at[name] * self._unit(name)[1], 1)
+                value = float(np.clip(shown, slider.min, slider.max))
                 if abs(slider.value - value) > STEP / 2:
                     slider.value = value
             self.named.value = next((n for n in session.state_names if self._stands(n, at)), NONE)
@@ -89,6 +90,7 @@ class StatesTab:
                 limits = model.joint(name).limits
                 low = scale * (limits.lower if np.isfinite(limits.lower) else -WIDE)
                 high = scale * (limits.upper if np.isfinite(limits.upper) else WIDE)
+                low, high = np.ceil(low * 10) / 10, np.floor(high * 10) / 10  # whole steps
                 slider = self._gui.add_slider(
                     f"{name} [{unit}]", float(low), float(high), STEP, float(np.clip(0.0, low, high))
                 )
