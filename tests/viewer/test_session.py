@@ -180,6 +180,19 @@ def test_the_live_cell_is_made_anew_when_the_world_was_changed(session):
     assert session.wait(60) and session.outcome.ok and "new" in session.scene.objects
 
 
+def test_executed_in_physics(cell):
+    session = PlanningSession(cell.scene(), lambda s, o: cell.connect("sim", observers=o, scene=s))
+    session.set_goal_pose(ABOVE_TRAY)
+    assert planned(session).ok
+    session.execute()
+    assert session.wait(90) and session.outcome.ok, session.message
+    assert tip(session, session.scene.positions).isclose(ABOVE_TRAY, 5e-3, 1e-2)
+    cube = session.scene.objects["cube"].T_world_object.translation  # settled on the table, not where drawn
+    assert not np.array_equal(cube, cell.scene().objects["cube"].T_world_object.translation)
+    assert np.allclose(cube, cell.scene().objects["cube"].T_world_object.translation, atol=5e-3)
+    session.close()
+
+
 def test_physics_refuses_what_is_attached_by_hand(cell):
     session = PlanningSession(cell.scene(), lambda s, o: cell.connect("sim", observers=o, scene=s))
     session.change_scene(

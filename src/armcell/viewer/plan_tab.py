@@ -99,19 +99,14 @@ class PlanTab:
         known = tuple(pipelines[s.pipeline])
         if self.planner.options != known:
             self.planner.options = known
-        shown: tuple[tuple[Any, Any], ...] = (
-            (self.group, session.group),
-            (self.motion, s.motion),
-            (self.pipeline, s.pipeline),
-            (self.planner, s.planner),
-            (self.planning_time, s.planning_time),
-            (self.attempts, s.attempts),
-            (self.velocity, s.velocity_scaling),
-            (self.acceleration, s.acceleration_scaling),
-        )
-        for widget, value in shown:
-            if widget.value != value:
-                widget.value = value
+        _set(self.group, session.group)
+        _set(self.motion, s.motion)
+        _set(self.pipeline, s.pipeline)
+        _set(self.planner, s.planner)
+        _set(self.planning_time, s.planning_time)
+        _set(self.attempts, s.attempts)
+        _set(self.velocity, s.velocity_scaling)
+        _set(self.acceleration, s.acceleration_scaling)
         goal = session.goal
         words = goal.text if goal.status != "collision" else f"in collision: {goal.text}"
         _write(self.goal, paragraph(f"Goal {words}", COLORS[goal.status], bold=True))
@@ -193,3 +188,8 @@ class PlanTab:
 def _write(widget: Any, content: str) -> None:
     if widget.content != content:
         widget.content = content
+
+
+def _set(widget: Any, value: Any) -> None:
+    if widget.value != value:
+        widget.value = value
