@@ -135,3 +135,22 @@ def test_while_it_loads(module):
     assert process.returncode == 130
     assert "Traceback" not in process.stderr
     assert process.stdout == ""
+
+
+def test_while_the_planning_panel_is_open():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+
+    def listens() -> bool:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=2) as answer:
+                return answer.status == 200
+        except OSError:
+            return False
+
+    process = start("view", "panda_pick", "--port", port)
+    until(listens, process)
+    time.sleep(0.5)
+    interrupted(process)
+    assert not listens()

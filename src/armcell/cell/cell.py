@@ -139,6 +139,7 @@ class Cell:
         observers: Sequence[Observer] = (),
         time_scale: float | None = None,
         settings: TaskSettings | None = None,
+        scene: PlanningScene | None = None,
     ) -> LiveCell:
         """A live cell, to be used in a `with` block.
 
@@ -146,11 +147,12 @@ class Cell:
             mode: "sim" (physics) or "fake" (follows exactly, no physics).
             seed: draw of the randomised values and seed of the planners; nominal cell and 0 when None.
             time_scale: None runs as fast as it can; 1.0 in real time.
+            scene: begin in this one instead of the cell's own.
         Raises:
             UnknownNameError: no such mode.
         """
         factory = drivers[mode]
-        scene = self.scene(seed)
+        scene = self.scene(seed) if scene is None else scene
         options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras)
         return LiveCell(
             self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0

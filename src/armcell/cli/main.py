@@ -8,7 +8,21 @@ import sys
 import typer
 
 from armcell import __version__
-from armcell.cli import bench, check, check_state, doctor, explain, ik, msg, plan, run, serve, setup, topic
+from armcell.cli import (
+    bench,
+    check,
+    check_state,
+    doctor,
+    explain,
+    ik,
+    msg,
+    plan,
+    run,
+    serve,
+    setup,
+    topic,
+    view,
+)
 from armcell.cli.console import err
 from armcell.core import ArmcellError
 
@@ -31,6 +45,8 @@ Examples:
 
   armcell explain panda_pick --pose 0.5 0 0.3 can the arm get there, and if not, why, and what would help
 
+  armcell view panda_pick                     plan in the browser: drag the goal, plan, preview, execute
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -48,6 +64,7 @@ app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
 app.command("explain")(explain.explain)
 app.command("plan")(plan.plan)
+app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("ik")(ik.ik)
 app.command("fk")(ik.fk)
 app.command("check-state")(check_state.check_state)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,8 +12,9 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.viewer.geometry import add_link, node_name
 from armcell.viewer.server import free_port, start_server, stop_server
+from armcell.viewer.widgets import paragraph
 
-SHOWN = 40  # pairs listed, those most often in contact first
+NONE = "-"
 
 
 class Pair(Protocol):
@@ -40,7 +42,8 @@ class Proposed(Protocol):
 class SetupView:
     """Shows a proposal until its buttons are clicked, inside a `with` block.
 
-    A pair of links is checked or ignored as its box says; a named state is shown when it is chosen.
+    A pair of links is checked or ignored as its box says; boxes are shown for one link at a time, the links
+    most often in contact with it first. A named state is shown when it is chosen.
 
     Attributes:
         url: where to point a browser.
@@ -51,6 +54,7 @@ class SetupView:
     def __init__(self, proposal: Any, host: str = "127.0.0.1", port: int = 8080):
         self.answer: Any = proposal
         self.done = False
+        self._deciding = threading.Lock()  # clicks come in threads of viser's
         self._model: RobotModel = proposal.model
         self._tree = kinematic_tree(self._model)
         self._q = self._model.default_positions()
@@ -81,6 +85,14 @@ class SetupView:
             self._frames[name] = api.add_frame(path, show_axes=False)
             add_link(api, path, link)
         self._place()
+        Ts = self._tree.link_transforms(self._q)[:, :3, 3]
+        low, high = Ts.min(axis=0), Ts.max(axis=0)
+        radius = max(0.3, float(np.linalg.norm(high - low)) / 2)
+        camera = self._server.initial_camera
+        camera.look_at = (low + high) / 2
+        camera.position = (low + high) / 2 + radius * np.array([2.0, 1.45, 1.05])
+        camera.fov = float(np.deg2rad(45.0))
+        api.add_grid("/floor", 4.0, 4.0, position=(0.0, 0.0, float(min(low[2], 0.0))))
 
     def _place(self) -> None:
         for name, T in zip(self._tree.link_names, self._tree.link_transforms(self._q), strict=True):
@@ -90,44 +102,81 @@ class SetupView:
     def _panel(self, proposal: Proposed) -> None:
         gui, model = self._server.gui, self._model
         gui.set_panel_label(model.name)
-        self.write = gui.add_button("Write")
+        self.write = gui.add_button("Write", color="green")
         self.write.on_click(lambda _: self._finish(write=True))
-        self.cancel = gui.add_button("Cancel")
+        self.cancel = gui.add_button("Cancel", color="gray")
         self.cancel.on_click(lambda _: self._finish(write=False))
+        self.note = gui.add_html("")
         self.states = {}
         with gui.add_folder("Groups"):
             for group in model.groups.values():
                 names = tuple(model.named_states.get(group.name, {}))
-                words = f"{len(group.joint_names)} joints" + (
+                count = len(group.joint_names)
+                words = f"{count} joint{'' if count == 1 else 's'}" + (
                     f" to {group.tip_link}" if group.tip_link else ""
                 )
                 gui.add_text(group.name, words, disabled=True)
                 if names:
-                    box = gui.add_dropdown(f"{group.name} at", names)
+                    standing = next((n for n in names if self._stands(group.name, n)), NONE)
+                    choices = (NONE, *names) if standing == NONE else names
+                    box = gui.add_dropdown(f"{group.name} at", choices, initial_value=standing)
                     box.on_update(lambda _, g=group.name, b=box: self._show_state(g, b.value))
                     self.states[group.name] = box
-        self.boxes = {}
-        with gui.add_folder("Ignored pairs (in contact, of the samples)", expand_by_default=False):
-            for pair in sorted(proposal.pairs, key=lambda p: -p.touching)[:SHOWN]:
-                share = 100 * pair.touching / max(pair.samples, 1)
-                ignored = pair.links in model.disabled_collisions
-                label = (
-                    f"{pair.link_a}, {pair.link_b} ({share:.2f} %{', ' + pair.reason if pair.reason else ''})"
-                )
-                box = gui.add_checkbox(label, ignored)
-                box.on_update(lambda _, p=pair.links, b=box: self._decide(p, b.value))
-                self.boxes[pair.links] = box
+        self.boxes: dict[frozenset[str], Any] = {}
+        if proposal.pairs:
+            self._pairs = sorted(proposal.pairs, key=lambda p: -p.touching)
+            with gui.add_folder("Pairs of links"):
+                links = tuple(n for n in model.links if any(n in p.links for p in self._pairs))
+                self.link: Any = gui.add_dropdown("Link", links)
+                self.link.on_update(lambda _: self._show_pairs())
+                self._pairs_folder = gui.add_folder("contact is ignored with")
+            self._show_pairs()
+
+    def _show_pairs(self) -> None:
+        """Boxes of the chosen link's pairs; how often they touch stands below each name."""
+        with self._deciding:
+            for box in self.boxes.values():
+                box.remove()
+            self.boxes = {}
+            with self._pairs_folder:
+                for pair in self._pairs:
+                    if self.link.value not in pair.links:
+                        continue
+                    (other,) = pair.links - {self.link.value}
+                    share = f"{100 * pair.touching / max(pair.samples, 1):.2f} %"
+                    words = f"{share} {pair.reason}".strip()
+                    ignored = pair.links in self.answer.model.disabled_collisions
+                    box = self._server.gui.add_checkbox(
+                        f"{other} ({words})", ignored, hint=f"in contact in {share} of the samples"
+                    )
+                    box.on_update(lambda _, p=pair.links, b=box: self._decide(p, b.value))
+                    self.boxes[pair.links] = box
+
+    def _stands(self, group: str, state: str) -> bool:
+        """Whether a group is where one of its states says."""
+        target = self._model.named_state(group, state)
+        here = self._q[self._model.columns(target.joint_names)]
+        return bool(np.allclose(here, target.positions, atol=1e-3))
 
     def _show_state(self, group: str, state: str) -> None:
+        if state == NONE:
+            return
         target = self._model.named_state(group, state)
         self._q = np.array(self._q)
         self._q[self._model.columns(target.joint_names)] = target.positions
         self._place()
 
     def _decide(self, pair: frozenset[str], ignored: bool) -> None:
-        self.answer = self.answer.disabling(pair) if ignored else self.answer.without(pair)
+        with self._deciding:
+            if self.answer is not None:
+                self.answer = self.answer.disabling(pair) if ignored else self.answer.without(pair)
 
     def _finish(self, write: bool) -> None:
-        if not write:
-            self.answer = None
-        self.done = True
+        with self._deciding:
+            if self.done:
+                return
+            if not write:
+                self.answer = None
+            what = "the folder is being written: see the terminal" if write else "nothing is written"
+            self.note.content = paragraph(f"{what}; this page can be closed")
+            self.done = True

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
-from armcell.scene import PlanningScene
+from armcell.scene import CollisionObject, PlanningScene
 from armcell.viewer.geometry import add_link, add_object_shape, node_name
 from armcell.viewer.panel import StatusPanel
 from armcell.viewer.server import free_port, start_server, stop_server
@@ -131,18 +131,39 @@ class CellViewer:
             self.link_frames[name] = api.add_frame(path, show_axes=False)
             self._collisions += add_link(api, path, link)[1]
         for name in (*self._scene.objects, *self._scene.attached):
-            item = self._scene.object(name)
-            path = node_name("objects", name)
-            self.object_frames[name] = api.add_frame(path, show_axes=False)
-            for i, (shape, T) in enumerate(item.shapes):
-                add_object_shape(api, f"{path}/{i}", shape, T, item.color)
-            _place(self.object_frames[name], item.T_world_object)
+            self._draw_object(self._scene.object(name))
         self._place_links()
         centre, radius = self._extent()
         camera = self._server.initial_camera
         camera.look_at = centre
         camera.position = centre + radius * np.array([2.0, 1.45, 1.05])
         camera.fov = float(np.deg2rad(45.0))
+
+    def _draw_object(self, item: CollisionObject) -> None:
+        api, path = self._server.scene, node_name("objects", item.name)
+        self.object_frames[item.name] = api.add_frame(path, show_axes=False)
+        for i, (shape, T) in enumerate(item.shapes):
+            add_object_shape(api, f"{path}/{i}", shape, T, item.color)
+        _place(self.object_frames[item.name], item.T_world_object)
+
+    def show_scene(self, scene: PlanningScene) -> None:
+        """Show another scene of the same robot: objects come, go and move; the robot stands at its state."""
+        with self._wake:  # samples from before are of the past
+            self._sample = None
+            old, self._scene = self._scene, scene
+        with self._server.atomic():
+            now = {name: scene.object(name) for name in (*scene.objects, *scene.attached)}
+            for name in [n for n in self.object_frames if n not in now]:
+                self.object_frames.pop(name).remove()
+            for name, item in now.items():
+                before = old.object(name) if name in (*old.objects, *old.attached) else None
+                if before is None or before.shapes is not item.shapes or before.color != item.color:
+                    if name in self.object_frames:
+                        self.object_frames.pop(name).remove()
+                    self._draw_object(item)
+                _place(self.object_frames[name], item.T_world_object)
+            self._q = np.array(scene.positions)
+            self._place_links()
 
     def _extent(self) -> tuple[Array, float]:
         """Middle and radius [m] of what a first look should show: the links' and small objects' origins."""
@@ -194,6 +215,10 @@ class CellViewer:
     def _place_links(self) -> None:
         for name, T in zip(self._tree.link_names, self._tree.link_transforms(self._q), strict=True):
             _place(self.link_frames[name], SE3.from_matrix(T))
+        for name, body in self._scene.attached.items():
+            if name in self.object_frames:
+                T = self._tree.link_pose(self._q, body.link) @ body.T_link_object
+                _place(self.object_frames[name], T)
 
     def _draw_path(self, trajectory: JointTrajectory) -> None:
         """The way each moved tool will go, as a line in the world frame, in place of the last one."""

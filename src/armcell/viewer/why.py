@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 from armcell.viewer.geometry import Color, add_object_shape, add_part, collision_part, node_name
 from armcell.viewer.viewer import CellViewer
+
+if TYPE_CHECKING:
+    import viser
 
 BLOCKING: Color = (0.85, 0.10, 0.10, 0.75)
 GHOST: Color = (0.15, 0.65, 0.35, 0.30)
@@ -24,10 +27,20 @@ def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Expl
     The bodies that touch are red, where they touch: links as they stand there. The ghost is the whole robot
     at `explanation.nearest`, green. The summary stands in the panel.
     """
-    api = viewer.server.scene
+    handles = draw_explanation(viewer.server, scene, explanation)
+    lines = [f"**{explanation.code.name}**", explanation.summary]
+    lines += [f"{n}. {s.text}" for n, s in enumerate(explanation.suggestions, 1)]
+    with viewer.server.gui.add_folder("Why not"):
+        handles.append(viewer.server.gui.add_markdown("\n\n".join(lines)))
+    return handles
+
+
+def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
+    """The same without the words."""
+    api = server.scene
     handles: list[Any] = []
     bodies = list(dict.fromkeys(n for c in explanation.contacts for n in (c.body_a, c.body_b)))
-    with viewer.server.atomic():
+    with server.atomic():
         there = _at(scene, explanation.state)
         for name in bodies:
             handles += _body(api, there, name, "blocking", BLOCKING)
@@ -44,10 +57,6 @@ def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Expl
             ghost = _at(scene, explanation.nearest)
             for name in (*scene.model.links, *scene.attached):
                 handles += _body(api, ghost, name, "ghost", GHOST)
-    lines = [f"**{explanation.code.name}**", explanation.summary]
-    lines += [f"{n}. {s.text}" for n, s in enumerate(explanation.suggestions, 1)]
-    with viewer.server.gui.add_folder("Why not"):
-        handles.append(viewer.server.gui.add_markdown("\n\n".join(lines)))
     return handles
 
 

@@ -1,0 +1,43 @@
+"""A thread that does the newest of what it is given: dragging sends more than can be worked out."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+logger = logging.getLogger(__name__)
+
+
+class Latest:
+    """Does the last thing given under each name; what was not begun when the next came is passed over."""
+
+    def __init__(self) -> None:
+        self._wake = threading.Condition()
+        self._waiting: dict[str, Callable[[], None]] = {}
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="armcell-latest", daemon=True)
+        self._thread.start()
+
+    def give(self, name: str, work: Callable[[], None]) -> None:
+        with self._wake:
+            self._waiting[name] = work
+            self._wake.notify()
+
+    def close(self) -> None:
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing or self._waiting)
+                if self._closing:
+                    return
+                work = self._waiting.pop(next(iter(self._waiting)))
+            try:
+                work()
+            except Exception:  # the next drag may go better
+                logger.exception("could not follow a drag")

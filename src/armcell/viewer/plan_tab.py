@@ -1,0 +1,195 @@
+"""The tab "Plan": what to plan and how, the buttons, what came of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from armcell.core import Explanation, Suggestion
+from armcell.core.explanation import TRIED
+from armcell.planning import pipelines
+from armcell.viewer.session import PlanningSession
+from armcell.viewer.session_goal import MOTIONS
+from armcell.viewer.widgets import Callbacks, paragraph, quietly
+
+if TYPE_CHECKING:
+    from viser import GuiApi
+
+COLORS = {"free": "#2b8a3e", "collision": "#c92a2a", "out of reach": "#868e96"}
+LABEL = 44  # characters of a suggestion on its button; the hint has it all
+
+
+class PlanTab:
+    """Widgets of one session; `refresh` sets them to what the session says.
+
+    Args:
+        play: starts the preview from the beginning.
+        seek: shows the motion at a time [s].
+    """
+
+    def __init__(
+        self,
+        gui: GuiApi,
+        session: PlanningSession,
+        callbacks: Callbacks,
+        play: Callable[[], None],
+        seek: Callable[[float], None],
+    ):
+        self._gui, self._session, self._callbacks = gui, session, callbacks
+        self._shown: Explanation | None = None
+        s, on = session.settings, callbacks.of
+        self.group = gui.add_dropdown("Group", session.groups, initial_value=session.group)
+        self.group.on_update(on(lambda: session.set_group(self.group.value)))
+        self.motion = gui.add_dropdown("Motion", MOTIONS, initial_value=s.motion)
+        self.motion.on_update(on(lambda: session.set(motion=self.motion.value)))
+        self.goal = gui.add_html("")
+        self.plan = gui.add_button("Plan", color="blue")
+        self.plan.on_click(on(session.plan))
+        self.execute = gui.add_button("Execute", color="green", disabled=True)
+        self.execute.on_click(on(session.execute))
+        self.stop = gui.add_button("Stop", color="red", disabled=True)
+        self.stop.on_click(on(session.stop))
+        self.result = gui.add_html("")
+        self.help = gui.add_folder("What would help", visible=False)
+        self.suggestions: list[Any] = []
+        self.details_folder = gui.add_folder("Details", expand_by_default=False, visible=False)
+        with self.details_folder:
+            self.details = gui.add_html("")
+        with gui.add_folder("Preview"):
+            self.preview = gui.add_button("Preview", disabled=True)
+            self.preview.on_click(on(play))
+            self.loop = gui.add_checkbox("Loop", False)
+            self.time = gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, disabled=True)
+            self.time.on_update(on(lambda: seek(self.time.value)))
+        with gui.add_folder("Planner"):
+            self._planner_widgets(gui, session, on)
+
+    def _planner_widgets(self, gui: GuiApi, session: PlanningSession, on: Callable[..., Any]) -> None:
+        s = session.settings
+        self.pipeline = gui.add_dropdown("Pipeline", tuple(pipelines), initial_value=s.pipeline)
+        self.pipeline.on_update(on(self._choose_pipeline))
+        self.planner = gui.add_dropdown("Planner", tuple(pipelines[s.pipeline]), initial_value=s.planner)
+        self.planner.on_update(on(lambda: session.set(planner=self.planner.value)))
+        self.planning_time = gui.add_number(
+            "Planning time [s]", s.planning_time, min=0.1, max=300.0, step=0.1
+        )
+        self.planning_time.on_update(on(lambda: session.set(planning_time=float(self.planning_time.value))))
+        self.attempts = gui.add_number("Attempts", s.attempts, min=1, max=64, step=1)
+        self.attempts.on_update(on(lambda: session.set(attempts=int(self.attempts.value))))
+        self.velocity = gui.add_slider("Velocity", 0.01, 1.0, 0.01, s.velocity_scaling)
+        self.velocity.on_update(on(lambda: session.set(velocity_scaling=self.velocity.value)))
+        self.acceleration = gui.add_slider("Acceleration", 0.01, 1.0, 0.01, s.acceleration_scaling)
+        self.acceleration.on_update(on(lambda: session.set(acceleration_scaling=self.acceleration.value)))
+
+    def _choose_pipeline(self) -> None:
+        """Its planner of the same name, if it has one, else RRTConnect, else its first."""
+        known = tuple(pipelines[self.pipeline.value])
+        planner = next((p for p in (self._session.settings.planner, "RRTConnect") if p in known), known[0])
+        self._session.set(pipeline=self.pipeline.value, planner=planner)
+
+    # --- showing ---
+    def refresh(self) -> None:
+        with quietly():
+            self._refresh_settings()
+            self._refresh_result()
+
+    def _refresh_settings(self) -> None:
+        session, s = self._session, self._session.settings
+        known = tuple(pipelines[s.pipeline])
+        if self.planner.options != known:
+            self.planner.options = known
+        _set(self.group, session.group)
+        _set(self.motion, s.motion)
+        _set(self.pipeline, s.pipeline)
+        _set(self.planner, s.planner)
+        _set(self.planning_time, s.planning_time)
+        _set(self.attempts, s.attempts)
+        _set(self.velocity, s.velocity_scaling)
+        _set(self.acceleration, s.acceleration_scaling)
+        goal = session.goal
+        words = goal.text if goal.status != "collision" else f"in collision: {goal.text}"
+        _write(self.goal, paragraph(f"Goal {words}", COLORS[goal.status], bold=True))
+
+    def _refresh_result(self) -> None:
+        session, result = self._session, self._session.result
+        moving = result is not None and result.ok and result.trajectory is not None
+        busy = session.busy
+        why = session.why_not_executable
+        for widget, disabled in (
+            (self.plan, busy in ("planning", "executing")),
+            (self.execute, bool(why)),
+            (self.stop, not busy),
+            (self.preview, not moving),
+            (self.time, not moving),
+        ):
+            if widget.disabled != disabled:
+                widget.disabled = disabled
+        if moving and result is not None and result.trajectory is not None:
+            longest = math.ceil(max(result.trajectory.duration, 0.01) * 100) / 100  # whole steps
+            if self.time.max != longest:
+                self.time.value, self.time.max = 0.0, longest
+        _write(self.result, self._words(why))
+        self._show_explanation(session.explanation)
+
+    def _words(self, why_not: str) -> str:
+        session, result = self._session, self._session.result
+        explanation = session.explanation
+        if explanation is not None and not explanation.code.ok:
+            return paragraph(explanation.code.name, COLORS["collision"], bold=True) + paragraph(
+                explanation.summary
+            )
+        text = session.message
+        if session.busy == "explaining":
+            text += "\nlooking for what would help"
+        if result is None or not result.ok or result.path is None or result.trajectory is None:
+            return paragraph(text)
+        numbers = (
+            f"planned by {result.planner_id} in {result.planning_time * 1000:.0f} ms\n"
+            f"duration {result.trajectory.duration:.2f} s, length {result.path.length:.2f} rad\n"
+            f"clearance {result.min_clearance * 1000:.1f} mm, {len(result.path.waypoints)} waypoints"
+        )
+        said = "" if text == "planned" else text
+        note = f"cannot be executed: {why_not}" if why_not and not session.busy else ""
+        more = "\n".join(t for t in (said, note) if t)
+        return paragraph("SUCCESS", COLORS["free"], bold=True) + paragraph(numbers) + paragraph(more)
+
+    def _show_explanation(self, explanation: Explanation | None) -> None:
+        """A button for each suggestion: pressed, the change is made and planned with."""
+        if explanation is self._shown:
+            return
+        self._shown = explanation
+        for button in self.suggestions:
+            button.remove()
+        self.suggestions = []
+        offered = explanation.suggestions if explanation is not None else ()
+        self.help.visible = bool(offered)
+        details = explanation.details if explanation is not None else ()
+        self.details_folder.visible = bool(details)
+        _write(self.details, paragraph("\n".join(details)))
+        with self.help:
+            for suggestion in offered:
+                text = suggestion.text + TRIED[suggestion.works]
+                label = text if len(text) <= LABEL else text[: LABEL - 1] + "…"
+                button = self._gui.add_button(label, hint=text, color="gray")
+                button.on_click(self._callbacks.of(lambda s=suggestion: self._apply(s)))
+                self.suggestions.append(button)
+
+    def _apply(self, suggestion: Suggestion) -> None:
+        self._session.apply(suggestion)
+        self._session.plan()
+
+    def show_time(self, t: float) -> None:
+        """The slider follows the preview."""
+        with quietly():
+            self.time.value = min(round(t, 2), self.time.max)
+
+
+def _write(widget: Any, content: str) -> None:
+    if widget.content != content:
+        widget.content = content
+
+
+def _set(widget: Any, value: Any) -> None:
+    if widget.value != value:
+        widget.value = value

@@ -1,0 +1,95 @@
+"""Plays a motion's time in real time, in a thread of its own."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+logger = logging.getLogger(__name__)
+
+FRAME = 1 / 30  # [s]
+PAUSE = 0.5  # [s] at the end, before the next round
+
+
+class Player:
+    """Calls `show` with a time [s] that runs from 0 to a duration.
+
+    Args:
+        show: called from the player's thread.
+        loop: whether to begin again at the end.
+        end: called where it does not.
+    """
+
+    def __init__(self, show: Callable[[float], None], loop: Callable[[], bool], end: Callable[[], None]):
+        self._show, self._loop, self._end = show, loop, end
+        self._wake = threading.Condition()
+        self._duration: float | None = None
+        self._at: float | None = None  # to be shown once
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="armcell-preview", daemon=True)
+        self._thread.start()
+
+    def play(self, duration: float) -> None:
+        """From the beginning."""
+        with self._wake:
+            self._duration = duration
+            self._wake.notify()
+
+    def seek(self, t: float) -> None:
+        """Stand still at a time [s]."""
+        with self._wake:
+            self._duration, self._at = None, t
+            self._wake.notify()
+
+    def stop(self) -> None:
+        with self._wake:
+            self._duration = None
+            self._wake.notify()
+
+    @property
+    def playing(self) -> bool:
+        return self._duration is not None
+
+    def close(self) -> None:
+        with self._wake:
+            self._closing, self._duration = True, None
+            self._wake.notify()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(
+                    lambda: self._closing or self._duration is not None or self._at is not None
+                )
+                if self._closing:
+                    return
+                duration, at, self._at = self._duration, self._at, None
+            try:
+                if duration is not None:
+                    self._once(duration)
+                elif at is not None:
+                    self._show(at)
+            except Exception:
+                logger.exception("could not show the motion")
+                self.stop()
+
+    def _once(self, duration: float) -> None:
+        began = time.monotonic()
+        while self._duration == duration:
+            t = time.monotonic() - began
+            if t >= duration:
+                self._show(duration)
+                self._pause(PAUSE, duration)
+                if self._duration == duration and not self._loop():
+                    self.stop()
+                    self._end()
+                return
+            self._show(t)
+            self._pause(FRAME, duration)
+
+    def _pause(self, seconds: float, duration: float) -> None:
+        with self._wake:
+            self._wake.wait_for(lambda: self._duration != duration, timeout=seconds)

@@ -1,0 +1,174 @@
+"""What a planning session asks for: the goal and whether the robot can stand there, and the settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import (
+    SE3,
+    SO3,
+    CartesianRequest,
+    Constraints,
+    Contact,
+    InputError,
+    OrientationConstraint,
+    PlanRequest,
+)
+from armcell.kinematics import ik_solver, kinematic_tree
+from armcell.planning import find_planner
+from armcell.planning.problem import sampling_bounds
+from armcell.scene import PlanningScene
+from armcell.timing import check_scaling
+
+Array = NDArray[np.float64]
+
+FREE, UPRIGHT, LINE = "free", "keep upright", "straight line"
+MOTIONS = (FREE, UPRIGHT, LINE)
+TILT = float(np.deg2rad(10.0))  # [rad] by which the tip may tilt where it is to stay upright
+TRIES = 2000  # random states looked at for a free one
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """What is chosen in the panel."""
+
+    pipeline: str = "native"
+    planner: str = "RRTConnect"
+    planning_time: float = 5.0  # [s]
+    attempts: int = 1
+    velocity_scaling: float = 1.0  # (0, 1]
+    acceleration_scaling: float = 1.0  # (0, 1]
+    motion: str = FREE  # one of MOTIONS
+
+    def check(self) -> None:
+        """Raise InputError for what cannot be."""
+        find_planner(self.pipeline, self.planner)
+        check_scaling(self.velocity_scaling, "velocity scaling")
+        check_scaling(self.acceleration_scaling, "acceleration scaling")
+        if not (np.isfinite(self.planning_time) and self.planning_time > 0):
+            raise InputError(f"planning time is {self.planning_time:g} s, it must be positive")
+        if self.attempts < 1:
+            raise InputError(f"attempts is {self.attempts}, it must be at least 1")
+        if self.motion not in MOTIONS:
+            raise InputError(f"motion is {self.motion!r}", cure=f"choose one of {', '.join(MOTIONS)}")
+
+    def as_in(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
+        """The settings that a request has."""
+        speeds: dict[str, Any] = {
+            "velocity_scaling": request.velocity_scaling,
+            "acceleration_scaling": request.acceleration_scaling,
+        }
+        if isinstance(request, CartesianRequest):
+            return replace(self, motion=LINE, **speeds)
+        return replace(
+            self,
+            pipeline=request.pipeline_id or "native",
+            planner=request.planner_id,
+            planning_time=request.planning_time,
+            attempts=request.attempts,
+            motion=UPRIGHT if request.path_constraints else FREE,
+            **speeds,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GoalView:
+    """The robot as it would stand at the goal.
+
+    Attributes:
+        positions: (dof,) of all joints; out of reach the nearest found.
+        status: "free", "collision" or "out of reach".
+        text: the status in words, with the pair that touches or the distance.
+        T_world_tip: wanted pose of the group's tip; None where the group has none.
+        by_pose: whether the pose was asked for, not the joints.
+    """
+
+    positions: Array
+    status: str
+    text: str
+    contacts: tuple[Contact, ...] = ()
+    T_world_tip: SE3 | None = None
+    by_pose: bool = False
+
+
+def judged(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
+    """Whether the robot can stand at positions (dof,), coming from a start (dof,)."""
+    names = scene.model.group(group).joint_names
+    checker = KernelChecker(replace(scene, positions=positions), names)
+    columns = checker.columns
+    checker.relax_margins(start[columns])
+    tip = scene.model.group(group).tip_link
+    T = None if tip is None else kinematic_tree(scene.model).link_pose(positions, tip)
+    if checker.is_free(positions[columns]):
+        return GoalView(positions, "free", "free", T_world_tip=T)
+    return _touching(checker, positions, T, by_pose=False)
+
+
+def _touching(checker: KernelChecker, positions: Array, T: SE3 | None, by_pose: bool) -> GoalView:
+    contacts = tuple(checker.exact.contacts(positions[checker.columns]))
+    text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
+    return GoalView(positions, "collision", text, contacts, T, by_pose)
+
+
+def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed: int) -> GoalView:
+    """The robot with the group's tip at a pose: the free solution nearest to `near` (dof,).
+
+    Where each solution touches something the nearest of them; out of reach the closest that can be had.
+
+    Raises:
+        InputError: the group has no tip, or the pose is not finite.
+    """
+    ik = ik_solver(scene.model, group)
+    checker = KernelChecker(scene, ik.joint_names)
+    checker.relax_margins(scene.positions[ik.columns])
+    found = ik.solve(T_world_tip, near, checker.is_free, np.random.default_rng(seed))
+    positions = near.copy()
+    if found.positions is not None:
+        positions[ik.columns] = found.positions
+    if found.ok:
+        return GoalView(positions, "free", "free", T_world_tip=T_world_tip, by_pose=True)
+    if "invalid" in found.evidence:
+        return _touching(checker, positions, T_world_tip, by_pose=True)
+    text = (
+        f"out of reach: the closest is {found.position_error * 1000:.0f} mm and "
+        f"{np.rad2deg(found.rotation_error):.0f} deg away"
+    )
+    return GoalView(positions, "out of reach", text, T_world_tip=T_world_tip, by_pose=True)
+
+
+def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator) -> Array:
+    """A free state (n,) of a group, uniform within limits (joints without: one turn around the present).
+
+    Raises:
+        InputError: none of `TRIES` was free.
+    """
+    names = scene.model.group(group).joint_names
+    checker = KernelChecker(scene, names)
+    here = scene.positions[checker.columns]
+    lower, upper = sampling_bounds(scene.model, names, here, [here])
+    for _ in range(TRIES):
+        q = rng.uniform(lower, upper)
+        if checker.is_free(q):
+            return q
+    raise InputError(f"none of {TRIES} random states of group {group!r} is free", cure="clear the scene")
+
+
+def keep_upright(scene: PlanningScene, group: str) -> Constraints:
+    """The tip's axis that is nearest to the vertical at the start stays within `TILT` of it; it may turn.
+
+    Rotation vectors in the wanted orientation's axes: the one about the vertical axis is free.
+    """
+    tip = scene.model.group(group).tip_link
+    R = scene.frame_pose(str(tip)).rotation
+    axis = int(np.argmax(np.abs(R.matrix[2])))  # the tip's axes' shares in world z
+    vertical = np.array([0.0, 0.0, np.sign(R.matrix[2, axis])])
+    wanted = SO3.between(R.matrix[:, axis], vertical) @ R
+    tolerance = [TILT, TILT, TILT]
+    tolerance[axis] = np.pi
+    x, y, z = tolerance
+    return Constraints(orientations=(OrientationConstraint(wanted, (x, y, z)),), name="upright")
