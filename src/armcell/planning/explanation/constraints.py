@@ -11,12 +11,11 @@ from armcell.core import (
     Constraints,
     JointConstraint,
     OrientationConstraint,
-    PlanRequest,
     PositionConstraint,
 )
 from armcell.planning.explanation import words
 from armcell.planning.explanation.case import Case
-from armcell.planning.explanation.changes import change_request
+from armcell.planning.explanation.changes import Request, change_request
 
 One = JointConstraint | PositionConstraint | OrientationConstraint
 FIELDS = ("joints", "positions", "orientations")
@@ -27,7 +26,7 @@ SHORT = 0.5  # [s] of planning for one "what if"
 def too_constrained(case: Case) -> bool:
     """Whether the request succeeds without its path constraints; then which one is to blame."""
     request = case.request
-    if not isinstance(request, PlanRequest) or not request.path_constraints:
+    if not request.path_constraints:
         return False
     whole = request.path_constraints
     if not _works(case, request, Constraints(name=whole.name)):
@@ -59,11 +58,11 @@ def _without(whole: Constraints, kind: str, k: int) -> Constraints:
     return replace(whole, **{kind: kept[:k] + kept[k + 1 :]})
 
 
-def _works(case: Case, request: PlanRequest, constraints: Constraints) -> bool:
+def _works(case: Case, request: Request, constraints: Constraints) -> bool:
     return case.succeeds(case.scene, replace(request, path_constraints=constraints), SHORT) is not None
 
 
-def _wider(case: Case, request: PlanRequest, whole: Constraints, kind: str, k: int, one: One) -> None:
+def _wider(case: Case, request: Request, whole: Constraints, kind: str, k: int, one: One) -> None:
     """The smallest of a few factors on the tolerance with which it works."""
     for factor in FACTORS:
         if isinstance(one, OrientationConstraint):
