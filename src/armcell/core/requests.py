@@ -93,8 +93,11 @@ class CartesianRequest:
     link: str | None = None
     start: JointState | None = None
     max_step: float = 0.005  # [m] between checked poses
-    jump_threshold: float = 0.2  # [rad] largest joint step between two of them; 0: any
+    jump_threshold: float = 0.2  # [rad] largest step of a turning joint between two of them; 0: any
+    prismatic_jump_threshold: float = 0.05  # [m] the same of a sliding joint; 0: any
+    relative_jump_threshold: float = 0.0  # largest step as a multiple of the mean step, as MoveIt's; 0: any
     avoid_collisions: bool = True
+    path_constraints: Constraints = Constraints()  # kept all along the line
     velocity_scaling: float = 1.0
     acceleration_scaling: float = 1.0
     max_cartesian_speed: float | None = None  # [m/s]

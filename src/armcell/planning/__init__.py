@@ -1,7 +1,7 @@
 """What path? Planners, the pipeline around them, Cartesian motions."""
 
 from armcell.planning.adapters import adapter_names
-from armcell.planning.cartesian import plan_cartesian
+from armcell.planning.cartesian import plan_cartesian, waypoints_by_offsets
 from armcell.planning.constraint_check import constraint_errors, satisfied, violations
 from armcell.planning.explain import explain, solve_ik
 from armcell.planning.explanation import Branch, PoseExplanation, explain_pose, explain_start
@@ -37,4 +37,5 @@ __all__ = [
     "solve_ik",
     "violations",
     "warm_up",
+    "waypoints_by_offsets",
 ]

@@ -1,6 +1,6 @@
 """What is done around a planner, by name: adapters of the request, before anything is planned.
 
-Timing and validation come after the planner; they are steps of `finish` and have names in the same list.
+Smoothing, timing and validation come after the planner, in the pipeline, and have names in the same list.
 """
 
 from __future__ import annotations
@@ -38,12 +38,13 @@ DEEPER = 5e-4  # [m] a contact may deepen on that way
 
 RequestAdapter = Callable[[Question], "Question | Outcome"]
 request_adapters: Registry[RequestAdapter] = Registry("adapter")
-FINISHING = ("timing", "validation")
+FINISHING = ("chomp_smoothing", "timing", "validation")
 MOVEIT_NAMES = {
     "CheckStartStateBounds": "fix_start_state_bounds",
     "FixStartStateBounds": "fix_start_state_bounds",
     "FixStartStateCollision": "fix_start_state_collision",
     "ResolveConstraintFrames": "resolve_constraint_frames",
+    "OptimizerAdapter": "chomp_smoothing",
     "AddTimeOptimalParameterization": "timing",
     "AddTimeParameterization": "timing",
     "ValidateSolution": "validation",
@@ -76,8 +77,16 @@ def normalized_adapters(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def adapted(question: Question) -> Question | Outcome:
-    """The question after the adapters of its request, in their order."""
+    """The question after the adapters of its request, in their order.
+
+    Raises:
+        InputError: an adapter that does not exist, or that cannot do what is asked.
+    """
     names = normalized_adapters(question.request.adapters)
+    if "chomp_smoothing" in names and question.request.path_constraints:
+        raise InputError(
+            "adapter 'chomp_smoothing' does not keep path constraints", cure="leave out one of the two"
+        )
     question = replace(question, adapters=names)
     for name in names:
         if name in request_adapters:

@@ -32,7 +32,9 @@ from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
 from armcell.planning.motion import Motion, timed_motion
 from armcell.planning.native.warm_up import warm_up, warm_up_ik
+from armcell.planning.optimise.smoother import smoothed
 from armcell.planning.placed import Placed
+from armcell.planning.planners.optimisers import free
 from armcell.planning.problem import Answer, Problem, sampling_bounds
 from armcell.planning.question import Question, ask
 from armcell.planning.simplify import simplify
@@ -182,6 +184,10 @@ def attempt(question: Question, ends: Ends, number: int) -> PlanResult:
             waypoints = simplify(problem, waypoints)
             if waypoints is None:
                 continue
+        if "chomp_smoothing" in question.adapters:
+            better = smoothed(problem, waypoints, free(problem))
+            answer = replace(answer, statistics={**answer.statistics, "smoothed": better is not None})
+            waypoints = waypoints if better is None else better
         if question.cancel.is_set():
             break
         made = timed_motion(question, ends.checker, waypoints)

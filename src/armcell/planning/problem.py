@@ -102,6 +102,8 @@ def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
     if pipeline_id not in pipelines:
         raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
     table, name = pipelines[pipeline_id], normalized_planner_id(planner_id)
+    if not planner_id.strip() and len(table) == 1:
+        name = next(iter(table))
     if name not in table and ALIASES.get(name) in table:
         name = ALIASES[name]
     return name, table[name]

@@ -1,4 +1,4 @@
-"""A redundant arm's solution, slid along its continuum towards a reference (Numba)."""
+"""A redundant arm's spare joints: solutions slid along their continuum (Numba)."""
 
 from __future__ import annotations
 
@@ -62,3 +62,33 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
             factor *= 0.5
         else:
             return
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def lean(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
+    """Bring q (n,), near a goal, onto it, having moved by the part of `wish` (n,) that leaves the tip alone.
+
+    Returns:
+        Whether it got there within bounds; otherwise q is as it was.
+    """
+    n = len(q)
+    axes, J = np.empty((len(table), 6)), np.empty((n, 7))
+    T, e, A = np.empty(12), np.empty(6), np.empty((6, 6))
+    trial = np.empty(n)
+    tip_pose(table, q, axes, T)
+    jacobian(table, axes, T, scale, J)
+    for r in range(6):
+        e[r] = 0.0
+        for c in range(n):
+            e[r] += J[c, r] * wish[c]
+    damped_step(J, n, e, BIAS, A)
+    for c in range(n):
+        trial[c] = min(max(q[c] + wish[c] - J[c, 6], bounds[c, 0]), bounds[c, 1])
+    reached = descend(
+        table, bounds, goal, scale, iterations, iterations, position_tolerance, rotation_tolerance,
+        trial, axes, J,
+    )[2]  # fmt: skip
+    if reached:
+        for c in range(n):
+            q[c] = trial[c]
+    return reached

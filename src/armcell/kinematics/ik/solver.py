@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, ErrorCode, IKResult, InputError
 from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
 from armcell.kinematics.ik.descent import descend
+from armcell.kinematics.ik.nullspace import lean
 from armcell.kinematics.ik.seeds import Seeds, rank, seeds_of, take_nearest
 from armcell.kinematics.ik.turns import whole_turns
 from armcell.kinematics.tree import FIXED, kinematic_tree
@@ -180,10 +181,28 @@ class IKSolver(ABC):
             rotation_error=angle,
         )
 
-    def descend(self, q: Array, T_world_tip: SE3, iterations: int = 60) -> tuple[float, float, bool]:
-        """One descent from q (dof,), changed in place: errors [m], [rad], and whether it converged."""
+    def descend(
+        self, q: Array, T_world_tip: SE3, iterations: int = 60, *, wish: Array | None = None,
+        bounds: Array | None = None,
+    ) -> tuple[float, float, bool]:  # fmt: skip
+        """One descent from q (dof,), changed in place: errors [m], [rad], and whether it converged.
+
+        Args:
+            wish: (n,) how a redundant group's joints would like to change meanwhile; the part that leaves
+                the tip alone is done, where the pose is reached all the same.
+            bounds: (n, 2) that the group's joints keep to, instead of their limits.
+        """
         prepared, goal, at = self._question(T_world_tip, q)
-        position, angle, ok = self._descend(prepared.chain, goal, at, iterations)
+        chain, s = prepared.chain, self.settings
+        if bounds is not None:
+            chain = replace(chain, bounds=bounds)
+        if wish is not None and wish.any() and lean(
+            chain.table, chain.bounds, goal, chain.scale, wish, iterations, s.position_tolerance,
+            s.rotation_tolerance, at,
+        ):  # fmt: skip
+            position, angle, ok = *errors_at(chain.table, at, goal), True
+        else:
+            position, angle, ok = self._descend(chain, goal, at, iterations)
         q[self.columns] = at
         return position, angle, ok
 

@@ -54,7 +54,8 @@ def explained(kind: type) -> Callable[[F], F]:
 
 def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds: float) -> Explanation:
     case = Case(scene, request, result, SOLVERS, time.monotonic() + seconds)
-    if isinstance(request, CartesianRequest) and result.code is not ErrorCode.START_STATE_INVALID:
+    starts = (ErrorCode.START_STATE_INVALID, ErrorCode.START_STATE_IN_COLLISION)
+    if isinstance(request, CartesianRequest) and result.code not in starts:
         cartesian.line_stops(case)
     else:  # whatever else it is, it may be constraints, time or something in the way
         CAUSES.get(result.code, motion.no_motion)(case)

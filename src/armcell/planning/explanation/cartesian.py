@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 
-from armcell.collision import ExactChecker
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.planning.explanation import words
 from armcell.planning.explanation.case import CLOSE_TO_LIMIT, Case, tell_margins
 from armcell.planning.explanation.changes import change_request, change_start, change_waypoints, go_freely
+from armcell.planning.explanation.constraints import too_constrained
 from armcell.planning.explanation.contacts import free_objects
 from armcell.planning.explanation.nearest import ANGLES, DIRECTIONS, DISTANCES
 from armcell.planning.explanation.pose import explain_pose
-from armcell.planning.explanation.start import start_in_collision
 
-SINGULAR = 0.05  # smallest singular value of the Jacobian [m, rad]: far below what working arms have
 BRANCHES = 24  # of the start pose that are tried
 HALVINGS = 6
 DETOURS = (0.05, 0.1, 0.2, 0.4)  # [m] beside the place where it stops
@@ -30,14 +28,9 @@ def line_stops(case: Case) -> None:
     request, result = case.request, case.result
     assert isinstance(request, CartesianRequest)
     tell_margins(case)
-    exact = ExactChecker(case.started, case.joint_names)
-    if request.avoid_collisions and exact.contacts(case.start, padded=False):
-        case.say("it is in collision before it moves")
-        start_in_collision(case)
-        return
     ik = ik_solver(case.scene.model, request.group, request.link)
     here = case.started.frame_pose(ik.tip_link)
-    number, pose = _stop(case, request, ik, here)
+    number, pose = result.evidence.get("waypoint", 1) - 1, result.evidence.get("stops_at", here)
     _tell_place(case, request, number, pose)
     case.contacts = [c for c in result.evidence.get("contacts", []) if c is not None]
     if result.code is ErrorCode.NO_IK_SOLUTION:
@@ -46,6 +39,8 @@ def line_stops(case: Case) -> None:
         case.state = case.group_state(result.path.waypoints[-1])
     if result.code is ErrorCode.PLANNING_FAILED and "joint" in result.evidence:
         _jump(case, request)
+    if "violations" in result.evidence:
+        too_constrained(case)
     _other_start(case, request, ik, here)
     _smaller_turn(case, request, here)
     _aside(case, request, ik)
@@ -57,24 +52,6 @@ def line_stops(case: Case) -> None:
     if _can_stand(case, request, request.waypoints[-1], ik):
         case.suggest("go there freely instead of on a straight line", go_freely, effort=np.inf)
     _shorter(case, request, number, pose)
-
-
-def _stop(case: Case, request: CartesianRequest, ik: IKSolver, here: SE3) -> tuple[int, SE3]:
-    """The number of the waypoint it was on the way to, and the pose of the link where it stopped."""
-    if case.result.path is None:
-        return 0, here
-    pose = ik.tree.link_pose(_full(case, case.result.path.waypoints[-1]), ik.tip_link)
-    points = [here, *request.waypoints]
-    best, number = np.inf, 0
-    for k, (a, b) in enumerate(pairwise(points)):
-        for share in np.linspace(0.0, 1.0, 41):
-            metres, radians = pose.distance_to(a.interpolate(b, share))
-            done = (k + share) / len(request.waypoints)
-            # Where the line comes by twice, how much of it was done decides.
-            off = metres + 0.1 * radians + 0.01 * abs(done - case.result.fraction)
-            if off < best:
-                best, number = off, k
-    return number, pose
 
 
 def _tell_place(case: Case, request: CartesianRequest, number: int, pose: SE3) -> None:
@@ -106,10 +83,10 @@ def _tell_reach(case: Case, request: CartesianRequest, ik: IKSolver) -> None:
     for k in np.flatnonzero(margins < CLOSE_TO_LIMIT):
         name = ik.joint_names[k]
         case.say(f"there {name} is {words.joint_value(case.scene.model, name, margins[k])} from its limit")
-    J = ik.tree.jacobian(_full(case, q), ik.tip_link, ik.joint_names)
-    least = float(np.linalg.svd(J, compute_uv=False)[-1])
-    case.data["least_singular_value"] = least
-    if least < SINGULAR:
+    evidence = case.result.evidence
+    case.data["least_singular_value"] = evidence["least_singular_value"]
+    if evidence["near_singularity"]:
+        least = evidence["least_singular_value"]
         case.say(f"there the arm is near a singularity (smallest singular value {least:.3f})")
 
 
@@ -123,15 +100,12 @@ def _jump(case: Case, request: CartesianRequest) -> None:
                 f"take steps of {words.length(step)}", change_request, {"max_step": step}, known=True
             )
             return
+    name = case.result.evidence["field"]
     for factor in (1.5, 2.0, 4.0, 10.0, 100.0):
-        threshold = request.jump_threshold * factor
-        if case.succeeds(case.scene, replace(request, jump_threshold=threshold)) is not None:
-            case.suggest(
-                f"allow joint steps of {words.angle(threshold)} (jump_threshold {threshold:.3g})",
-                change_request,
-                {"jump_threshold": threshold},
-                known=True,
-            )
+        threshold = getattr(request, name) * factor
+        if case.succeeds(case.scene, replace(request, **{name: threshold})) is not None:
+            text = f"allow larger joint steps: {name} {threshold:.3g}"
+            case.suggest(text, change_request, {name: threshold}, known=True)
             return
 
 

@@ -43,7 +43,7 @@ def go_freely(scene: PlanningScene, request: CartesianRequest) -> Both:
     goal = PoseGoal(request.waypoints[-1], request.link)
     return scene, PlanRequest(
         request.group, (goal,), start=request.start, velocity_scaling=request.velocity_scaling,
-        acceleration_scaling=request.acceleration_scaling,
+        acceleration_scaling=request.acceleration_scaling, path_constraints=request.path_constraints,
     )  # fmt: skip
 
 

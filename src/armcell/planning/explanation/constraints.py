@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armcell.core import ConstraintGoal, Constraints, PlanRequest
+from armcell.core import ConstraintGoal, Constraints
 from armcell.planning.explanation.case import Case
 from armcell.planning.explanation.changes import change_goal, change_request
 from armcell.planning.explanation.tolerances import One, name, scaled, told
@@ -22,7 +22,7 @@ Put = Callable[[Constraints], tuple[Callable, dict]]
 def too_constrained(case: Case) -> bool:
     """Whether the request succeeds without its path constraints; then which one is to blame."""
     request = case.request
-    if not isinstance(request, PlanRequest) or not request.path_constraints:
+    if not request.path_constraints:
         return False
 
     def put(constraints: Constraints):

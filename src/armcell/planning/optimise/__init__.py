@@ -1,0 +1,1 @@
+"""Trajectory optimisation: a whole path pushed out of obstacles by their signed distances."""
