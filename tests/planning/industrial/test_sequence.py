@@ -224,3 +224,23 @@ def test_a_searched_motion_may_be_part_of_it():
     result = plan_sequence(scene, SequenceRequest(((free, 0.05), (b, 0.0))))
     assert result.ok, result.message
     judge(scene, result.trajectory)
+
+
+def test_what_a_blend_would_break_is_refused():
+    scene = ur10()
+    (a, _), (b, _) = corner(scene, 0.1).items
+    fast = plan_sequence(scene, SequenceRequest(((a, 0.1), (b, 0.0))))
+    peak = Watched(scene, fast.trajectory, tip_of(scene)).speed.max()
+    assert peak > 0.31  # as in MoveIt: two motions at once are faster than one, whose limit is 0.3 m/s
+    bound = replace(b, max_cartesian_speed=0.3)
+    result = plan_sequence(scene, SequenceRequest(((a, 0.1), (bound, 0.0))))
+    assert result.code is ErrorCode.PLANNING_FAILED and "max_cartesian_speed is 0.3 m/s" in result.message
+    helped = result.explain(8.0).suggestions[0]
+    again = plan_sequence(*helped.apply(scene, SequenceRequest(((a, 0.1), (bound, 0.0)))))
+    (window,) = again.evidence["blends"]
+    seen = Watched(scene, again.trajectory, tip_of(scene))
+    during = (seen.times[:-1] >= window["begin"]) & (seen.times[:-1] <= window["end"])
+    assert again.ok and seen.speed[during].max() <= 0.3 * 1.002
+    with pytest.raises(InputError, match="request 1 has jerk_limits"):
+        free = PlanRequest("arm", a.goals, jerk_limits=True)
+        plan_sequence(scene, SequenceRequest(((free, 0.1), (b, 0.0))))

@@ -33,12 +33,16 @@ from armcell.planning.industrial.profile import CLOSE
 from armcell.planning.industrial.proof import proven
 from armcell.planning.pipeline import plan
 from armcell.planning.placed import Placed, positioned
+from armcell.planning.problem import INDUSTRIAL, normalized_pipeline_id
 from armcell.planning.question import ask
+from armcell.planning.speed import peak_speed
+from armcell.planning.workspace import Workspace
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
 PLANNER_ID = "sequence"
+SPEED_ROUNDING = 1.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +139,21 @@ def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
             )
         if radius > 0:
             _placed(scene, a)  # a group without a tip raises
+            _check_kept(a, f"request {number + 1}")
+            _check_kept(b, f"request {number + 2}")
+
+
+def _check_kept(request: PlanRequest, name: str) -> None:
+    """Raises InputError where a motion keeps what a blend into or out of it would not."""
+    told = normalized_pipeline_id(request.pipeline_id) == INDUSTRIAL  # its constraints are CIRC's point
+    kept = {
+        "path constraints": bool(request.path_constraints) and not told,
+        "torque_limits": request.torque_limits,
+        "jerk_limits": request.jerk_limits,
+    }
+    for what, asked in kept.items():
+        if asked:
+            raise InputError(f"{name} has {what}, which a blend does not keep", cure="give blend radius 0")
 
 
 def _placed(scene: PlanningScene, request: PlanRequest) -> Placed:
@@ -196,7 +215,28 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
     checker = KernelChecker(second.scene, first.trajectory.joint_names)
     checker.relax_margins(second.trajectory.positions[0])
     points = proven(checker, made.curve, placed, "it touches")
-    return points if isinstance(points, Outcome) else made
+    if isinstance(points, Outcome):
+        return points
+    for item in (first, second):
+        if (why := _forbidden(item, made, points)) is not None:
+            return why
+    return made
+
+
+def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
+    """Whether a blend breaks what one of its motions is bound to: a speed of the tip, a workspace."""
+    request, speed = item.request, item.request.max_cartesian_speed
+    if speed is not None:
+        placed = Placed(item.scene, request.group, request.speed_link)
+        peak = peak_speed(made.trajectory, placed)
+        if peak > speed * SPEED_ROUNDING:
+            text = f"{placed.name} would move at {peak:.3g} m/s, max_cartesian_speed is {speed:.3g} m/s"
+            return Outcome(ErrorCode.PLANNING_FAILED, text, {"speed": peak})
+    if request.workspace is not None:
+        workspace = Workspace(item.scene, request)
+        if (q := workspace.left_at(points)) is not None:
+            return Outcome(ErrorCode.INVALID_MOTION_PLAN, workspace.describe(q), {"positions": q})
+    return None
 
 
 def _joined(
