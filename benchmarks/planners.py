@@ -17,6 +17,7 @@ import numpy as np
 from armcell.core import SE3, SO3, Box, Goal, JointGoal, JointState, PlanRequest, PoseGoal
 from armcell.model import load_robot
 from armcell.planning import pipelines, plan
+from armcell.planning.problem import INDUSTRIAL
 from armcell.scene import CollisionObject, PlanningScene
 
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks_planners.md"
@@ -145,7 +146,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=PAGE)
     asked = parser.parse_args()
     problems = list(cases())
-    names = [(pipeline, planner) for pipeline, table in pipelines.items() for planner in table]
+    names = [
+        (pipeline, planner)
+        for pipeline, table in pipelines.items()
+        if pipeline != INDUSTRIAL
+        for planner in table
+    ]
     for case in problems:  # compiles and fits what is kept after the first use
         for planner in pipelines["native"]:
             measure(case, "native", planner, 1, 0.1)

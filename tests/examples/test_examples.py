@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import armcell
@@ -199,6 +200,27 @@ def test_06_set_up_a_robot(printed):
     assert "unknown joint 'elbo_joint'" in said and "did you mean 'elbow_joint'?" in said
     assert "two arms: left_arm, right_arm, both_arms" in said
     assert "both to ready: SUCCESS, 12 joints at once" in said
+
+
+def test_12_ptp_lin_circ(printed):
+    said = printed("12_ptp_lin_circ.py")
+    assert number(r"PTP: SUCCESS, .* apart by at most ([\d.e-]+) of", said) < 1e-9
+    assert number(r"([\d.]+) um off its line, 0.300 m/s at most", said) < 1.0
+    for name, radius, high in (("interim", 100.0, 100.0), ("center", np.hypot(100.0, 20.0), None)):
+        low, most, tall = (
+            float(v)
+            for v in re.search(
+                rf"CIRC by {name}: SUCCESS, radius (.*) to (.*) mm, (.*) mm high", said
+            ).groups()
+        )
+        assert low == pytest.approx(radius, abs=0.02) and most == pytest.approx(radius, abs=0.02)
+        # Half a circle hangs one radius down; around a center 20 mm above the chord it is the flatter part.
+        assert tall == pytest.approx(high or radius - 20.0, abs=0.1)
+    stop, blended = (number(rf"radius {r} mm: SUCCESS, ([\d.]+) s", said) for r in (0, 60))
+    assert blended < stop - 0.5
+    assert 1.0 < number(r"radius 60 mm: .* corner at ([\d.]+) mm", said) < 60.0
+    assert "it would work to move slower: velocity_scaling 0.797" in said
+    assert re.search(r"INVALID_MOTION_PLAN: LIN touches at \d+% of the way, .* panda_hand touches post", said)
 
 
 @pytest.mark.slow

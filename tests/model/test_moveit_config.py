@@ -94,6 +94,7 @@ def test_what_a_package_says(package):
     assert limits["j2"].velocity == 2.0  # the URDF's is tighter
     assert limits["j2"].acceleration == 1.0  # MoveIt's default
     assert config.planner_configs["TRRT"] == {"type": "geometric::TRRT", "min_temperature": 1e-9}
+    assert config.cartesian_limits == {"max_trans_vel": 1.0, "max_trans_acc": 2.25}
     arm = config.group_planning["arm"]
     assert arm["planner_configs"] == ["RRTConnectkConfigDefault", "TRRT"]
     assert arm["longest_valid_segment_fraction"] == 0.005 and set(config.group_planning) == {"arm"}

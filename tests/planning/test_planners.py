@@ -13,8 +13,10 @@ from tests.planning.test_plan import beyond_panda
 
 from armcell.core import ErrorCode, UnknownNameError
 from armcell.planning import normalized_planner_id, pipelines, plan
+from armcell.planning.problem import INDUSTRIAL
 
-ALL = [(pipeline, name) for pipeline, table in pipelines.items() for name in table]
+SEARCHING = {pipeline: table for pipeline, table in pipelines.items() if pipeline != INDUSTRIAL}  # a way
+ALL = [(pipeline, name) for pipeline, table in SEARCHING.items() for name in table]
 each_planner = pytest.mark.parametrize(("pipeline", "name"), ALL)
 SECONDS = 1.5
 

@@ -25,6 +25,7 @@ from armcell.core.requests import (
     NamedGoal,
     PlanRequest,
     PoseGoal,
+    SequenceRequest,
 )
 from armcell.core.results import ExecutionResult, IKResult, Outcome, PlanResult
 from armcell.core.transforms import SE3, SO3
@@ -69,6 +70,7 @@ __all__ = [
     "PoseGoal",
     "PositionConstraint",
     "Registry",
+    "SequenceRequest",
     "Shape",
     "Sphere",
     "StateSample",

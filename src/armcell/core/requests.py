@@ -101,3 +101,10 @@ class CartesianRequest:
     velocity_scaling: float = 1.0
     acceleration_scaling: float = 1.0
     max_cartesian_speed: float | None = None  # [m/s]
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceRequest:
+    """Motions one after the other; after each a blend radius [m] around its end, 0 where it stops there."""
+
+    items: tuple[tuple[PlanRequest, float], ...]

@@ -5,6 +5,7 @@ from armcell.planning.cartesian import plan_cartesian, waypoints_by_offsets
 from armcell.planning.constraint_check import constraint_errors, satisfied, violations
 from armcell.planning.explain import explain, solve_ik
 from armcell.planning.explanation import Branch, PoseExplanation, explain_pose, explain_start
+from armcell.planning.industrial.sequence import plan_sequence
 from armcell.planning.library import LibraryStatistics, PlanLibrary
 from armcell.planning.moving import plan_among_moving
 from armcell.planning.native.warm_up import prepare, warm_up
@@ -32,6 +33,7 @@ __all__ = [
     "plan",
     "plan_among_moving",
     "plan_cartesian",
+    "plan_sequence",
     "prepare",
     "satisfied",
     "solve_ik",

@@ -39,7 +39,13 @@ from armcell.planning.fingerprint import fingerprint
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goal_regions import reaches
 from armcell.planning.pipeline import plan
-from armcell.planning.problem import Problem, find_planner, sampling_bounds
+from armcell.planning.problem import (
+    INDUSTRIAL,
+    Problem,
+    find_planner,
+    normalized_pipeline_id,
+    sampling_bounds,
+)
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
 from armcell.timing import TorqueLimitError, check_scaling
@@ -234,6 +240,7 @@ def _asks_more(request: PlanRequest) -> bool:
     """Whether a request asks what stored motions are not looked at for."""
     return (
         bool(request.path_constraints)
+        or normalized_pipeline_id(request.pipeline_id) == INDUSTRIAL
         or any(isinstance(goal, ConstraintGoal) for goal in request.goals)
         or request.workspace is not None
         or request.max_cartesian_speed is not None

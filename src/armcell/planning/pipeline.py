@@ -30,12 +30,13 @@ from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
 from armcell.planning.goals import joint_goals
+from armcell.planning.industrial.plan import check_command, plan_industrial
 from armcell.planning.motion import Motion, timed_motion
 from armcell.planning.native.warm_up import warm_up, warm_up_ik
 from armcell.planning.optimise.smoother import smoothed
 from armcell.planning.placed import Placed
 from armcell.planning.planners.optimisers import free
-from armcell.planning.problem import Answer, Problem, sampling_bounds
+from armcell.planning.problem import INDUSTRIAL, Answer, Problem, normalized_pipeline_id, sampling_bounds
 from armcell.planning.question import Question, ask
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
@@ -65,7 +66,10 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
         for link in _links(request):
             warm_up_ik(scene.model, request.group, Placed(scene, request.group, link).link)
     asked = ask(scene, request, cancel)
-    if request.path_constraints:
+    industrial = normalized_pipeline_id(request.pipeline_id) == INDUSTRIAL
+    if industrial:
+        check_command(asked)
+    elif request.path_constraints:
         check_planner(asked)
     question = adapted(asked)
     if isinstance(question, Outcome):
@@ -73,6 +77,8 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     ends = find_ends(question)
     if isinstance(ends, Outcome):
         return question.failed(ends)
+    if industrial:
+        return plan_industrial(question, ends.checker, ends.start, ends.goals)
     if request.path_constraints:
         return plan_constrained(question, ends.checker, ends.start, ends.goals)
     return search(question, ends)

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from armcell.core import InputError, PlanRequest, UnknownNameError
-from armcell.planning.problem import Planner, SpaceOptions, named_planner, planner_settings
+from armcell.planning.industrial.settings import settings_from_request
+from armcell.planning.problem import (
+    INDUSTRIAL,
+    Planner,
+    SpaceOptions,
+    named_planner,
+    normalized_pipeline_id,
+    planner_settings,
+)
 
 WITHOUT_EFFECT = {
     "interpolate", "hybridize", "minimum_waypoint_count", "maximum_waypoint_distance",
@@ -35,6 +43,10 @@ def choose(request: PlanRequest) -> Choice:
         UnknownNameError: no such pipeline, planner, configuration or parameter; never replaced by another.
         InputError: a configuration of the wrong form.
     """
+    if normalized_pipeline_id(request.pipeline_id) == INDUSTRIAL:
+        planner_id, planner = named_planner(request.pipeline_id, request.planner_id)
+        given = settings_from_request(planner_id, request.parameters, request.planner_configs)
+        return Choice(planner, planner_id, given[0], without_effect=given[1])
     config, group = _config(request)
     given = config.get("type", request.planner_id) if config else request.planner_id
     planner_id, planner = named_planner(request.pipeline_id, given)

@@ -64,11 +64,18 @@ class Answer:
 
 
 Planner = Callable[[Problem], Answer]
-pipelines: dict[str, Registry[Planner]] = {
+INDUSTRIAL = "pilz"
+"""The pipeline of motions that are told, not searched: its planners are `industrial.command.Generator`s."""
+
+pipelines: dict[str, Registry[Any]] = {
     "native": Registry("planner of pipeline 'native'"),
     "ompl": Registry("planner of pipeline 'ompl'"),
+    INDUSTRIAL: Registry("planner of pipeline 'pilz'"),
 }
 """Planners by pipeline and name."""
+
+PIPELINE_ALIASES = {"": "native", "pilz_industrial_motion_planner": INDUSTRIAL}
+"""MoveIt's names for pipelines."""
 
 settings_makers: dict[Planner, MakeSettings] = {}
 """For planners with parameters: what makes their settings of them. A planner without takes none."""
@@ -92,13 +99,18 @@ ALIASES = {"BKPIECE": "BKPIECE1", "KPIECE": "KPIECE1", "LBKPIECE": "LBKPIECE1"}
 """MoveIt's names for planners that OMPL calls otherwise."""
 
 
+def normalized_pipeline_id(pipeline_id: str) -> str:
+    """Our name of a pipeline; an empty one is the default."""
+    return PIPELINE_ALIASES.get(pipeline_id, pipeline_id)
+
+
 def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
     """The name and the planner that a request means; an empty pipeline is the default one.
 
     Raises:
         UnknownNameError: no such pipeline, or no such planner in it; never replaced by another.
     """
-    pipeline_id = pipeline_id or "native"
+    pipeline_id = normalized_pipeline_id(pipeline_id)
     if pipeline_id not in pipelines:
         raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
     table, name = pipelines[pipeline_id], normalized_planner_id(planner_id)

@@ -120,6 +120,12 @@ class MoveItConfig:
         """Solver settings by planning group."""
         return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
 
+    @property
+    def cartesian_limits(self) -> dict[str, float]:
+        """Of pilz_cartesian_limits.yaml, by its keys: parameters of the planners LIN and CIRC."""
+        data = _unwrapped(self.files.get("pilz_cartesian_limits", {}), "robot_description_planning")
+        return {key: float(value) for key, value in data.get("cartesian_limits", {}).items()}
+
     def _ompl(self) -> Data:
         return _unwrapped(self.files.get("ompl_planning", {}), "ompl")
 

@@ -9,7 +9,7 @@ from functools import partial, wraps
 from typing import Any, TypeVar, cast
 
 from armcell.core import CartesianRequest, ErrorCode, Explanation, InputError, PlanResult
-from armcell.planning.explanation import cartesian, goal, motion, start, violated
+from armcell.planning.explanation import cartesian, goal, industrial, motion, start, violated
 from armcell.planning.explanation.case import Case, Solve
 from armcell.planning.explanation.changes import Request
 from armcell.planning.explanation.misuse import missing_result, misuse
@@ -57,6 +57,8 @@ def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds
     starts = (ErrorCode.START_STATE_INVALID, ErrorCode.START_STATE_IN_COLLISION)
     if isinstance(request, CartesianRequest) and result.code not in starts:
         cartesian.line_stops(case)
+    elif industrial.is_told(case):
+        industrial.told_motion(case)
     else:  # whatever else it is, it may be constraints, time or something in the way
         CAUSES.get(result.code, motion.no_motion)(case)
     return case.explanation()
