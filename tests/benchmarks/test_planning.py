@@ -22,6 +22,8 @@ from armcell.cli.bench_mbm import scene_of
 from armcell.collision import ExactChecker
 from armcell.model import load_robot
 
+pytestmark = pytest.mark.slow
+
 LINK = """<link name="{0}"><collision><origin xyz="0.2 0 0"/><geometry><box size="0.38 0.06 0.06"/></geometry>
 </collision></link>"""
 JOINT = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="{3} 0 0"/>

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 import armcell.core
 import armcell.planning
 import armcell.scene
@@ -15,6 +17,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "coming_from_moveit.md").read_text(
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.S)
 
 
+@pytest.mark.slow
 def test_the_code_blocks_run_one_after_the_other(capsys):
     names: dict = {}
     for block in BLOCKS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from functools import lru_cache
 from pathlib import Path
 
@@ -38,7 +37,6 @@ BOX = collision('<box size="0.05 0.05 0.05"/>')
 def proposed(name: str) -> Proposal:
     if not ROBOTS[name].exists():
         pytest.skip(f"{ROBOTS[name]} is not there")
-    logging.getLogger("armcell").setLevel(logging.ERROR)  # visual meshes that MotionBenchMaker left out
     return propose([UrdfPart(ROBOTS[name])], SAMPLES)
 
 
@@ -129,6 +127,7 @@ def test_a_gripper_measured_on_the_meshes_is_the_library_s():
     assert found.finger_depth == pytest.approx(known.finger_depth, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_two_arms_in_one_go(tmp_path):
     file = ROBOTS["ur10"]
     parts = [UrdfPart(file, "left_", (0, 0.6, 0)), UrdfPart(file, "right_", (0, -0.6, 0), (0, 0, 90))]

@@ -7,8 +7,10 @@ import json
 import pytest
 
 from armcell.cli.main import main
+from armcell.timing import TimingSettings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep", ["acceleration", "torque", "jerk"])
 def test_rows_keep_limits_and_compare(tmp_path, keep, capsys):
     out = tmp_path / "out.json"
@@ -21,7 +23,9 @@ def test_rows_keep_limits_and_compare(tmp_path, keep, capsys):
         assert row["worst_of_limit"] <= 1.0 + 1e-6
         assert row["duration_s"] == pytest.approx(row["of_peer"] * row["peer_duration_s"])
         assert row["unsmoothed_of_peer"] <= 1.02 or keep == "jerk"
-        assert (f"{keep}_of_limit" in row) and row["smoothing_s"] == (0.0 if keep == "jerk" else 0.04)
+        assert (f"{keep}_of_limit" in row) and row["smoothing_s"] == (
+            0.0 if keep == "jerk" else TimingSettings().smoothing
+        )
 
 
 def test_the_same_seed_gives_the_same_paths(tmp_path):

@@ -70,6 +70,7 @@ def recording(folder) -> bool:
     return any(folder.glob("*/run.mcap*"))
 
 
+@pytest.mark.slow
 def test_while_the_arm_moves_in_real_time(tmp_path):
     process = start("run", "panda_pick", "--time-scale", "1", "--runs", tmp_path)
     until(lambda: recording(tmp_path), process)
@@ -78,6 +79,7 @@ def test_while_the_arm_moves_in_real_time(tmp_path):
     assert not list(tmp_path.glob("*/report.html"))
 
 
+@pytest.mark.slow
 def test_while_it_plans(tmp_path):
     cell_file(tmp_path, PRISON)
     process = start("run", tmp_path, "--runs", tmp_path / "runs")

@@ -111,6 +111,7 @@ CLOUDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pads", [{}, {"padding": 0.02}], ids=str)
 @pytest.mark.parametrize("T", [SE3.identity(), TILTED], ids=["upright", "tilted"])
 @pytest.mark.parametrize("name", CLOUDS)

@@ -138,6 +138,7 @@ def test_10_scene_services(printed):
     assert re.search(r"moving box: (waits|around), done", said)
 
 
+@pytest.mark.slow
 def test_11_clouds_and_octomaps(printed):
     said = printed("11_clouds_and_octomaps.py")
     assert "41000 points, 1000 of them are the robot" in said
@@ -147,6 +148,7 @@ def test_11_clouds_and_octomaps(printed):
     assert "no object is left" in said
 
 
+@pytest.mark.slow
 def test_09_keep_upright(printed):
     said = printed("09_keep_upright.py")
     assert number(r"upright: SUCCESS, .* leans by at most ([\d.]+) deg", said) <= 12.2
@@ -155,6 +157,7 @@ def test_09_keep_upright(printed):
     assert "START_STATE_VIOLATES_PATH_CONSTRAINTS: start violates the path constraints: " in said
 
 
+@pytest.mark.slow
 def test_08_why_not(printed):
     said = printed("08_why_not.py")
     assert said.startswith("GOAL_IN_COLLISION: ") and "panda_hand touches wall" in said
@@ -189,6 +192,7 @@ def test_07_requests_and_pipelines(printed):
     assert re.search(r"repaired: .* touches plate .* the motion begins at the (actual|repaired) start", said)
 
 
+@pytest.mark.slow
 def test_06_set_up_a_robot(printed):
     said = printed("06_set_up_a_robot.py")
     assert "group arm: 6 joints to tool0, states: home, ready" in said
@@ -202,6 +206,7 @@ def test_06_set_up_a_robot(printed):
     assert "both to ready: SUCCESS, 12 joints at once" in said
 
 
+@pytest.mark.slow
 def test_12_ptp_lin_circ(printed):
     said = printed("12_ptp_lin_circ.py")
     assert number(r"PTP: SUCCESS, .* apart by at most ([\d.e-]+) of", said) < 1e-9

@@ -216,6 +216,7 @@ def test_a_mimic_with_a_gear_has_no_whole_turns():
     assert NumericIK(grouped(gear, "c"), "g").prepared.chain.turning.tolist() == [False]
 
 
+@pytest.mark.slow
 def test_seeds_are_spread_and_quaternions_right():
     points = halton(512, 7)
     assert points.min() >= 0 and points.max() < 1 and np.abs(points.mean(axis=0) - 0.5).max() < 0.05

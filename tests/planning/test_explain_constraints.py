@@ -33,6 +33,8 @@ from armcell.core import (
 from armcell.kinematics import kinematic_tree
 from armcell.planning import explain, plan, satisfied, solve_ik
 
+pytestmark = pytest.mark.slow
+
 TIP = "panda_hand_tcp"
 
 

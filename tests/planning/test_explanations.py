@@ -38,6 +38,8 @@ from armcell.planning.explanation.constraints import too_constrained
 from armcell.planning.explanation.contacts import way_out
 from armcell.planning.explanation.nearest import nearest_free
 
+pytestmark = pytest.mark.slow
+
 AT_LEAST = 25  # of the thirty must succeed with what is suggested first
 LESS = ("end where it stops", "carry less")  # asks for less than was wanted
 

@@ -255,6 +255,7 @@ def test_a_region_is_used_where_its_middle_cannot_be_reached():
 # ---- AORRTC ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_more_iterations_never_cost_more(name):
     checker, *ask = question(*(PROBLEMS[name]()))

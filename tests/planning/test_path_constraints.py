@@ -38,6 +38,8 @@ from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.planning import plan
 from armcell.planning.constraints.description import Manifold
 
+pytestmark = pytest.mark.slow
+
 CELLS = {cell.name: cell for cell in cells()}
 EDGE = 1e-4  # what a motion may pass a tolerance by where its start or goal is on the tolerance's edge
 
