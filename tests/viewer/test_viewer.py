@@ -83,13 +83,13 @@ def test_the_last_state_is_shown_even_of_many_and_calls_return_at_once(viewer, s
     for k in range(500):
         q[0] = 0.001 * k
         sample = StateSample(0.002 * k, JointState(model.joint_names, q), {"cube": T, "stranger": T})
-        begin = time.perf_counter()
+        begin = time.thread_time()  # not the wall clock: other programs may run
         viewer.on_state(sample)
-        longest = max(longest, time.perf_counter() - begin)
+        longest = max(longest, time.thread_time() - begin)
     until(lambda: pose(viewer.object_frames["cube"]).isclose(T))
     until(lambda: abs(pose(viewer.link_frames["panda_link1"]).rotation.log()[2] - 0.499) < 1e-6)
     assert_links_at(viewer, scene, q)
-    assert longest < 0.1  # a thread switch, never the drawing
+    assert longest < 0.02  # the drawing is not done by the caller
 
 
 def test_updates_are_throttled(viewer, scene, monkeypatch):
