@@ -34,7 +34,7 @@ fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at the ROS-T
 bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (SECONDS_=60)
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),60)
 
-test-interop: $(VENV)/.stamp ## set up, then test against other programs that are installed (Debian's rospy, Mono)
+test-interop: $(VENV)/.stamp ## set up, then test against other programs that are installed (Debian's rospy, Mono, Chromium)
 	$(PY) -m pytest -m interop
 
 lint: $(VENV)/.stamp ## style, types and the layers of the rooms

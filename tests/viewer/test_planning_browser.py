@@ -14,7 +14,7 @@ from armcell.core import SE3
 from armcell.viewer import PlanningPanel, PlanningSession
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.interop,
     pytest.mark.skipif(
         find_chromium() is None,
         reason="no chromium or chrome in PATH to show the panel in (Debian: apt install chromium)",
