@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -21,6 +22,7 @@ def _end() -> None:
 def _interrupted(signum: int, frame: FrameType | None) -> None:
     if _importing(frame):  # libraries that try an import swallow whatever comes out of it
         _end()
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
     timer = threading.Timer(GRACE, _end)
     timer.daemon = True
     timer.start()
