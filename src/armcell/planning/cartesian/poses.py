@@ -21,7 +21,7 @@ def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
     for waypoint in request.waypoints:
         metres, radians = at.distance_to(waypoint)
         count = max(int(np.ceil(max(metres / request.max_step, radians / ROTATION_STEP))), least)
-        legs.append([at.interpolate(waypoint, (k + 1) / count) for k in range(count)])
+        legs.append(at.interpolated(waypoint, ((k + 1) / count for k in range(count))))
         at = waypoint
     return legs
 
