@@ -97,8 +97,8 @@ def test_a_wrong_address_and_a_silent_one(monkeypatch):
     assert line.verdict == "no" and "firewall" in line.found
 
 
-@pytest.mark.slow
 # --- cells ---
+@pytest.mark.slow
 def test_a_sound_cell(capsys, tmp_path):
     found = lines(capsys, tmp_path, "panda_pick")
     for check in ("cell file", "start state", "pick cube", "robot's files", "TF tree", "gains"):
