@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 
 from armcell.control import Driver
 from armcell.core import InputError, Observer, Outcome, UnknownNameError
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
+from armcell.tasks.arms import ArmContext, SideBySide, side_by_side
 
 
 class Arm:
@@ -38,6 +40,14 @@ class Arm:
         """Stand still [s]."""
         return hold(self._ctx, duration)
 
+    def reserve(self, zone: str) -> AbstractContextManager[None]:
+        """`with arm.reserve("bin"):` of two arms that work side by side only one is in there."""
+        return self._ctx.reserve(zone)
+
+    def meet(self, name: str) -> None:
+        """Wait until the other arm's program gets to the same point."""
+        self._ctx.meet(name)
+
 
 class LiveCell:
     """A cell with its driver connected, inside a `with` block.
@@ -59,7 +69,7 @@ class LiveCell:
     ):
         self.name, self.driver, self.scene_at_start = name, driver, scene
         self.ctx = TaskContext(driver, scene, settings, observers, seed)
-        self.model = scene.model
+        self.model, self.seed = scene.model, seed
 
     def __enter__(self) -> LiveCell:
         self.driver.__enter__()
@@ -96,6 +106,19 @@ class LiveCell:
         if group not in self.arms:
             raise UnknownNameError("arm", group, self.arms)
         return self.arms[group]
+
+    def side_by_side(self, **programs: Callable[[Arm], Outcome | None]) -> SideBySide:
+        """Two arms at work, each at its own pace: a function per arm, which gets the `Arm`.
+
+        Example: `cell.side_by_side(left_arm=sort_left, right_arm=sort_right)`
+        """
+
+        def program(group: str) -> Callable[[ArmContext], Outcome | None]:
+            return lambda ctx: programs[group](Arm(ctx, group))
+
+        for group in programs:
+            _ = self[group]
+        return side_by_side(self.ctx, {group: program(group) for group in programs})
 
     @property
     def reports(self) -> list[StageReport]:

@@ -160,6 +160,7 @@ class CellSpec(Strict):
     randomize: dict[str, RandomSpec] = {}
     cameras: dict[str, CameraSpec] = {}
     task: list[StepSpec] = []
+    script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
 
@@ -167,6 +168,12 @@ class CellSpec(Strict):
     @classmethod
     def _robot(cls, value):
         return {"model": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_task(self):
+        if self.task and self.script is not None:
+            raise ValueError("has a task and a script: give one or the other")
+        return self
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:

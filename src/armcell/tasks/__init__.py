@@ -1,5 +1,6 @@
 """In which order, and what if it fails? Stages, search, recipes."""
 
+from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.recipes import hold, move_to, pick, place, release
 from armcell.tasks.search import Draft, Planning, Stage, search
@@ -15,7 +16,9 @@ __all__ = [
     "Stage",
     "StageReport",
     "TaskContext",
+    "TaskFailed",
     "TaskSettings",
+    "checked",
     "hold",
     "move_to",
     "perform_all",

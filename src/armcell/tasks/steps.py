@@ -28,11 +28,15 @@ class Motion:
         return _staged(ctx, report, lambda: self._move(ctx, report))
 
     def _move(self, ctx: TaskContext, report: StageReport) -> Outcome:
+        trajectory = ctx.clear(self)
+        if isinstance(trajectory, Outcome):
+            return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
-        ctx.announce(self.trajectory)
+        ctx.announce(trajectory)
         result = execute(
-            ctx.driver, self.trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
+            ctx.driver, trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
         )
+        ctx.rested()
         for name, T_before in before.items():
             held = ctx.holding[name]
             report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
