@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 
 from armcell.control import Driver
@@ -10,7 +10,14 @@ from armcell.core import InputError, Observer, Outcome, UnknownNameError
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
-from armcell.tasks.arms import ArmContext, SideBySide, side_by_side
+from armcell.tasks.arms import (
+    ArmContext,
+    Carrying,
+    CarrySettings,
+    SideBySide,
+    move_together,
+    side_by_side,
+)
 
 
 class Arm:
@@ -119,6 +126,33 @@ class LiveCell:
         for group in programs:
             _ = self[group]
         return side_by_side(self.ctx, {group: program(group) for group in programs})
+
+    def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
+        """An object for two arms: by arm, the object's subframe that it takes hold of.
+
+        Example: `cell.carry("rod", left_arm="left_end", right_arm="right_end")`
+        """
+        for group in ends:
+            _ = self[group]
+        return Carrying(self.ctx, self._both(ends), item, ends, settings)
+
+    def move_together(self, **targets: Target) -> Outcome:
+        """Two arms to a target each; they start and arrive together."""
+        scene = self.ctx.scene()
+        goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
+        return move_together(self.ctx, self._both(targets), goals)
+
+    def _both(self, groups: Iterable[str]) -> str:
+        """The group of several arms' joints.
+
+        Raises:
+            InputError: there is none.
+        """
+        wanted = {n for group in groups for n in self.model.group(group).joint_names}
+        for group in self.model.groups.values():
+            if set(group.joint_names) == wanted:
+                return group.name
+        raise InputError(f"no planning group has the joints of {' and '.join(groups)}")
 
     @property
     def reports(self) -> list[StageReport]:

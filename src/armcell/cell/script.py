@@ -28,4 +28,5 @@ def load_script(name: str, cell_file: Path) -> Script:
     found: Any = runpy.run_path(str(file)).get("task")
     if not callable(found):
         raise InputError("has no function task(cell)", file=file)
-    return found
+    script: Script = found  # pyright: ignore[reportAssignmentType]
+    return script

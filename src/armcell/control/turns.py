@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import ContactRecord, Driver, GripperReading, WeldRecord
+from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, WeldRecord
 from armcell.core import SE3, JointState
 
 EPSILON = 1e-9  # [s]
@@ -115,6 +115,9 @@ class ArmView:
 
     def gripper(self, gripper: str) -> GripperReading:
         return self._driver.gripper(gripper)
+
+    def wrench(self, gripper: str) -> Array:
+        return self._driver.wrench(gripper)
 
     def object_poses(self) -> dict[str, SE3]:
         return self._driver.object_poses()

@@ -29,6 +29,7 @@ from armcell.sim.grip import (
 )
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
 
@@ -211,6 +212,11 @@ class SimWorld:
         """Width, contact force per finger and the object between the fingers, as of the last step."""
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
+
+    def wrench(self, gripper: str) -> Array:
+        """Force [N] over torque [Nm] (6,) on a hand by what touches it, about its tcp, in world axes."""
+        self._gripper(gripper)
+        return hand_wrench(self.built, self.mj_data, gripper)
 
     def _gripper(self, name: str):
         if name not in self.built.grippers:
