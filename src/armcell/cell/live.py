@@ -6,16 +6,29 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 
 from armcell.control import Driver
-from armcell.core import InputError, Observer, Outcome, UnknownNameError
+from armcell.core import InputError, JointGoal, Observer, Outcome, UnknownNameError
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
-from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
+from armcell.tasks import (
+    StageReport,
+    TaskContext,
+    TaskSettings,
+    grasp,
+    hold,
+    let_go,
+    move_to,
+    pick,
+    place,
+    release,
+)
 from armcell.tasks.arms import (
     ArmContext,
     Carrying,
     CarrySettings,
+    ScrewSettings,
     SideBySide,
     move_together,
+    screw,
     side_by_side,
 )
 
@@ -38,6 +51,26 @@ class Arm:
     def move_to(self, target: Target) -> Outcome:
         """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
+
+    def grasp(self, item: str) -> Outcome:
+        """Take hold of an object where it is, without lifting it."""
+        return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
+
+    def let_go(self, item: str) -> Outcome:
+        """Open the hand that holds an object and draw it straight back."""
+        return let_go(self._ctx, item)
+
+    def screw(
+        self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
+    ) -> Outcome:
+        """Turn a held object clockwise about the tool's axis, pressing with a force [N] along it."""
+        return screw(self._ctx, item, turns, force, settings)
+
+    @property
+    def joints(self) -> JointGoal:
+        """Where the arm is now, to come back to: `ready = arm.joints; ...; arm.move_to(ready)`."""
+        names = self._ctx.scene().model.group(self.group).joint_names
+        return JointGoal(self._ctx.driver.joint_state().reindexed(names))
 
     def open(self) -> Outcome:
         """Open the gripper fully and forget what it held."""

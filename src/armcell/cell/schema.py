@@ -51,6 +51,15 @@ class TypeSpec(Strict):
     db: str = ""
 
 
+class ThreadSpec(Strict):
+    """A thread: the object turns about its z axis and goes in by `pitch` per turn."""
+
+    into: str  # an object that stands before it in the file
+    pitch: float = Field(gt=0)  # [m]
+    travel: float = Field(gt=0)  # [m]
+    torque: float = Field(0.2, ge=0)  # [Nm] of friction
+
+
 class ObjectSpec(Strict):
     """An object: one shape given directly, or several under `shapes`."""
 
@@ -67,6 +76,7 @@ class ObjectSpec(Strict):
     shapes: list[ShapeSpec] = []
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
+    thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] = (0.6, 0.6, 0.6)
     movable: bool = False

@@ -289,7 +289,7 @@ class SimWorld:
         scene = self.built.scene
         q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
         objects = {
-            name: item.at(self.object_pose(name)) if name in self.built.object_qpos else item
+            name: item.at(self.object_pose(name)) if name in self.built.moving else item
             for name, item in self.built.objects.items()
         }
         return replace(scene, positions=q, objects=objects, attached={})
@@ -300,7 +300,7 @@ class SimWorld:
         return StateSample(
             time=self.time,
             joints=self.joint_state(),
-            object_poses={name: self.object_pose(name) for name in self.built.object_qpos},
+            object_poses={name: self.object_pose(name) for name in self.built.moving},
             gripper_width={name: state.width for name, state in grippers.items()},
             gripper_force={name: state.force_per_finger for name, state in grippers.items()},
         )
@@ -394,6 +394,13 @@ def _same_build(a: PlanningScene, b: PlanningScene) -> bool:
             new.mass, new.material, new.movable, new.color
         ):  # fmt: skip
             return False
+        if new.thread is not None:
+            into = new.thread.into
+            was = olds[into].T_world_object.inv() @ old.T_world_object
+            if new.thread != old.thread or not was.isclose(
+                news[into].T_world_object.inv() @ new.T_world_object
+            ):
+                return False
         if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):
             return False
     return True

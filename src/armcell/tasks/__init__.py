@@ -2,7 +2,7 @@
 
 from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.recipes import hold, move_to, pick, place, release
+from armcell.tasks.recipes import grasp, hold, let_go, move_to, pick, place, release
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.steps import Motion, perform_all
@@ -19,7 +19,9 @@ __all__ = [
     "TaskFailed",
     "TaskSettings",
     "checked",
+    "grasp",
     "hold",
+    "let_go",
     "move_to",
     "perform_all",
     "pick",

@@ -80,6 +80,11 @@ class TaskContext:
             scene = scene.with_attached(held.object, held.gripper.tcp_link, held.gripper.hand_links)
         return scene
 
+    @property
+    def base(self) -> PlanningScene:
+        """The world the task plans in, with nothing of it measured."""
+        return self._base
+
     def change_scene(self, scene: PlanningScene) -> None:
         """Replace the world the task plans in (objects added or removed); the state stays measured."""
         self._base = scene

@@ -365,7 +365,7 @@ class Carrying:
 
     @property
     def _columns(self) -> list[int]:
-        return self.ctx._base.model.columns(self.names)
+        return self.ctx.base.model.columns(self.names)
 
     def _slip(self) -> float:
         held = self._known()

@@ -17,11 +17,11 @@ class ArmContext(TaskContext):
     """As `TaskContext`, for one arm of two that work side by side."""
 
     def __init__(self, parent: TaskContext, group: str, driver: Driver, traffic: Traffic):
-        super().__init__(driver, parent._base, parent.settings, parent.observers, parent.seed, parent.cancel)
+        super().__init__(driver, parent.base, parent.settings, parent.observers, parent.seed, parent.cancel)
         self.parent, self.group, self.traffic, self.ended = parent, group, traffic, False
         self.events = parent.events
         traffic.contexts[group] = self
-        arm = {g.name for g in parent._base.model.grippers.values() if g.arm_group == group}
+        arm = {g.name for g in parent.base.model.grippers.values() if g.arm_group == group}
         self.holding = {n: h for n, h in parent.holding.items() if h.gripper.name in arm}
 
     def whole_scene(self) -> PlanningScene:
