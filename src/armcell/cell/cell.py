@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from armcell.cell.cameras import camera_of
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of
 from armcell.cell.schema import CameraSpec, CellSpec, validated
@@ -56,9 +57,9 @@ class Cell:
         self.model: RobotModel = self._robot()
         self.settings: TaskSettings = self._settings(TaskSettings, spec.settings, "settings")
         self.physics: PhysicsSettings = self._settings(PhysicsSettings, spec.physics, "physics")
-        self.cameras = tuple(_camera(n, c) for n, c in spec.cameras.items())
         self._check_names()
         self.scene()  # whatever is wrong with the objects is said now
+        self.cameras = tuple(self._camera(n, c) for n, c in spec.cameras.items())
 
     def _fail(self, element: str, reason: str, cure: str | None = None) -> InputError:
         return InputError(reason, file=self.file, element=element, cure=cure)
@@ -81,6 +82,18 @@ class Cell:
             return settings_from(cls, values, element)
         except InputError as error:
             raise self._fail(element, error.reason, error.cure) from None
+
+    def _camera(self, name: str, spec: CameraSpec) -> Camera:
+        try:
+            return camera_of(name, spec, self.model, self.scene().state.positions, self.file.parent)
+        except UnknownNameError as error:
+            raise UnknownNameError(
+                error.kind, error.name, error.known, file=self.file, element=f"cameras/{name}"
+            ) from None
+        except InputError as error:
+            if error.file is not None:
+                raise
+            raise self._fail(f"cameras/{name}", error.reason, error.cure) from None
 
     def _check_names(self) -> None:
         """Names in randomize, start and task that do not exist."""
@@ -170,12 +183,6 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
         T_world_object=SE3(yaw @ T.rotation, moved),
         mass=values.get("mass", item.mass),
         material=replace(item.material, friction=values.get("friction", item.material.friction)),
-    )
-
-
-def _camera(name: str, spec: CameraSpec) -> Camera:
-    return Camera.looking_at(
-        name, spec.eye, spec.target, width=spec.width, height=spec.height, fovy_deg=spec.fovy_deg
     )
 
 
