@@ -168,8 +168,9 @@ class Cell:
         scene = self.scene(seed) if scene is None else scene
         options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras)
         return LiveCell(
-            self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
-        )
+            self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0,
+            self.cameras,
+        )  # fmt: skip
 
 
 def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:

@@ -4,11 +4,15 @@ from armcell.perception.camera_info import CameraInfo, load_camera_info, rectifi
 from armcell.perception.cloud import organised
 from armcell.perception.known import closest_equivalent, pose_error
 from armcell.perception.look import LookSettings, SeenObject, Sight, look
+from armcell.perception.mapping import CameraMap, MapSettings, MapUpdate
 from armcell.perception.plane import SupportPlane, find_plane
 
 __all__ = [
     "CameraInfo",
+    "CameraMap",
     "LookSettings",
+    "MapSettings",
+    "MapUpdate",
     "SeenObject",
     "Sight",
     "SupportPlane",
