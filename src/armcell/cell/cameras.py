@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.cell.schema import CameraSpec, NoiseSpec
-from armcell.core import SE3, Pinhole
+from armcell.cell.schema import CameraSpec, MarkerSpec, NoiseSpec
+from armcell.core import SE3, Pinhole, UnknownNameError
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.model.assets import resolve_uri
-from armcell.perception import load_camera_info
-from armcell.scene import PlanningScene
-from armcell.sim import Camera, DepthNoise, look_at
+from armcell.perception import load_camera_info, marker_picture, picture_size
+from armcell.scene import WORLD, PlanningScene
+from armcell.sim import Camera, Decal, DepthNoise, look_at
 
 
 def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLike, folder: Path) -> Camera:
@@ -52,6 +53,21 @@ def noise_of(spec: str | NoiseSpec) -> DepthNoise:
     if isinstance(spec, NoiseSpec):
         return DepthNoise(**spec.model_dump())
     return DepthNoise.for_stereo() if spec == "stereo" else DepthNoise()
+
+
+def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
+    """What a marker looks like to the simulated cameras.
+
+    Raises:
+        UnknownNameError: no such frame or family.
+        MissingExtraError: OpenCV is not installed.
+    """
+    frames = [WORLD, *known]
+    if spec.on not in frames:
+        raise UnknownNameError("frame", spec.on, frames)
+    picture = marker_picture(spec.family, spec.id)
+    size = picture_size(spec.family, spec.size)
+    return Decal(name, spec.on, SE3.from_mapping(spec.pose, "pose"), size, picture)
 
 
 def in_view(camera: Camera, scene: PlanningScene) -> list[str]:

@@ -10,7 +10,7 @@ from armcell.core import InputError, Observer, Outcome, UnknownNameError
 from armcell.perception import MapSettings
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
-from armcell.sim import Camera
+from armcell.sim import Camera, Decal
 from armcell.tasks import StageReport, TaskContext, TaskSettings, hold, move_to, pick, place, release
 
 
@@ -61,9 +61,10 @@ class LiveCell:
         observers: Sequence[Observer],
         seed: int,
         cameras: Sequence[Camera] = (),
+        decals: Sequence[Decal] = (),
     ):
         self.name, self.driver, self.scene_at_start = name, driver, scene
-        self.cameras = live_cameras(tuple(cameras), driver, scene)
+        self.cameras = live_cameras(cameras, driver, scene, decals)
         self.ctx = TaskContext(driver, scene, settings, observers, seed)
         self.model = scene.model
 

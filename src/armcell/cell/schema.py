@@ -166,6 +166,16 @@ class CameraSpec(Strict):
         return self
 
 
+class MarkerSpec(Strict):
+    """An ArUco marker or AprilTag, for cameras. Its frame: x right, y up in its picture, z out of it."""
+
+    family: str
+    id: int = Field(ge=0)
+    size: float = Field(gt=0, le=2.0)  # [m] edge of the black square
+    on: str = "world"  # link, object or "world"
+    pose: Any = (0.0, 0.0, 0.0)  # in that frame
+
+
 class PlaceSpec(Strict):
     object: str
     on: str
@@ -198,6 +208,7 @@ class CellSpec(Strict):
     objects: dict[str, ObjectSpec] = {}
     randomize: dict[str, RandomSpec] = {}
     cameras: dict[str, CameraSpec] = {}
+    markers: dict[str, MarkerSpec] = {}
     task: list[StepSpec] = []
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
@@ -234,6 +245,7 @@ def _known_keys(location: tuple) -> list[str]:
         "objects": ObjectSpec,
         "randomize": RandomSpec,
         "cameras": CameraSpec,
+        "markers": MarkerSpec,
         "robot": RobotSpec,
         "task": StepSpec,
     }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from armcell.core import CameraImage, Event, JointTrajectory, StateSample
 from armcell.core.checks import require
 from armcell.perception import CameraMap, MapSettings, MapUpdate
 from armcell.scene import OCTOMAP, PlanningScene
-from armcell.sim import Camera, SimWorld, take_image
+from armcell.sim import Camera, Decal, SimWorld, take_image
 from armcell.tasks import TaskContext
 
 
@@ -26,9 +26,9 @@ class LiveCamera:
         frozen: set it and the camera gives its last picture for ever, as a broken one does. For trials.
     """
 
-    def __init__(self, camera: Camera, driver: Driver, scene: PlanningScene):
+    def __init__(self, camera: Camera, driver: Driver, scene: PlanningScene, decals: Sequence[Decal] = ()):
         self.camera, self.frozen = camera, False
-        self._driver, self._scene = driver, scene
+        self._driver, self._scene, self._decals = driver, scene, decals
         self._mirror: SimWorld | None = None
         self._newest: CameraImage | None = None
 
@@ -58,7 +58,7 @@ class LiveCamera:
         if isinstance(world, SimWorld):
             return world
         if self._mirror is None:
-            self._mirror = SimWorld(self._scene)
+            self._mirror = SimWorld(self._scene, decals=self._decals)
         self._mirror.set_positions(self._driver.joint_state().positions)
         for name, pose in self._driver.object_poses().items():
             self._mirror.set_object_pose(name, pose)
@@ -168,6 +168,8 @@ def _released(scene: PlanningScene) -> PlanningScene:
     return scene
 
 
-def live_cameras(cameras: tuple[Camera, ...], driver: Any, scene: PlanningScene) -> dict[str, LiveCamera]:
+def live_cameras(
+    cameras: Sequence[Camera], driver: Driver, scene: PlanningScene, decals: Sequence[Decal]
+) -> dict[str, LiveCamera]:
     """By name."""
-    return {camera.name: LiveCamera(camera, driver, scene) for camera in cameras}
+    return {camera.name: LiveCamera(camera, driver, scene, decals) for camera in cameras}
