@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 
+from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.control import Driver
 from armcell.core import InputError, JointGoal, Observer, Outcome, UnknownNameError
+from armcell.perception import MapSettings
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
+from armcell.sim import Camera, Decal
 from armcell.tasks import (
     StageReport,
     TaskContext,
@@ -96,6 +99,7 @@ class LiveCell:
         driver: the robot, simulated or real.
         scene_at_start: the planning scene before anything has moved.
         ctx: the running task: scene, reports, events.
+        cameras: by name.
     """
 
     def __init__(
@@ -106,8 +110,11 @@ class LiveCell:
         settings: TaskSettings,
         observers: Sequence[Observer],
         seed: int,
+        cameras: Sequence[Camera] = (),
+        decals: Sequence[Decal] = (),
     ):
         self.name, self.driver, self.scene_at_start = name, driver, scene
+        self.cameras = live_cameras(cameras, driver, scene, decals)
         self.ctx = TaskContext(driver, scene, settings, observers, seed)
         self.model, self.seed = scene.model, seed
 
@@ -199,3 +206,27 @@ class LiveCell:
     def scene(self) -> PlanningScene:
         """The planning scene as measured now."""
         return self.ctx.scene()
+
+    # --- cameras ---
+    def camera(self, name: str | None = None) -> LiveCamera:
+        """A camera by name; without one, the only one.
+
+        Raises:
+            UnknownNameError: no such camera.
+            InputError: none, or several and no name.
+        """
+        if name is None and len(self.cameras) != 1:
+            raise InputError(
+                f"cell {self.name!r} has {len(self.cameras)} cameras",
+                cure=f"name one: {sorted(self.cameras)}",
+            )
+        name = next(iter(self.cameras)) if name is None else name
+        if name not in self.cameras:
+            raise UnknownNameError("camera", name, self.cameras)
+        return self.cameras[name]
+
+    def watch(
+        self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0
+    ) -> CameraWatch:
+        """Keep the planning scene's octomap true to what a camera sees, `rate` [Hz] times a second."""
+        return CameraWatch(self.ctx, self.camera(camera), settings, rate)

@@ -54,6 +54,7 @@ class DriverOptions:
     time_scale: float | None = None  # None: lock-step; 1.0: real time
     physics: Any = None  # sim's PhysicsSettings
     cameras: tuple = ()
+    decals: tuple = ()  # pictures on things, for the cameras
     extra: dict[str, Any] = field(default_factory=dict)
 
 

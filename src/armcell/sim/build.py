@@ -19,6 +19,7 @@ from armcell.core import SE3, InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
 from armcell.scene import WORLD, CollisionObject, PlanningScene, Thread, solid_inertia
+from armcell.sim.decals import Decal, add_decals
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import GeomAdder
 from armcell.sim.visuals import visual_parts
@@ -87,12 +88,18 @@ def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
     return {**scene.objects, **{name: scene.object(name) for name in scene.attached}}
 
 
-def build(scene: PlanningScene, settings: PhysicsSettings | None = None, visuals: bool = False) -> BuiltModel:
+def build(
+    scene: PlanningScene,
+    settings: PhysicsSettings | None = None,
+    visuals: bool = False,
+    decals: Iterable[Decal] = (),
+) -> BuiltModel:
     """Compile a scene.
 
     Args:
         visuals: add the links' visual meshes (no contacts, no mass) for drawing. The physics is the same
             without them and compiles faster.
+        decals: pictures to be drawn, for models with visuals.
     Raises:
         InputError: MuJoCo refuses the model.
     """
@@ -108,6 +115,7 @@ def build(scene: PlanningScene, settings: PhysicsSettings | None = None, visuals
         bodies[item.name] = _add_object(
             spec, adder, item, item.name in scene.attached, settings, into, T_into
         )
+    add_decals(spec, bodies, decals)
     _add_excludes(spec, scene)
     _add_arm_actuators(spec, scene.model, settings)
     for gripper in scene.model.grippers.values():

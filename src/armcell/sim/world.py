@@ -18,6 +18,7 @@ from armcell.scene import PlanningScene
 from armcell.sim.build import BuiltModel, build, scene_objects
 from armcell.sim.camera import Camera
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
+from armcell.sim.decals import Decal
 from armcell.sim.grip import (
     GripperDrive,
     GripperState,
@@ -65,6 +66,7 @@ class SimWorld:
         robot: the scene's `RobotModel`.
         monitor: unwanted contacts, looked for at every physics step. A reset makes a new one.
         cameras: by name.
+        decals: pictures on links and objects, seen by cameras only.
         rng: for whatever wants seeded noise on this world's sensors; physics itself has none.
         mj_model, mj_data: MuJoCo's own, for viewers; do not step them.
     """
@@ -75,8 +77,10 @@ class SimWorld:
         settings: PhysicsSettings | None = None,
         cameras: Iterable[Camera] = (),
         seed: int = 0,
+        decals: Iterable[Decal] = (),
     ):
         self.settings = settings or PhysicsSettings()
+        self.decals = tuple(decals)
         self.cameras = {camera.name: camera for camera in cameras}
         self.seed = seed
         self._build(scene)

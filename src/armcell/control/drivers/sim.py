@@ -27,7 +27,8 @@ class SimDriver:
         self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
 
     def __enter__(self) -> SimDriver:
-        self.world = SimWorld(self._scene, self._settings, self._options.cameras, self._options.seed)
+        o = self._options
+        self.world = SimWorld(self._scene, self._settings, o.cameras, o.seed, o.decals)
         self._pacer.reset()
         return self
 
