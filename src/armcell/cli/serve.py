@@ -78,7 +78,8 @@ def sim(
     """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it."""
     from armcell.ros import Bus
     from armcell.ros.codec import CODECS
-    from armcell.ros.nodes.cell_node import GRIPPER, STATUS, TRAJECTORY
+    from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
+    from armcell.ros.nodes.gripping import TOPIC as GRIPPER
     from armcell.ros.tcp import Bridge, RosTcpClient
 
     host, number = address(connect)

@@ -27,7 +27,7 @@ from armcell.scene.inertia import solid_inertia
 from armcell.scene.moving import MovingObject
 from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, ObjectType, shape_volume
 from armcell.scene.octomap import OccupancyMap, SensorModel
-from armcell.scene.octree_file import load_octree
+from armcell.scene.octree_file import load_octree, octree_from_bytes
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
 
 __all__ = [
@@ -63,6 +63,7 @@ __all__ = [
     "load_octree",
     "load_points",
     "load_scene_file",
+    "octree_from_bytes",
     "save_scene_file",
     "shape_volume",
     "solid_inertia",

@@ -79,6 +79,10 @@ class TaskContext:
             scene = scene.with_attached(held.object, held.gripper.tcp_link, held.gripper.hand_links)
         return scene
 
+    def world(self) -> PlanningScene:
+        """What `scene()` is made from: the world as it was described, without what is measured."""
+        return self._base
+
     def change_scene(self, scene: PlanningScene) -> None:
         """Replace the world the task plans in (objects added or removed); the state stays measured."""
         self._base = scene

@@ -1,6 +1,19 @@
 """What is served on the bus, written once for every wire."""
 
+from armcell.ros.nodes.access import CellAccess
 from armcell.ros.nodes.cell_node import CellNode
+from armcell.ros.nodes.local_cell import LocalCell
+from armcell.ros.nodes.move_group import MoveGroupNode
+from armcell.ros.nodes.pick_place import PickPlaceNode
+from armcell.ros.nodes.served import ServedCell
 from armcell.ros.nodes.states import StatePublisher
 
-__all__ = ["CellNode", "StatePublisher"]
+__all__ = [
+    "CellAccess",
+    "CellNode",
+    "LocalCell",
+    "MoveGroupNode",
+    "PickPlaceNode",
+    "ServedCell",
+    "StatePublisher",
+]
