@@ -20,6 +20,7 @@ from armcell.cli import (
     run,
     serve,
     setup,
+    step_response,
     topic,
     view,
 )
@@ -68,6 +69,7 @@ app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("ik")(ik.ik)
 app.command("fk")(ik.fk)
 app.command("check-state")(check_state.check_state)
+app.command("step-response")(step_response.step_response)
 app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")

@@ -67,8 +67,8 @@ class BuiltModel:
     joint_dof: dict[str, int]
     qpos: Ints  # (dof,) actuated joints in the model's order
     dofs: Ints  # (dof,)
-    pos_ctrl: Ints  # (dof,) control index of the position input, -1 for a gripper's joint
-    vel_ctrl: Ints  # (dof,)
+    pos_ctrl: Ints  # (dof,) control index of the position (or torque) input, -1 for a gripper's joint
+    vel_ctrl: Ints  # (dof,) of the velocity input, -1 where there is none
     grippers: dict[str, GripperIndex]
     object_qpos: dict[str, int]  # movable objects: start of x, y, z, qw, qx, qy, qz
     object_dof: dict[str, int]
@@ -177,7 +177,7 @@ def _add_robot(
     for name, body in bodies.items():
         link = model.links[name]
         if name != WORLD:
-            body.gravcomp = 1.0  # real arms compensate their own weight
+            body.gravcomp = settings.gravity_compensation  # real arms compensate their own weight
             _set_inertia(body, link, name in massless)
         _add_link_geoms(adder, body, link, visuals)
     for joint in model.joints.values():
@@ -288,10 +288,14 @@ def _add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: Physics
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         # A weak joint with a strong joint's gains would saturate at every small error and chatter.
         weak = min(1.0, joint.limits.effort / settings.full_gain_effort)
-        actuator.set_to_pid(
-            kp=weak * (settings.slide_kp if slide else settings.arm_kp),
-            kv=weak * (settings.slide_kv if slide else settings.arm_kv),
-        )
+        kp = weak * (settings.slide_kp if slide else settings.arm_kp)
+        kv = weak * (settings.slide_kv if slide else settings.arm_kv)
+        if settings.arm_control == "pid":
+            actuator.set_to_pid(kp=kp, kv=kv)
+        elif settings.arm_control == "position":
+            actuator.set_to_position(kp=kp, kv=kv)
+        else:
+            actuator.set_to_motor()
         if np.isfinite(joint.limits.effort) and joint.limits.effort > 0:
             actuator.forcelimited = True
             actuator.forcerange = [-joint.limits.effort, joint.limits.effort]
@@ -397,7 +401,9 @@ def _index(
         qpos=_ints(joint_qpos[n] for n in model.joint_names),
         dofs=_ints(joint_dof[n] for n in model.joint_names),
         pos_ctrl=_ints(first.get(n, -1) for n in model.joint_names),
-        vel_ctrl=_ints(first[n] + 1 if n in first else -1 for n in model.joint_names),
+        vel_ctrl=_ints(
+            first[n] + 1 if n in first and settings.arm_control == "pid" else -1 for n in model.joint_names
+        ),
         grippers={
             g.name: _gripper_index(mj, model, g, settings, owner_index) for g in model.grippers.values()
         },
