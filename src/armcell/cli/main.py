@@ -18,6 +18,7 @@ from armcell.cli import (
     msg,
     plan,
     run,
+    script,
     serve,
     setup,
     step_response,
@@ -35,6 +36,10 @@ Examples:
   armcell run panda_pick --view               watch it in the browser
 
   armcell run my_cell/ --seed 7 --json out.json
+
+  armcell run my_script.py --cell panda_table a moveit_commander script, with no ROS installed
+
+  armcell lint my_script.py                   known traps in such a script
 
   armcell check my_cell/                      what is wrong with a cell, and the cure
 
@@ -61,6 +66,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("run")(run.run)
+app.command("lint")(script.lint)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
 app.command("explain")(explain.explain)

@@ -85,6 +85,7 @@ class CellNode:
         if self._states.due(self.live.driver.now):
             self._states.publish(self.live.driver)
         self.grippers.look()
+        self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
         """Run in a thread of its own."""
@@ -125,6 +126,7 @@ class CellNode:
             now = trajectory_from_message(message, model, driver.joint_state())
             work.trajectory = now
             self.say(f"executing {len(now.times)} points, {now.duration:.2f} s")
+            self.live.ctx.announce(now)
             return playing(driver, now, settings, cancel)
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)

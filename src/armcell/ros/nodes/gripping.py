@@ -20,6 +20,7 @@ from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.conductor import Conductor, Steps, Work
+from armcell.scene import CollisionObject
 
 logger = logging.getLogger(__name__)
 TOPIC = "/gripper_command"
@@ -30,6 +31,7 @@ STALL_TIME = 0.15  # [s] that the fingers stand before they count as stalled
 TIMEOUT = 4.0  # [s] of the cell's time
 LOOK_PERIOD = 0.05  # [s] between two looks whether a gripper should close by itself
 AT_REST = 0.02  # [rad/s or m/s] of every joint of an arm that has arrived
+NEAR = 0.03  # [m] from the tcp: what closing fingers may touch
 REST_TIME = 0.1  # [s]
 
 
@@ -85,6 +87,10 @@ class GripperNode:
             name = f"/{gripper.name}_controller/gripper_cmd"
             self._members.append(ActionServer(bus, name, ACTION, self._action(gripper)))
 
+    @property
+    def closes_by_itself(self) -> bool:
+        return self._auto
+
     def close(self) -> None:
         for member in self._members:
             member.close()
@@ -100,7 +106,12 @@ class GripperNode:
         width = float(np.clip(width, 0.0, gripper.max_width))
         force = float(min(force, gripper.max_force)) if force > 0 else gripper.max_force
         joints = (gripper.joint_name,)
-        make = lambda driver, cancel: gripping(driver, gripper, width, force, cancel)  # noqa: E731
+
+        def make(driver: Any, cancel: threading.Event) -> Steps:
+            if width < driver.gripper(gripper.name).width:
+                self._expect_contact(gripper)
+            return gripping(driver, gripper, width, force, cancel)
+
         return self._conductor.put(Work(f"gripper {gripper.name}", joints, make))
 
     def _commanded(self, gripper: Gripper) -> Callable[[Any], None]:
@@ -157,20 +168,31 @@ class GripperNode:
                 self._close_around(gripper)
 
     def _close_around(self, gripper: Gripper) -> None:
-        scene = self._live.scene()
         reading = self._live.driver.gripper(gripper.name)
-        if reading.held or reading.width < 0.5 * gripper.max_width:
+        between = self._between(gripper, 0.0)
+        if reading.held or reading.width < 0.5 * gripper.max_width or not between:
             return
+        item = between[0]
+        self._say(f"the arm rests with {item.name} between the fingers: the gripper closes")
+        self._expect_contact(gripper)
+        force = grip_force(item, gripper)
+        joints = (gripper.joint_name, *self._live.model.group(gripper.arm_group).joint_names)
+        make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: E731
+        self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))
+
+    def _between(self, gripper: Gripper, margin: float) -> list[CollisionObject]:
+        """Movable objects whose bounding box, grown by a margin [m], holds the tcp."""
+        scene = self._live.scene()
         tcp = scene.frame_pose(gripper.tcp_link).translation
+        found = []
         for item in scene.objects.values():
-            if not item.movable:
-                continue
             low, high = item.bounds()
             point = item.T_world_object.inv().apply(tcp)
-            if np.all(point >= low) and np.all(point <= high):
-                force = grip_force(item, gripper)
-                self._say(f"the arm rests with {item.name} between the fingers: the gripper closes")
-                joints = (gripper.joint_name, *self._live.model.group(gripper.arm_group).joint_names)
-                make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: B023, E731
-                self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))
-                return
+            if item.movable and np.all(point >= low - margin) and np.all(point <= high + margin):
+                found.append(item)
+        return found
+
+    def _expect_contact(self, gripper: Gripper) -> None:
+        """Fingers that close around something are meant to touch it."""
+        for item in self._between(gripper, NEAR):
+            self._live.driver.expect_contact(item.name, gripper.finger_links)

@@ -1,17 +1,30 @@
-"""A cell with everything that is served of it: states, motions, grippers, move_group, pick and place."""
+"""A cell with everything that is served of it: states, motions, grippers, move_group, pick, place, grasp server."""
 
 from __future__ import annotations
 
 import threading
 from contextlib import ExitStack
 
-from armcell.cell import LiveCell
+from armcell.cell import Cell, LiveCell
+from armcell.planning import prepare, warm_up
 from armcell.ros.bus import Bus
+from armcell.ros.nodes.access import CellAccess
 from armcell.ros.nodes.cell_node import CellNode
+from armcell.ros.nodes.grasp_server import GraspServer
 from armcell.ros.nodes.local_cell import LocalCell
 from armcell.ros.nodes.move_group import MoveGroupNode
 from armcell.ros.nodes.pick_place import PickPlaceNode
+from armcell.ros.nodes.remote_cell import RemoteCell
 from armcell.ros.nodes.states import RATE
+from armcell.tasks import TaskSettings
+
+
+def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
+    group = MoveGroupNode(cell, bus)
+    stack.callback(group.close)
+    stack.callback(PickPlaceNode(group, settings).close)
+    if cell.model.grippers:
+        stack.callback(GraspServer(cell, bus).close)
 
 
 class ServedCell:
@@ -50,9 +63,7 @@ class ServedCell:
             if not self.thread.is_alive():
                 raise self.failure or RuntimeError("the cell ended before it was ready")
         if self._plan:
-            group = MoveGroupNode(self.cell, self.bus)
-            self._stack.callback(group.close)
-            self._stack.callback(PickPlaceNode(group, self.live.ctx.settings).close)
+            _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
 
     def close(self) -> None:
         """Stop what moves and leave the bus."""
@@ -62,6 +73,34 @@ class ServedCell:
             self.thread.join(timeout=5.0)
 
     def __enter__(self) -> ServedCell:
+        self.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class ServedPlanner:
+    """The planner and the grasp server of a cell whose simulator is another program on the bus."""
+
+    def __init__(self, cell: Cell, bus: Bus, seed: int = 0):
+        self.bus = bus
+        self._scene, self._settings = cell.scene(seed), cell.settings
+        self.cell = RemoteCell(bus, self._scene)
+        self._stack = ExitStack()
+
+    def start(self) -> None:
+        warm_up()
+        for group in self._scene.model.groups.values():
+            if group.tip_link:
+                prepare(self._scene, group.name)
+        _serve_planner(self.cell, self.bus, self._settings, self._stack)
+
+    def close(self) -> None:
+        self._stack.close()
+        self.cell.close()
+
+    def __enter__(self) -> ServedPlanner:
         self.start()
         return self
 
