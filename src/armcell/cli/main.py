@@ -20,6 +20,7 @@ from armcell.cli import (
     run,
     script,
     serve,
+    service,
     setup,
     step_response,
     topic,
@@ -83,6 +84,7 @@ app.add_typer(msg.app, name="msg")
 app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
 app.add_typer(topic.app, name="topic")
+app.add_typer(service.app, name="service")
 
 
 @app.callback(invoke_without_command=True)

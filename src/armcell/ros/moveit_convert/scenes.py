@@ -66,9 +66,11 @@ class Components(IntFlag):
 
 
 # --- a message as changes ---
-def object_changes(message: Any, scene: PlanningScene) -> list[Change]:
+def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
     """What a CollisionObject says of the scene as it is.
 
+    Args:
+        known: where mass, friction and colour of an object of that name are looked up; `scene` by default.
     Raises:
         InputError: shapes that cannot be, or an operation that does not exist.
     """
@@ -77,7 +79,7 @@ def object_changes(message: Any, scene: PlanningScene) -> list[Change]:
         changes: list[Change] = []
         if name in scene.attached:  # MoveIt lets the world have an object of that name, too; one is enough
             changes.append(DetachObject(name))
-        return [*changes, AddObject(object_from_message(message, _known(scene, name)), frame)]
+        return [*changes, AddObject(object_from_message(message, _known(known or scene, name)), frame)]
     if operation == APPEND:
         if name not in scene.objects:
             return [AddObject(object_from_message(message), frame)]
@@ -111,9 +113,11 @@ def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
     return MoveObject(message.id, T, frame)
 
 
-def attached_changes(message: Any, scene: PlanningScene) -> list[Change]:
+def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
     """What an AttachedCollisionObject says of the scene as it is.
 
+    Args:
+        known: as for `object_changes`.
     Raises:
         InputError: shapes that cannot be, or an operation that does not exist.
     """
@@ -121,7 +125,7 @@ def attached_changes(message: Any, scene: PlanningScene) -> list[Change]:
     if operation in (ADD, APPEND):
         changes: list[Change] = [DetachObject(name)] if name in scene.attached else []
         if message.object.primitives or message.object.meshes:
-            item = object_from_message(message.object, _known(scene, name))
+            item = object_from_message(message.object, _known(known or scene, name))
             frame = message.object.header.frame_id.lstrip("/") or message.link_name
             changes.append(AddObject(item, frame))
         return [*changes, AttachObject(name, message.link_name, tuple(message.touch_links))]
@@ -160,9 +164,9 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
     add(_frames(message.fixed_frame_transforms, now))
     # Attached ones first, as MoveIt has it: what is attached and removed from the world in one diff is held.
     for attached in message.robot_state.attached_collision_objects:
-        add(attached_changes(attached, now))
+        add(attached_changes(attached, now, scene))
     for item in world.collision_objects:
-        add(object_changes(item, now))
+        add(object_changes(item, now, scene))
     add(_octomap(world.octomap))
     add(_allowed(message.allowed_collision_matrix, now))
     if message.link_padding or message.link_scale:

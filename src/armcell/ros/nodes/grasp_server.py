@@ -40,8 +40,8 @@ class GraspServerSettings:
 
 
 class GraspServer:
-    """Service /grasp (std_srvs/Trigger: grasps the only movable object), topic /grasp_object (std_msgs/String:
-    its name), /grasp_status (std_msgs/String, latched: what is being done, and why it failed).
+    """Service /grasp (std_srvs/Trigger: grasps the only movable object), topic in: /grasp_object
+    (std_msgs/String: its name), out: /grasp_status (std_msgs/String, latched: what is done, why it failed).
     """
 
     def __init__(self, cell: CellAccess, bus: Bus, settings: GraspServerSettings = GraspServerSettings()):
@@ -69,7 +69,7 @@ class GraspServer:
         self.grasp(message.data)
 
     def grasp(self, name: str = "") -> tuple[bool, str]:
-        """Grasp an object (the only movable one, where none is named) and lift it: whether, and what happened."""
+        """Grasp an object (the only movable one where none is named) and lift it: whether, and why not."""
         if not self._turn.acquire(blocking=False):
             return self._said(False, "busy with another grasp")
         try:
@@ -101,7 +101,7 @@ class GraspServer:
             return self._said(False, f"{item.name}: nothing happened for {TIMEOUT:.0f} s")
         if sent.state is State.SUCCEEDED:
             return self._said(True, f"{item.name} is lifted")
-        code = sent.result.error_code.val
+        code = sent.result.error_code.val if sent.result is not None else "none"
         return self._said(False, f"{item.name}: {sent.text} (code {code})")
 
     def _object(self, scene: PlanningScene, name: str) -> CollisionObject:
@@ -144,12 +144,12 @@ class GraspServer:
         header = self._bus.header(WORLD)
         grasp = schema.new("moveit_msgs/Grasp", grasp_quality=quality)
         grasp.grasp_pose = schema.new("geometry_msgs/PoseStamped", header, pose_message(schema, T))
+        towards = schema.new("geometry_msgs/Vector3", *direction)
+        up = schema.new("geometry_msgs/Vector3", 0.0, 0.0, 1.0)
         grasp.pre_grasp_approach = schema.new(
             "moveit_msgs/GripperTranslation",
-            schema.new("geometry_msgs/Vector3Stamped", header, schema.new("geometry_msgs/Vector3", *direction)),
-            s.above, s.above / 2,
+            schema.new("geometry_msgs/Vector3Stamped", header, towards), s.above, s.above / 2,
         )  # fmt: skip
-        up = schema.new("geometry_msgs/Vector3", 0.0, 0.0, 1.0)
         grasp.post_grasp_retreat = schema.new(
             "moveit_msgs/GripperTranslation",
             schema.new("geometry_msgs/Vector3Stamped", header, up),

@@ -242,7 +242,7 @@ class RemoteCell:
         if np.max(errors) > settings.start_tolerance:
             i = int(np.argmax(errors))
             raise InputError(
-                f"{trajectory.joint_names[i]} is {errors[i]:.3f} from the trajectory's start in the simulator",
+                f"{trajectory.joint_names[i]} is {errors[i]:.3f} from the trajectory's start",
                 cure="plan again from its state",
             )
 

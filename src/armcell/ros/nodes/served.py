@@ -1,4 +1,4 @@
-"""A cell with everything that is served of it: states, motions, grippers, move_group, pick, place, grasp server."""
+"""A cell with all that is served of it: states, motions, grippers, move_group, pick and place, grasping."""
 
 from __future__ import annotations
 
