@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -57,6 +59,7 @@ class MoveGroupNode:
         self.scene_node = SceneNode(cell, bus)
         self._parameters: dict[tuple[str, str, str], dict[str, str]] = {}
         self._stop = threading.Event()
+        self._executing: list[threading.Event] = []
         serve = lambda name, handler: bus.serve(f"/{name}", SERVICES[name], handler)  # noqa: E731
         self._display = [bus.advertise(n, "moveit_msgs/DisplayTrajectory", latch=True) for n in DISPLAY]
         self._members: list[Any] = [
@@ -377,17 +380,29 @@ class MoveGroupNode:
             return Outcome(ErrorCode.FAILURE, "multi-DOF trajectories are not executed")
         if not trajectory.joint_trajectory.points:
             return Outcome(ErrorCode.SUCCESS, "empty trajectory")
+        with self.stoppable(cancel):
+            try:
+                return waited(self.cell.play(trajectory.joint_trajectory), cancel)
+            except InputError as error:
+                logger.warning("trajectory refused: %s", error)
+                return Outcome(ErrorCode.CONTROL_FAILED, str(error))
+
+    @contextmanager
+    def stoppable(self, cancel: threading.Event) -> Iterator[None]:
+        """A "stop" that comes before the motion has begun counts as well."""
+        self._executing.append(cancel)
         try:
-            return waited(self.cell.play(trajectory.joint_trajectory), cancel)
-        except InputError as error:
-            logger.warning("trajectory refused: %s", error)
-            return Outcome(ErrorCode.CONTROL_FAILED, str(error))
+            yield
+        finally:
+            self._executing.remove(cancel)
 
     def _feedback(self, goal: Goal, action: str, state: str) -> None:
         goal.feedback(self.new(f"{action}Feedback", state))
 
     def _on_event(self, message: Any) -> None:
         if message.data == "stop":
+            for cancel in list(self._executing):
+                cancel.set()
             self.cell.stop()
 
 

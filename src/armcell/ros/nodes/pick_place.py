@@ -294,6 +294,10 @@ class PickPlaceNode:
     def _perform(self, goal: Goal, action: str, draft: Draft) -> Outcome:
         """Do what was planned, step by step."""
         self._node._feedback(goal, action, "MONITOR")
+        with self._node.stoppable(goal.cancel):
+            return self._steps(goal, draft)
+
+    def _steps(self, goal: Goal, draft: Draft) -> Outcome:
         cell, bus = self._cell, self._node.bus
         for step in draft.steps:
             if goal.cancel.is_set():
