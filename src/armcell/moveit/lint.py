@@ -68,11 +68,12 @@ def lint_text(text: str) -> list[Finding]:
     """The traps in a script's text, by line."""
     try:
         tree = ast.parse(text)
-    except (SyntaxError, ValueError, RecursionError) as error:
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the last two: too deep
         line = getattr(error, "lineno", None) or 1
         old = "print " in text and "print(" not in text
         cure = "Python 2: run 2to3 over it" if old else "Python 3 does not accept it"
-        return [Finding(line, "syntax", f"{getattr(error, 'msg', error)}", cure)]
+        reason = getattr(error, "msg", str(error)) or "nested too deeply"
+        return [Finding(line, "syntax", reason, cure)]
     script = Script(tree)
     found = {finding for each in RULES for finding in each(script)}
     return sorted(found, key=lambda f: (f.line, f.rule, f.text))
@@ -382,5 +383,5 @@ def closes_gripper_itself(file: Path) -> bool:
     """As `commands_gripper`, of a file; true where it cannot be told."""
     try:
         return commands_gripper(Script(ast.parse(file.read_text(encoding="utf-8"))))
-    except (OSError, SyntaxError, ValueError, RecursionError):
+    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return True

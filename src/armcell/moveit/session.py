@@ -111,7 +111,10 @@ class Session:
 
     def finish(self) -> None:
         """Wait for the motions that the script has begun and not waited for."""
-        while works := self.served.cell.works():
+        goals = [goal for client in self.clients.values() for goal in client.unfinished]
+        while self.served.thread.is_alive() and not all(goal.wait(CHECK) for goal in goals):
+            pass
+        while self.served.thread.is_alive() and (works := self.served.cell.works()):
             works[0].wait(CHECK)
 
 

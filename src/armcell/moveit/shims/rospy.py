@@ -116,9 +116,11 @@ def on_shutdown(hook: Callable[[], None]) -> None:
 
 
 def spin() -> None:
-    with contextlib.suppress(ROSInterruptException, KeyboardInterrupt):
+    try:
         while not is_shutdown():
             current_session().shutting_down.wait(CHECK)
+    except KeyboardInterrupt:
+        current_session().shut_down("interrupted")
 
 
 # --- time ---
