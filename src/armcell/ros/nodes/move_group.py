@@ -147,8 +147,8 @@ class MoveGroupNode:
 
     def planned(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
         """A MotionPlanResponse; shown on display_planned_path where there is a motion."""
-        started = _started(scene, request.start_state)
-        state = self.state_message(started)
+        # What was wrong with the start state is in the result already.
+        state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
         trajectory = robot_trajectory_message(self.bus.schema, self.header(), result.trajectory)
         if result.trajectory is not None:
             shown = self.new("DisplayTrajectory", scene.model.name, [trajectory], state)
