@@ -125,6 +125,7 @@ def test_unknown_cell_lists_the_known():
         armcell.load("panda_pik")
 
 
+@pytest.mark.slow
 # --- the draw ---
 @pytest.fixture(params=["panda_pick", "six_axis_pick"])
 def cube_cell(request):
