@@ -32,13 +32,14 @@ def height(poses):
 def test_all_in_one_process(seed):
     bus = Bus()
     live = load(CELL).connect("sim", seed, time_scale=4.0)
-    with ServedCell(live, bus):
-        before = height(live.driver.object_poses())
+    with ServedCell(live, bus) as served:
+        before = height(served.node.conductor.call(live.driver.object_poses))
         told = bus.subscribe("/grasp_status", "std_msgs/String", queue_size=50)
         answer = bus.call("/grasp", S.new("std_srvs/TriggerRequest"))
         assert answer.success, answer.message
-        assert height(live.driver.object_poses()) - before > 0.15
-        assert live.driver.gripper("hand").held == "cube" and not live.driver.unwanted_contacts()
+        assert height(served.node.conductor.call(live.driver.object_poses)) - before > 0.15
+        assert served.cell.held(live.model.gripper("hand")) == "cube"
+        assert not served.node.conductor.call(live.driver.unwanted_contacts)
         said = []
         while (message := told.get(0.1)) is not None:
             said.append(message.data)
