@@ -249,3 +249,33 @@ def test_29_campaign(printed):
     assert (
         "GOAL_IN_COLLISION" in said and "--set objects.lamp.pose.y=" in said and "report: report.html" in said
     )
+
+
+@pytest.mark.slow
+def test_25_moveit_commander_script(tmp_path):
+    command = [sys.executable, "-m", "armcell", "run", str(EXAMPLES / "25_moveit_commander_script.py")]
+    process = subprocess.run(
+        [*command, "--cell", "panda_table", "--time-scale", "3"], cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(SOURCE)}, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    said = process.stderr
+    assert process.returncode == 0 and not list(tmp_path.iterdir()), said
+    assert "planning around: table, cube, divider" in said
+    assert "above the cube: True" in said and "straight down: 100 %, True" in said
+    assert "holding: cube, stalled: True" in said and "lifted: True" in said and "placed: code 1" in said
+    x, y, z = (number(rf"cube is at \({before}([-\d.]+)", said) for before in ("", ".*?, ", ".*?, .*?, "))
+    assert (x, y, z) == (
+        pytest.approx(0.41, abs=0.03),
+        pytest.approx(-0.24, abs=5e-3),
+        pytest.approx(0.025, abs=2e-3),
+    )
+    assert "HINT" not in said
+
+
+@pytest.mark.slow
+def test_26_grasp_server(printed):
+    said = printed("26_grasp_server.py")
+    assert "grasped: True, cube is lifted" in said and "in the hand, by the planning scene: cube" in said
+    assert 150 < number(r"lifted by ([\d.]+) mm", said) < 250
+    assert "status: grasping cube" in said and "status: done: cube is lifted" in said
+    assert "unwanted contacts: 0" in said

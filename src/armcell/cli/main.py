@@ -19,7 +19,9 @@ from armcell.cli import (
     msg,
     plan,
     run,
+    script,
     serve,
+    service,
     setup,
     step_response,
     topic,
@@ -36,6 +38,10 @@ Examples:
   armcell run panda_pick --view               watch it in the browser
 
   armcell run my_cell/ --seed 7 --json out.json
+
+  armcell run my_script.py --cell panda_table a moveit_commander script, with no ROS installed
+
+  armcell lint my_script.py                   known traps in such a script
 
   armcell check my_cell/                      what is wrong with a cell, and the cure
 
@@ -65,6 +71,7 @@ app = typer.Typer(
 )
 app.command("run")(run.run)
 app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
+app.command("lint")(script.lint)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
 app.command("explain")(explain.explain)
@@ -81,6 +88,7 @@ app.add_typer(msg.app, name="msg")
 app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
 app.add_typer(topic.app, name="topic")
+app.add_typer(service.app, name="service")
 
 
 @app.callback(invoke_without_command=True)

@@ -17,7 +17,20 @@ from armcell.core import Event, JointTrajectory, Observer, StateSample
 
 def run(
     cell: str = typer.Argument(
-        ..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file."
+        ...,
+        metavar="CELL|SCRIPT.py",
+        help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file; or a script.",
+    ),
+    arguments: list[str] = typer.Argument(None, metavar="[ARGUMENTS]", help="Of a script."),
+    in_cell: str | None = typer.Option(
+        None, "--cell", metavar="CELL", help="The cell that a script runs in."
+    ),
+    auto_grip: bool | None = typer.Option(
+        None,
+        "--auto-grip/--no-auto-grip",
+        help="For a script: close a gripper where the arm rests with an object between its fingers. "
+        "Default: only where the script commands no gripper.",
+        show_default=False,
     ),
     seed: int = typer.Option(0, min=0, help="Draw of the randomised values, and seed of the planners."),
     mode: str = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics."),
@@ -46,11 +59,22 @@ def run(
     ),
     port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
 ) -> int:
-    """Run a cell's task: plan, move, grasp and place, in physics.
+    """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
 
     Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
     a record that Foxglove opens (run.mcap). Exit status 0 if the task succeeded, 1 if not.
+
+    A script (SCRIPT.py --cell CELL) is run as it is, with no ROS installed, in real time unless --time-scale
+    says else; the exit status is its own. Arguments of its own stand after --.
     """
+    if cell.endswith(".py") or in_cell is not None:
+        from armcell.cli.script import run_script_command
+
+        return run_script_command(
+            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port
+        )
+    if arguments:
+        raise typer.BadParameter(f"unexpected argument {arguments[0]!r}")
     if json_file is not None:
         check_writable(json_file)
     if headless and view:

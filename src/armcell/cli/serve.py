@@ -37,9 +37,15 @@ def serve(
     types: Path | None = typer.Option(
         None, metavar="FOLDER", help="Own message definitions: FOLDER/<package>/msg/<Name>.msg"
     ),
+    plan_only: bool = typer.Option(
+        False, "--plan-only", help="The simulator is a client (Unity, `armcell sim`): plan and grasp with it."
+    ),
+    auto_grip: bool = typer.Option(
+        False, "--auto-grip", help="A gripper closes where the arm rests with an object between its fingers."
+    ),
     seconds: float | None = SECONDS,
 ) -> int:
-    """Run a cell and serve it: joint states, transforms, object poses and clock out; trajectories in.
+    """Run a cell and serve it: states out; trajectories, planning (move_group), pick, place and grasps in.
 
     Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. Ctrl-C ends it.
     """
@@ -62,7 +68,9 @@ def serve(
             dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
             return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
 
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status)
+        if plan_only:
+            return _plan_only(cell, bus, seed, seconds, status)
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, plan=True, auto_grip=auto_grip)
 
 
 def sim(
@@ -78,23 +86,23 @@ def sim(
     """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it."""
     from armcell.ros import Bus
     from armcell.ros.codec import CODECS
-    from armcell.ros.nodes.cell_node import GRIPPER, STATUS, TRAJECTORY
+    from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
+    from armcell.ros.nodes.gripping import TOPIC as GRIPPER
     from armcell.ros.tcp import Bridge, RosTcpClient
 
     host, number = address(connect)
     if protocol not in CODECS:
         raise InputError(f"protocol is {protocol!r}", cure="ROS1 or ROS2")
     bus = Bus()
-    subscribe = {TRAJECTORY: "trajectory_msgs/JointTrajectory", GRIPPER: "std_msgs/Float64"}
     client: RosTcpClient | None = None
 
     def joined() -> None:
         """Once the cell publishes, its topics are known."""
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
-        publish = {
-            t.name: t.type for t in bus.topics() if t.name in kept or t.name.startswith("/object_pose")
-        }
+        topics = bus.topics()
+        publish = {t.name: t.type for t in topics if t.name in kept or t.name.startswith("/object_pose")}
+        subscribe = {t.name: t.type for t in topics if t.name == TRAJECTORY or t.name.endswith(GRIPPER)}
         client = RosTcpClient(bus, host, number, Bridge(publish, subscribe), protocol)
         client.start()
 
@@ -127,40 +135,49 @@ def address(text: str) -> tuple[str, int]:
 
 def _run(
     cell: str, bus: Any, mode: str, seed: int, time_scale: float, rate: float, seconds: float | None,
-    status: Callable[[], str], joined: Callable[[], None] = lambda: None,
+    status: Callable[[], str], joined: Callable[[], None] = lambda: None, plan: bool = False,
+    auto_grip: bool = False,
 ) -> int:  # fmt: skip
     from armcell.cell import load
-    from armcell.ros.nodes import CellNode
+    from armcell.ros.nodes import ServedCell
 
-    node = CellNode(load(cell).connect(mode, seed, time_scale=time_scale), bus, rate)
-    failures: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            node.run()
-        except BaseException as error:  # said by the main thread
-            failures.append(error)
-
-    thread = threading.Thread(target=run, name="cell", daemon=True)
-    thread.start()
-    line = _StatusLine(bus, node, status)
-    end = None if seconds is None else time.monotonic() + seconds
+    live = load(cell).connect(mode, seed, time_scale=time_scale)
+    served = ServedCell(live, bus, rate, plan, auto_grip)
+    line = _StatusLine(bus, lambda: served.node.executed, status)
     try:
-        while not node.ready.wait(0.1) and thread.is_alive():
-            pass
+        served.start()
         joined()
         with line:
-            while thread.is_alive() and (end is None or time.monotonic() < end):
-                line.show()
-                thread.join(REFRESH if end is None else max(min(REFRESH, end - time.monotonic()), 0.0))
+            _until(seconds, line, served.thread)
     except KeyboardInterrupt:
         pass
     finally:
-        node.close()
-        thread.join(timeout=5.0)
-    if failures:
-        raise failures[0]
+        served.close()
+    if served.failure is not None:
+        raise served.failure
     return 0
+
+
+def _plan_only(cell: str, bus: Any, seed: int, seconds: float | None, status: Callable[[], str]) -> int:
+    from armcell.cell import load
+    from armcell.ros.nodes import ServedPlanner
+
+    line = _StatusLine(bus, lambda: None, status)
+    try:
+        with ServedPlanner(load(cell), bus, seed), line:
+            _until(seconds, line, None)
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+def _until(seconds: float | None, line: _StatusLine, thread: threading.Thread | None) -> None:
+    """Show the status line until the time is over or a thread has ended."""
+    end = None if seconds is None else time.monotonic() + seconds
+    while (thread is None or thread.is_alive()) and (end is None or time.monotonic() < end):
+        line.show()
+        left = REFRESH if end is None else max(min(REFRESH, end - time.monotonic()), 0.0)
+        time.sleep(left) if thread is None else thread.join(left)
 
 
 def _troubles(dropped: int, wrong: int) -> str:
@@ -170,8 +187,8 @@ def _troubles(dropped: int, wrong: int) -> str:
 class _StatusLine:
     """One line that is kept up to date on a terminal; elsewhere a line whenever the peers change."""
 
-    def __init__(self, bus: Any, node: Any, status: Callable[[], str]):
-        self._bus, self._node, self._status = bus, node, status
+    def __init__(self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str]):
+        self._bus, self._executed, self._status = bus, executed, status
         self._live = Live(console=errors, transient=True, auto_refresh=False) if errors.is_terminal else None
         self._counts: dict[str, int] = {}
         self._at = (time.monotonic(), bus.clock.now())
@@ -208,4 +225,6 @@ class _StatusLine:
                 rates.append(f"{topic.name} {rate:.0f} Hz")
         self._counts = {t.name: t.messages for t in topics}
         self._at = (now, clock)
-        return f"t {clock:.1f} s ({pace:.2f}x)  {'  '.join(rates)}  trajectories {self._node.executed}"
+        executed = self._executed()
+        played = "" if executed is None else f"  trajectories {executed}"
+        return f"t {clock:.1f} s ({pace:.2f}x)  {'  '.join(rates)}{played}"

@@ -26,7 +26,7 @@ WAIT = 3.0  # [s] to connect, and for the list of topics
 @app.command("list")
 def list_topics(connect: str = CONNECT) -> None:
     """List topics and types."""
-    with _joined(connect) as (_, client):
+    with joined_to(connect) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
 
@@ -72,8 +72,8 @@ def pub(
     """Publish a message, once or at a rate."""
     from armcell.ros import schema
 
-    message = filled(schema().new(type_name), _yaml(values))
-    with _joined(connect, publish={topic: type_name}) as (bus, client):
+    message = filled(schema().new(type_name), yaml_values(values))
+    with joined_to(connect, publish={topic: type_name}) as (bus, client):
         publisher = bus.advertise(topic, type_name)
         n = 0
         while True:
@@ -120,7 +120,7 @@ def filled(message: Any, values: Any) -> Any:
     return message
 
 
-def _yaml(text: str) -> Any:
+def yaml_values(text: str) -> Any:
     try:
         return yaml.safe_load(text) or {}
     except yaml.YAMLError as error:
@@ -128,7 +128,7 @@ def _yaml(text: str) -> Any:
 
 
 @contextmanager
-def _joined(connect: str, **bridge: dict[str, str]) -> Iterator[tuple[Any, Any]]:
+def joined_to(connect: str, timeout: float = 10.0, **bridge: dict[str, str]) -> Iterator[tuple[Any, Any]]:
     """A bus of our own, joined to the endpoint.
 
     Raises:
@@ -140,7 +140,7 @@ def _joined(connect: str, **bridge: dict[str, str]) -> Iterator[tuple[Any, Any]]
     host, port = address(connect)
     logging.getLogger("armcell.ros.tcp.client").setLevel(logging.ERROR)  # what matters is said below
     bus = Bus()
-    with RosTcpClient(bus, host, port, Bridge(**bridge)) as client:
+    with RosTcpClient(bus, host, port, Bridge(**bridge), service_timeout=timeout) as client:
         if not client.wait_connected(WAIT):
             raise InputError(
                 f"no ROS-TCP endpoint at {connect}", cure="start one: armcell serve CELL --unity; firewall?"
@@ -160,12 +160,12 @@ def _messages(topic: str, type_name: str | None, connect: str, queue_size: int) 
 
     topic = resolve(topic)
     if type_name is None:
-        with _joined(connect) as (_, client):
+        with joined_to(connect) as (_, client):
             known = _topics(client)
         if topic not in known:
             raise UnknownNameError("topic", topic, known)
         type_name = known[topic]
-    with _joined(connect, subscribe={topic: type_name}) as (bus, _):
+    with joined_to(connect, subscribe={topic: type_name}) as (bus, _):
         subscription = bus.subscribe(topic, type_name, queue_size=queue_size)
         while True:
             message = subscription.get(timeout=0.2)

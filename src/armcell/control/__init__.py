@@ -2,7 +2,7 @@
 
 from armcell.control import drivers as _registered  # noqa: F401  (fills the table)
 from armcell.control.driver import ContactRecord, Driver, DriverOptions, GripperReading, WeldRecord, drivers
-from armcell.control.executor import ExecutionSettings, execute
+from armcell.control.executor import ExecutionSettings, execute, playing
 
 __all__ = [
     "ContactRecord",
@@ -13,4 +13,5 @@ __all__ = [
     "WeldRecord",
     "drivers",
     "execute",
+    "playing",
 ]

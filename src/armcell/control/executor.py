@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -50,6 +50,25 @@ def execute(
         SUCCESS; CONTROL_FAILED (wrong start, left the path, goal not reached) with joint and error;
         PREEMPTED. After any but SUCCESS the driver holds the measured position.
     """
+    steps = playing(driver, trajectory, settings, cancel, progress)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+        driver.advance(driver.period)
+
+
+def playing(
+    driver: Driver,
+    trajectory: JointTrajectory,
+    settings: ExecutionSettings = ExecutionSettings(),
+    cancel: threading.Event | None = None,
+    progress: Progress | None = None,
+) -> Generator[None, None, ExecutionResult]:
+    """`execute` step by step, for whoever lets the time pass: each `next` commands the driver for its next
+    period. Several of these, of different joints, can run on one driver at once.
+    """
     names, began = trajectory.joint_names, driver.now
     measured = driver.joint_state().reindexed(names)
     if len(trajectory.times) == 0:
@@ -83,7 +102,7 @@ def execute(
             return ended(ErrorCode.PREEMPTED, f"cancelled at {t:.2f} of {duration:.2f} s")
         q, v, _ = trajectory.sample(min(t + driver.period, duration))
         driver.command(names, q, v)
-        driver.advance(driver.period)
+        yield
         worst, joint = _largest(np.abs(driver.joint_state().reindexed(names).positions - q), names)
         tracking = max(tracking, worst)
         if worst > settings.path_tolerance:
@@ -106,7 +125,7 @@ def execute(
             return ended(ErrorCode.CONTROL_FAILED, text, joint=joint, error=worst)
         if cancel is not None and cancel.is_set():
             return ended(ErrorCode.PREEMPTED, "cancelled at the goal")
-        driver.advance(driver.period)
+        yield
 
 
 def _largest(errors: np.ndarray, names: tuple[str, ...]) -> tuple[float, str]:

@@ -11,7 +11,14 @@ from armcell.planning.library import LibraryStatistics, PlanLibrary
 from armcell.planning.moving import plan_among_moving
 from armcell.planning.native.warm_up import prepare, warm_up
 from armcell.planning.pipeline import plan
-from armcell.planning.problem import Answer, Problem, find_planner, normalized_planner_id, pipelines
+from armcell.planning.problem import (
+    Answer,
+    Problem,
+    find_planner,
+    normalized_planner_id,
+    pipelines,
+    planner_defaults,
+)
 from armcell.planning.targets import Target, goal_of
 
 __all__ = [
@@ -39,6 +46,7 @@ __all__ = [
     "plan_cartesian",
     "plan_sequence",
     "plan_together",
+    "planner_defaults",
     "prepare",
     "satisfied",
     "solve_ik",

@@ -48,4 +48,5 @@ def settings_of(planner: str, cls: type) -> MakeSettings:
                 )
         return settings
 
+    make.defaults = lambda: {f.name: f.default for f in fields(cls)}  # type: ignore[attr-defined]
     return make

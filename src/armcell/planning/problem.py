@@ -95,6 +95,16 @@ def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str,
     raise UnknownParameterError(planner_id, next(iter(parameters)), {})
 
 
+def planner_defaults(pipeline_id: str, planner_id: str) -> dict[str, Any]:
+    """Parameters that a planner takes, with the values they have where nothing is said.
+
+    Raises:
+        UnknownNameError: no such pipeline or planner.
+    """
+    maker = settings_makers.get(find_planner(pipeline_id, planner_id))
+    return maker.defaults() if maker is not None and hasattr(maker, "defaults") else {}
+
+
 ALIASES = {"BKPIECE": "BKPIECE1", "KPIECE": "KPIECE1", "LBKPIECE": "LBKPIECE1"}
 """MoveIt's names for planners that OMPL calls otherwise."""
 

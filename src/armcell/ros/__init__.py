@@ -10,7 +10,7 @@ from armcell.ros.schema import Schema, schema
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 if TYPE_CHECKING:
-    from armcell.ros.nodes import CellNode
+    from armcell.ros.nodes import CellNode, ServedCell, ServedPlanner
 
 __all__ = [
     "ActionClient",
@@ -25,6 +25,8 @@ __all__ = [
     "RosTcpClient",
     "RosTcpServer",
     "Schema",
+    "ServedCell",
+    "ServedPlanner",
     "ServerSettings",
     "ServiceError",
     "State",
@@ -37,9 +39,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """CellNode brings physics and planners along: only for those who ask for it."""
-    if name == "CellNode":
-        from armcell.ros.nodes import CellNode
+    """The nodes bring physics and planners along: only for those who ask for them."""
+    if name in ("CellNode", "ServedCell", "ServedPlanner"):
+        from armcell.ros import nodes
 
-        return CellNode
+        return getattr(nodes, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

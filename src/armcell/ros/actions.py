@@ -284,6 +284,12 @@ class ActionClient:
         self._goal.publish(message)
         return sent
 
+    @property
+    def unfinished(self) -> list[SentGoal]:
+        """Goals that were sent and have no result yet."""
+        with self._lock:
+            return list(self._goals.values())
+
     def cancel_all(self) -> None:
         """Cancel every goal of the server, other clients' too."""
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))

@@ -33,6 +33,27 @@ def pose_message(schema: Schema, T: SE3) -> Any:
     return schema.new("geometry_msgs/Pose", point, schema.new("geometry_msgs/Quaternion", *_xyzw(T)))
 
 
+def pose_from_message(pose: Any) -> SE3:
+    """T of a geometry_msgs/Pose or Transform. A quaternion of zeros, as in a new message, turns nothing.
+
+    Raises:
+        InputError: numbers that are not finite, or a quaternion far from length 1.
+    """
+    if hasattr(pose, "orientation"):
+        p, r = pose.position, pose.orientation
+    else:
+        p, r = pose.translation, pose.rotation
+    xyz, xyzw = np.array([p.x, p.y, p.z], dtype=float), np.array([r.x, r.y, r.z, r.w], dtype=float)
+    length = float(np.linalg.norm(xyzw))
+    if length == 0.0:
+        xyzw, length = np.array([0.0, 0.0, 0.0, 1.0]), 1.0
+    if not (np.isfinite(xyz).all() and np.isfinite(length)):
+        raise InputError("a pose has a number that is not finite")
+    if abs(length - 1.0) > 0.1:
+        raise InputError(f"quaternion {xyzw.round(4).tolist()} has length {length:.3f}", cure="normalise it")
+    return SE3.from_quat_xyzw(xyz, xyzw / length)
+
+
 def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
     """A geometry_msgs/TransformStamped from the header's frame to `child`."""
     vector = schema.new("geometry_msgs/Vector3", *T.translation.tolist())

@@ -34,7 +34,7 @@ from armcell.scene.objects import (
     shape_volume,
 )
 from armcell.scene.octomap import OccupancyMap, SensorModel
-from armcell.scene.octree_file import load_octree
+from armcell.scene.octree_file import load_octree, octree_from_bytes
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
 
 __all__ = [
@@ -71,6 +71,7 @@ __all__ = [
     "load_octree",
     "load_points",
     "load_scene_file",
+    "octree_from_bytes",
     "save_scene_file",
     "shape_volume",
     "solid_inertia",

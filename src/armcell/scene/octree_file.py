@@ -48,11 +48,24 @@ def load_octree(path: str | Path) -> Octree:
         size, resolution = int(words["size"]), float(words["res"])
     except (KeyError, ValueError):
         raise InputError("the octomap's header needs 'size' and 'res' with numbers", file=file) from None
+    if size == 0:
+        return Octree(np.zeros((0, 3)), np.zeros(0))
+    return octree_from_bytes(body, resolution, binary, kind, file)
+
+
+def octree_from_bytes(
+    body: bytes, resolution: float, binary: bool, kind: str = "OcTree", file: Path | None = None
+) -> Octree:
+    """The occupied leaves in an octomap's data, as a file or an octomap_msgs/Octomap carries it.
+
+    Raises:
+        InputError: of a kind that is not known, cut off, too deep, or with bytes left over.
+    """
+    if kind not in COLOUR_BYTES:
+        raise InputError(f"octomap of kind {kind!r} is not read; known: {', '.join(COLOUR_BYTES)}", file=file)
     if not (np.isfinite(resolution) and resolution > 0):
         raise InputError(f"the octomap's resolution is {resolution:g} m, it must be positive", file=file)
     bytes_ = np.frombuffer(body, np.uint8)
-    if size == 0:
-        return Octree(np.zeros((0, 3)), np.zeros(0))
     read, state, keys, depths = (
         _read_binary(bytes_) if binary else _read_full(bytes_, 4 + COLOUR_BYTES[kind])
     )  # fmt: skip

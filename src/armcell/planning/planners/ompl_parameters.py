@@ -55,6 +55,11 @@ def settings_maker(name: str) -> MakeSettings:
             set_parameters(planner, name, parameters)
         return parameters
 
+    def defaults() -> dict[str, Any]:
+        with trial_planner(name) as planner:
+            return dict(declared(planner, name))
+
+    make.defaults = defaults  # type: ignore[attr-defined]
     return make
 
 

@@ -1,75 +1,67 @@
 """A cell on the bus: states out; trajectories, gripper commands and actions in.
 
-Everything that touches the driver happens in one thread, `run`; what comes in is queued for it.
+Everything that touches the driver happens in one thread, `run`, through the conductor.
 """
 
 from __future__ import annotations
 
 import logging
-import queue
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import time
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from armcell.cell import LiveCell
-from armcell.control import Driver
-from armcell.control.executor import ExecutionSettings, execute
-from armcell.core import ArmcellError, ErrorCode, ExecutionResult, JointTrajectory
-from armcell.model import Gripper
+from armcell.control import ExecutionSettings, playing
+from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
+from armcell.ros.nodes.conductor import Conductor, Work, remaining
+from armcell.ros.nodes.gripping import GripperNode, gripping
 from armcell.ros.nodes.states import RATE, StatePublisher
+from armcell.ros.nodes.together import contact_together
 
 logger = logging.getLogger(__name__)
 TRAJECTORY = "/planned_trajectory"
-GRIPPER = "/gripper_command"
 STATUS = "/trajectory_status"
 ACTION = "control_msgs/FollowJointTrajectory"
-MAX_JOBS = 16
 
 # control_msgs/FollowJointTrajectoryResult
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
 
 
-@dataclass
-class _Job:
-    """Something for the driver's thread: `run` plays it; `stop` is set when it shall end early."""
-
-    run: Callable[[threading.Event], None]
-    stop: threading.Event = field(default_factory=threading.Event)
-
-
 class CellNode:
     """Serves a live cell on a bus while `run` runs.
 
-    Topics in: /planned_trajectory (trajectory_msgs/JointTrajectory; a newer one takes over, an empty one
-    stops), /gripper_command (std_msgs/Float64: 0 or more is a width [m], 0 grasps; below 0 closes with that
-    force [N per finger]); with several grippers /<gripper>/gripper_command. Actions: /<group>_controller/
-    follow_joint_trajectory for each arm. Topic out beside the states: /trajectory_status (std_msgs/String).
+    Topics in: /planned_trajectory (trajectory_msgs/JointTrajectory; a newer one of the same joints takes
+    over, an empty one stops), /gripper_command (std_msgs/Float64: 0 or more is a width [m], 0 grasps; below
+    0 closes with that force [N per finger]); with several grippers /<gripper>/gripper_command. Actions:
+    /<group>_controller/follow_joint_trajectory for each arm, /<gripper>_controller/gripper_cmd for each
+    gripper. Topic out beside the states: /trajectory_status (std_msgs/String).
+
+    Motions of different arms run at the same time where they are proven not to meet; else one waits.
 
     Args:
         live: connected by `run`; paced by its own time scale.
         rate: [Hz] of the states, in the cell's time.
+        auto_grip: close a gripper that rests with an object between its open fingers.
     """
 
-    def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE):
+    def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE, auto_grip: bool = False):
         self.live, self.bus = live, bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)
-        self._driver: Any = _Publishing(live.driver, self._states)
-        self._jobs: queue.Queue[_Job] = queue.Queue(MAX_JOBS)
-        self._motion: _Job | None = None  # the newest one, waiting or at work
+        self.conductor = Conductor(live.driver, self._after_step)
+        live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
         self._stop = threading.Event()
         self.ready = threading.Event()
         """Set once the cell is connected and publishes."""
         self.executed = 0
         self._status = bus.advertise(STATUS, "std_msgs/String", latch=True)
         self._subs = [bus.subscribe(TRAJECTORY, "trajectory_msgs/JointTrajectory", self._on_trajectory)]
-        grippers = list(live.model.grippers.values())
-        for gripper in grippers:
-            topic = GRIPPER if len(grippers) == 1 else f"/{gripper.name}{GRIPPER}"
-            self._subs.append(bus.subscribe(topic, "std_msgs/Float64", self._gripper_callback(gripper)))
+        self.grippers = GripperNode(live, bus, self.conductor, self.say, auto_grip)
         self._actions = [
             ActionServer(bus, f"/{group}_controller/follow_joint_trajectory", ACTION, self._follow)
             for group in live.arms
@@ -83,18 +75,17 @@ class CellNode:
                 self._states.publish(self.live.driver)
                 self.ready.set()
                 while not self._stop.is_set():
-                    self._turn()
+                    self.conductor.turn()
         finally:
-            for member in (*self._actions, *self._subs, self._status, self._states):
+            self.conductor.close()
+            for member in (*self._actions, *self._subs, self.grippers, self._status, self._states):
                 member.close()
 
-    def _turn(self) -> None:
-        try:
-            job = self._jobs.get_nowait()
-        except queue.Empty:
-            self._driver.advance(self.live.driver.period)
-        else:
-            job.run(job.stop)
+    def _after_step(self) -> None:
+        if self._states.due(self.live.driver.now):
+            self._states.publish(self.live.driver)
+        self.grippers.look()
+        self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
         """Run in a thread of its own."""
@@ -103,115 +94,192 @@ class CellNode:
         return thread
 
     def close(self) -> None:
-        """End `run` soon; a running motion is stopped."""
+        """End `run` soon; running motions are stopped."""
         self._stop.set()
-        if motion := self._motion:
-            motion.stop.set()
+        self.conductor.stop()
 
-    def _put(self, job: _Job) -> bool:
-        """Queue a motion; it takes over from the one before."""
-        if motion := self._motion:
-            motion.stop.set()
-        self._motion = job
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
-            self._say(f"refused: {MAX_JOBS} commands wait already")
-            return False
-        return True
+    # --- playing, from any thread ---
+    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
+        """Begin a trajectory_msgs/JointTrajectory, when what moves the same joints has made way for it.
 
-    def _play(self, message: Any, stop: threading.Event) -> tuple[ExecutionResult, str]:
-        """Check and play a trajectory message, telling /trajectory_status about it."""
+        /trajectory_status tells of it. One without points stops its joints, or all where it names none.
+
+        Raises:
+            InputError: what is wrong with the message.
+        """
+        model = self.live.model
+        state = self.conductor.call(self.live.driver.joint_state)
         try:
-            trajectory = trajectory_from_message(message, self.live.model, self.live.driver.joint_state())
+            trajectory = trajectory_from_message(message, model, state)
         except ArmcellError as error:
-            self._say(f"refused: {error}")
-            return ExecutionResult(ErrorCode.INVALID_MOTION_PLAN, str(error)), "refused"
-        count = len(trajectory.times)
-        self._say(f"executing {count} points, {trajectory.duration:.2f} s" if count else "stop")
-        result = self._execute(trajectory, stop)
-        self.executed += 1
-        what = "done" if result.ok else "stopped" if result.code is ErrorCode.PREEMPTED else "failed"
-        text = result.message or f"final error {result.final_error:.4f}"
-        self._say(f"{what}: {text}")
-        return result, what
+            self.say(f"refused: {error}")
+            raise
+        if not len(trajectory.times):
+            return self._halt(trajectory)
+        fingers = {g.joint_name: g for g in model.grippers.values()}
+        if set(trajectory.joint_names) <= set(fingers):
+            return self._close_or_open(trajectory, fingers)
+        self._wait_for_others(trajectory)
 
-    def _execute(self, trajectory: JointTrajectory, stop: threading.Event) -> ExecutionResult:
-        driver: Driver = self._driver
-        return execute(driver, trajectory, ExecutionSettings(), stop)
+        def steps(driver: Any, cancel: threading.Event) -> Any:
+            # Where it is now decides, not where it was when the message came.
+            now = trajectory_from_message(message, model, driver.joint_state())
+            work.trajectory = now
+            self.say(f"executing {len(now.times)} points, {now.duration:.2f} s")
+            self.live.ctx.announce(now)
+            return playing(driver, now, settings, cancel)
+
+        work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
+        return self.conductor.put(work)
+
+    def _halt(self, trajectory: JointTrajectory) -> Work:
+        joints = trajectory.joint_names or self.live.model.joint_names
+
+        def steps(driver: Any, cancel: threading.Event) -> Any:
+            self.say("stop")
+            return playing(
+                driver, replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
+            )
+
+        return self.conductor.put(Work("stop", joints, steps).then(self._ended))
+
+    def _close_or_open(self, trajectory: JointTrajectory, fingers: dict[str, Any]) -> Work:
+        """Fingers that meet something before they are where they should be hold it: that is no failure."""
+        wanted = [(fingers[n], fingers[n].width(q)) for n, q in trajectory.end.as_dict().items()]
+
+        def steps(driver: Any, cancel: threading.Event) -> Any:
+            self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
+            result = ExecutionResult(ErrorCode.SUCCESS)
+            for gripper, width in wanted:
+                result = yield from gripping(driver, gripper, max(width, 0.0), gripper.max_force, cancel)
+            return result
+
+        return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
+
+    def _wait_for_others(self, trajectory: JointTrajectory) -> None:
+        """Return when the motion can begin beside what runs in other joints.
+
+        Raises:
+            InputError: it cannot even when nothing else moves.
+        """
+        while True:
+            now = self.live.driver.now
+            others = [
+                w for w in self.conductor.works()
+                if w.trajectory is not None and not w.joints & set(trajectory.joint_names)
+            ]  # fmt: skip
+            if not others:
+                return
+            running = [remaining(w.trajectory, now - (w.began or now)) for w in others if w.trajectory]
+            scene = self.conductor.call(self.live.scene)
+            contact = contact_together(scene, running, trajectory)
+            if not contact:
+                return
+            if not all(w.is_over for w in others):
+                self.say(f"waits until the other arm has arrived: {contact}")
+                while not all(w.wait(0.05) for w in others):
+                    if self._stop.is_set():
+                        raise InputError("the cell is closed")
+                continue
+
+    def _ended(self, work: Work) -> None:
+        self.executed += 1
+        if work.error is not None:
+            self.say(f"refused: {work.error}")
+            return
+        result = work.outcome()
+        what = "done" if result.ok else "stopped" if result.code is ErrorCode.PREEMPTED else "failed"
+        self.say(f"{what}: {result.message or f'final error {result.final_error:.4f}'}")
+
+    def say(self, text: str) -> None:
+        """Tell /trajectory_status."""
+        logger.info("trajectory: %s", text)
+        if not self._status.closed:
+            self._status.publish(self.bus.schema.new("std_msgs/String", text))
 
     # --- what comes in, from the subscriptions' threads ---
     def _on_trajectory(self, message: Any) -> None:
-        def run(stop: threading.Event) -> None:
-            self._play(message, stop)
-
-        self._put(_Job(run))
-
-    def _gripper_callback(self, gripper: Gripper) -> Callable[[Any], None]:
-        def command(message: Any) -> None:
-            value = message.data
-            if not abs(value) < float("inf"):
-                self._say(f"refused: gripper command {value}")
-                return
-            width = min(max(value, 0.0), gripper.max_width)
-            force = gripper.max_force if value >= 0 else min(-value, gripper.max_force)
-            self._driver.later(lambda: self.live.driver.command_gripper(gripper.name, width, force))
-
-        return command
+        try:
+            self.play(message)
+        except InputError as error:
+            logger.info("trajectory refused: %s", error)
 
     def _follow(self, goal: Goal) -> Done:
         """control_msgs/FollowJointTrajectory, from the action's thread."""
-        finished, results = threading.Event(), []
-
-        def run(stop: threading.Event) -> None:
-            results.append(self._play(goal.message.trajectory, stop))
-            finished.set()
-
-        job = _Job(run)
         Result = self.bus.schema.message(f"{ACTION}Result")
-        if not self._put(job):
-            return Done(State.REJECTED, Result(error_code=INVALID_GOAL), "too many commands wait")  # type: ignore[call-arg]
-        while not finished.wait(0.02):
+        try:
+            work = self.play(goal.message.trajectory, _tolerances(goal.message))
+        except InputError as error:
+            code = INVALID_JOINTS if "unknown joint" in str(error) else INVALID_GOAL
+            return Done(State.REJECTED, Result(error_code=code, error_string=str(error)), str(error))  # type: ignore[call-arg]
+        feedback = _Feedback(self, goal)
+        while not work.wait(0.02):
             if goal.cancel.is_set():
-                job.stop.set()
-            if self._stop.is_set():
-                return Done(State.ABORTED, Result(), "the cell was closed")
-        result, what = results[0]
-        code = _follow_code(result)
-        message = Result(error_code=code, error_string=result.message)  # type: ignore[call-arg]
-        states = {"done": State.SUCCEEDED, "stopped": State.PREEMPTED, "refused": State.REJECTED}
-        return Done(states.get(what, State.ABORTED), message, result.message)
+                work.cancel.set()
+            feedback.give(work)
+        if self._stop.is_set():
+            return Done(State.ABORTED, Result(), "the cell was closed")
+        if work.error is not None:
+            text = str(work.error)
+            return Done(State.REJECTED, Result(error_code=INVALID_GOAL, error_string=text), text)  # type: ignore[call-arg]
+        result = work.outcome()
+        message = Result(error_code=_follow_code(result), error_string=result.message)  # type: ignore[call-arg]
+        if result.ok:
+            return Done(State.SUCCEEDED, message, result.message)
+        preempted = result.code is ErrorCode.PREEMPTED
+        return Done(State.PREEMPTED if preempted else State.ABORTED, message, result.message)
 
-    def _say(self, text: str) -> None:
-        logger.info("trajectory: %s", text)
-        self._status.publish(self.bus.schema.new("std_msgs/String", text))
+
+class _Feedback:
+    """Where the motion should be and where it is, ten times a second."""
+
+    PERIOD = 0.1  # [s]
+
+    def __init__(self, node: CellNode, goal: Goal):
+        self._node, self._goal, self._next = node, goal, 0.0
+
+    def give(self, work: Work) -> None:
+        trajectory = work.trajectory
+        if trajectory is None or work.began is None or time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + self.PERIOD
+        bus, driver = self._node.bus, self._node.live.driver
+        try:
+            state, now = self._node.conductor.call(lambda: (driver.joint_state(), driver.now))
+        except InputError:
+            return  # closed
+        passed = now - work.began
+        wanted, moving, _ = trajectory.sample(passed)
+        actual = state.reindexed(trajectory.joint_names)
+        at = bus.schema.message("builtin_interfaces/Duration").from_sec(passed)  # type: ignore[attr-defined]
+
+        def point(q: np.ndarray, v: np.ndarray | None) -> Any:
+            return bus.schema.new(
+                "trajectory_msgs/JointTrajectoryPoint",
+                positions=q, velocities=np.zeros(len(q)) if v is None else v, time_from_start=at,
+            )  # fmt: skip
+
+        self._goal.feedback(
+            bus.schema.new(
+                f"{ACTION}Feedback", bus.header(), list(trajectory.joint_names), point(wanted, moving),
+                point(actual.positions, actual.velocities), point(wanted - actual.positions, None),
+            )
+        )  # fmt: skip
+
+
+def _tolerances(goal: Any) -> ExecutionSettings:
+    """The goal's tolerances, the smallest joint's for all; ours where it gives none."""
+    values: dict[str, float] = {}
+    for key, entries in (("path_tolerance", goal.path_tolerance), ("goal_tolerance", goal.goal_tolerance)):
+        given = [float(t.position) for t in entries if t.position > 0]
+        if given:
+            values[key] = min(given)
+    if (seconds := goal.goal_time_tolerance.to_sec()) > 0:
+        values["settle_time"] = seconds
+    return ExecutionSettings(**values)
 
 
 def _follow_code(result: ExecutionResult) -> int:
     if result.ok or result.code is ErrorCode.PREEMPTED:
         return SUCCESSFUL
-    if result.code is ErrorCode.INVALID_MOTION_PLAN:
-        return INVALID_JOINTS if "unknown joint" in result.message else INVALID_GOAL
     return PATH_TOLERANCE_VIOLATED if "left the path" in result.message else GOAL_TOLERANCE_VIOLATED
-
-
-class _Publishing:
-    """A driver that publishes its states whenever time passes, and runs small commands in between."""
-
-    def __init__(self, driver: Driver, states: StatePublisher):
-        self._driver, self._states = driver, states
-        self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._driver, name)
-
-    def later(self, command: Callable[[], None]) -> None:
-        """Do something to the driver before the next step, from the driver's thread."""
-        self._later.put(command)
-
-    def advance(self, duration: float) -> None:
-        while not self._later.empty():
-            self._later.get()()
-        self._driver.advance(duration)
-        if self._states.due(self._driver.now):
-            self._states.publish(self._driver)

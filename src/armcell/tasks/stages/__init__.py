@@ -1,16 +1,32 @@
 """Stages that recipes are made of."""
 
+from armcell.tasks.stages.given import (
+    ChooseGivenGrasp,
+    ChooseGivenPlace,
+    GivenGrasp,
+    GivenPlace,
+    Leave,
+    Lift,
+    Way,
+)
 from armcell.tasks.stages.grasp import ChooseGrasp, Close, Planned
 from armcell.tasks.stages.moves import Connect, Straight
 from armcell.tasks.stages.place import ChoosePlacement, ExpectSupport, Open
 
 __all__ = [
+    "ChooseGivenGrasp",
+    "ChooseGivenPlace",
     "ChooseGrasp",
     "ChoosePlacement",
     "Close",
     "Connect",
     "ExpectSupport",
+    "GivenGrasp",
+    "GivenPlace",
+    "Leave",
+    "Lift",
     "Open",
     "Planned",
     "Straight",
+    "Way",
 ]

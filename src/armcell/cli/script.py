@@ -1,0 +1,77 @@
+"""`armcell run SCRIPT.py --cell CELL` and `armcell lint SCRIPT.py`."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import typer
+
+from armcell.cli.console import console, err
+from armcell.core import InputError, Observer
+
+
+def run_script_command(
+    script: str, cell: str | None, arguments: list[str], seed: int, mode: str, time_scale: float | None,
+    auto_grip: bool | None, view: bool, port: int,
+) -> int:  # fmt: skip
+    """Run a rospy / moveit_commander script unchanged against a cell; its exit status."""
+    if cell is None:
+        raise InputError(f"no cell for {script}", cure="--cell CELL; `armcell cells` lists the built-in ones")
+    file = Path(script)
+    if not file.is_file():
+        raise InputError("there is no such script", file=file)
+    from armcell.cell import load
+    from armcell.control import drivers
+    from armcell.moveit import run_script
+    from armcell.moveit.lint import closes_gripper_itself
+
+    drivers[mode]  # an unknown mode is said before anything is made
+    if auto_grip is None:
+        auto_grip = not closes_gripper_itself(file)
+        if auto_grip:
+            err(
+                f"{file.name} commands no gripper: it closes by itself where an arm comes to rest with an "
+                "object between the fingers (--no-auto-grip)"
+            )
+    logging.basicConfig(level=logging.WARNING, format="[%(levelname)s] %(message)s", stream=sys.stderr)
+    logging.getLogger("armcell").setLevel(logging.WARNING)
+    with ExitStack() as stack:
+        loaded = load(cell)
+        observers: list[Observer] = []
+        if view:
+            from armcell.viewer import CellViewer
+
+            viewer = stack.enter_context(CellViewer(loaded.scene(seed), port=port, title=loaded.name))
+            observers.append(viewer)
+            console.print(f"view: {viewer.url}")
+        live = loaded.connect(mode, seed, observers, time_scale or 1.0)
+        status, _ = run_script(file, live, arguments, auto_grip=auto_grip)
+    return status
+
+
+def lint(
+    scripts: list[Path] = typer.Argument(..., metavar="SCRIPT.py", help="Scripts to read; none is run."),
+    as_json: bool = typer.Option(False, "--json", help="Print the findings as JSON."),
+) -> int:
+    """Known traps in rospy and moveit_commander scripts, with line numbers and what to write instead.
+
+    Exit status 1 where there are any.
+    """
+    from armcell.moveit.lint import lint as findings_of
+
+    found = [(file, finding) for file in scripts for finding in findings_of(file)]
+    if as_json:
+        rows = [
+            {"file": str(f), "line": x.line, "rule": x.rule, "text": x.text, "cure": x.cure} for f, x in found
+        ]
+        console.print(json.dumps(rows, indent=2), soft_wrap=True, markup=False)
+    else:
+        for file, finding in found:
+            console.print(finding.describe(file), soft_wrap=True, markup=False)
+        if not found:
+            console.print("no known traps")
+    return 1 if found else 0

@@ -1,0 +1,37 @@
+"""`armcell service`: call a service of a running ROS-TCP endpoint, ours or another."""
+
+from __future__ import annotations
+
+import typer
+import yaml
+
+from armcell.cli.console import console
+from armcell.cli.topic import CONNECT, filled, joined_to, plain, yaml_values
+from armcell.core import InputError
+
+app = typer.Typer(help="Services of a running endpoint: call.", no_args_is_help=True)
+
+
+@app.command("call")
+def call(
+    name: str,
+    type_name: str = typer.Argument(..., metavar="TYPE", help="For instance std_srvs/Trigger."),
+    request: str = typer.Argument("{}", help="The request's fields as YAML; what is left out is zero."),
+    connect: str = CONNECT,
+    timeout: float = typer.Option(60.0, min=0.1, help="Seconds to wait for the answer."),
+) -> None:
+    """Call a service and print its answer as YAML.
+
+    The wire has no list of services, so the type has to be given; `armcell msg list` shows what there is.
+    """
+    from armcell.ros import schema
+    from armcell.ros.bus import ServiceError
+
+    request_class, _ = schema().service(type_name)
+    message = filled(request_class(), yaml_values(request))
+    with joined_to(connect, timeout, use={name: type_name}) as (bus, _):
+        try:
+            answer = bus.call(name, message)
+        except ServiceError as error:
+            raise InputError(str(error)) from None
+    console.print(yaml.safe_dump(plain(answer), sort_keys=False), end="", soft_wrap=True, markup=False)

@@ -1,0 +1,87 @@
+"""What moveit_commander's classes have in common: goals sent and waited for, targets put into requests."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armcell.moveit.session import CHECK, Session, current_session
+from armcell.ros import ActionClient
+from armcell.ros.actions import SentGoal
+from armcell.scene import PlanningScene
+
+SUCCESS, FAILURE, PREEMPTED = 1, 99999, -7  # moveit_msgs/MoveItErrorCodes
+
+
+def measured_scene() -> PlanningScene:
+    """The planning scene as it is now."""
+    return current_session().served.cell.scene()
+
+
+def send(session: Session, action: str, type_name: str, goal: Any) -> SentGoal:
+    """Send a goal; one client for each action serves the whole script.
+
+    Raises:
+        RuntimeError: nobody serves the action.
+    """
+    if action not in session.clients:
+        session.clients[action] = ActionClient(session.bus, action, type_name)
+    name = session.clients[action].name
+    if not any(t.name == f"{name}/goal" and t.subscribers for t in session.bus.topics()):
+        raise RuntimeError(f"Unable to connect to move_group action server '{action}' within allotted time")
+    return session.clients[action].send(session.messages.local(goal))
+
+
+def finished(session: Session, sent: SentGoal) -> Any:
+    """The result of a goal, after waiting for it; Ctrl-C cancels it.
+
+    Raises:
+        KeyboardInterrupt: it came, or the session is shutting down.
+    """
+    try:
+        while not sent.wait(CHECK):
+            if session.shutting_down.is_set() or not session.served.thread.is_alive():
+                raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        sent.cancel()
+        session.shut_down("interrupted")
+        raise
+    return session.messages.local(sent.result)
+
+
+def joint_constraints(session: Session, values: dict[str, float], tolerance: float) -> Any:
+    """The goal constraints of joint positions."""
+    joints = [
+        session.new("moveit_msgs/JointConstraint", name, float(value), tolerance, tolerance, 1.0)
+        for name, value in values.items()
+    ]
+    return session.new("moveit_msgs/Constraints", joint_constraints=joints)
+
+
+def pose_constraints(
+    session: Session, link: str, target: Any, position: float | None, orientation: float | None
+) -> Any:
+    """The goal constraints of a link's PoseStamped; a tolerance of None leaves that part out."""
+    found = session.new("moveit_msgs/Constraints")
+    if position is not None:
+        ball = session.new("shape_msgs/SolidPrimitive", type=2, dimensions=[float(position)])
+        upright = session.new("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        p = target.pose.position
+        centre = session.new("geometry_msgs/Pose", session.new("geometry_msgs/Point", p.x, p.y, p.z), upright)
+        volume = session.new("moveit_msgs/BoundingVolume", [ball], [centre], [], [])
+        offset = session.new("geometry_msgs/Vector3")
+        found.position_constraints = [
+            session.new("moveit_msgs/PositionConstraint", target.header, link, offset, volume, 1.0)
+        ]
+    if orientation is not None:
+        q = target.pose.orientation
+        if not np.isfinite([q.x, q.y, q.z, q.w]).all() or not any((q.x, q.y, q.z, q.w)):
+            session.hint("quaternion", "a target's orientation is all zeros; taken as no rotation (w = 1)")
+            q = session.new("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        found.orientation_constraints = [
+            session.new(
+                "moveit_msgs/OrientationConstraint", target.header, q, link, *3 * [orientation], weight=1.0
+            )
+        ]
+    return found

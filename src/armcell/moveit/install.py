@@ -1,0 +1,109 @@
+"""The shims under the names that scripts import, for as long as one runs."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import types
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from armcell.core import UnknownNameError
+from armcell.moveit.message_classes import MessageClasses
+
+SHIMS = {
+    "rospy": "rospy",
+    "actionlib": "actionlib",
+    "genpy": "genpy",
+    "tf": "tf",
+    "tf.transformations": "transformations",
+    "tf2_ros": "tf2_ros",
+    "tf2_geometry_msgs": "tf2_geometry_msgs",
+    "moveit_commander": "moveit_commander",
+    "moveit_commander.conversions": "moveit_commander.conversions",
+    "moveit_commander.exception": "moveit_commander.exception",
+    "moveit_commander.move_group": "moveit_commander.move_group",
+    "moveit_commander.planning_scene_interface": "moveit_commander.planning_scene_interface",
+    "moveit_commander.robot": "moveit_commander.robot",
+    "moveit_commander.roscpp_initializer": "moveit_commander.roscpp_initializer",
+}
+"""Module names to files in `armcell.moveit.shims`."""
+
+
+class _MessageModule(types.ModuleType):
+    """`<package>.msg` or `<package>.srv`: classes are made when they are asked for."""
+
+    def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
+        super().__init__(name)
+        self._classes, self._package, self._kinds = classes, package, kinds
+        self.__all__ = kinds
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name not in self._kinds:
+            known = [k for k in self._kinds if not k.startswith("_")]
+            raise AttributeError(str(UnknownNameError(f"type of {self.__name__}", name, known)))
+        value = (
+            _service_class(self._classes, f"{self._package}/{name}")
+            or self._classes[f"{self._package}/{name}"]
+        )
+        setattr(self, name, value)
+        return value
+
+    def __dir__(self) -> list[str]:
+        return self._kinds
+
+
+def _service_class(classes: MessageClasses, name: str) -> type | None:
+    """What rospy.Service takes: a class with the request's and response's."""
+    if name not in classes.schema.services:
+        return None
+    request, response = classes[f"{name}Request"], classes[f"{name}Response"]
+    return type(
+        name.split("/")[1], (),
+        {
+            "_type": name, "_md5sum": classes.schema.md5(name),
+            "_request_class": request, "_response_class": response, "Request": request, "Response": response,
+        },
+    )  # fmt: skip
+
+
+def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
+    """A module for each message package, its `.msg` and its `.srv`."""
+    schema = classes.schema
+    parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
+    found: dict[str, types.ModuleType] = {}
+    for kind, names in (
+        ("msg", [n for n in schema.messages if n not in parts]),
+        ("srv", [*schema.services, *parts]),
+    ):
+        for package in sorted({n.split("/")[0] for n in names}):
+            own = sorted(n.split("/")[1] for n in names if n.split("/")[0] == package)
+            outer = found.setdefault(package, types.ModuleType(package))
+            outer.__path__ = []  # type: ignore[attr-defined]  # a package
+            inner = _MessageModule(f"{package}.{kind}", classes, package, own)
+            found[inner.__name__] = inner
+            setattr(outer, kind, inner)
+    return found
+
+
+@contextmanager
+def installed(classes: MessageClasses) -> Iterator[list[str]]:
+    """The shims in `sys.modules`; what was there before comes back at the end.
+
+    Yields:
+        names of real packages that are hidden meanwhile.
+    """
+    modules: dict[str, types.ModuleType] = message_modules(classes)
+    for name, file in SHIMS.items():
+        modules[name] = importlib.import_module(f"armcell.moveit.shims.{file}")
+    before = {n: sys.modules[n] for n in modules if n in sys.modules}
+    sys.modules.update(modules)
+    try:
+        yield sorted(n for n in before if "." not in n)
+    finally:
+        for name in modules:
+            sys.modules.pop(name, None)
+        sys.modules.update(before)

@@ -1,0 +1,146 @@
+"""rospy.Time and rospy.Duration: genpy's arithmetic on the bus's own stamps."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, ClassVar
+
+SECOND = 1_000_000_000  # [ns]
+
+
+@functools.total_ordering
+class _Stamp:
+    """Seconds and nanoseconds, the latter in 0..999999999; `secs` and `nsecs` are genpy's names for them."""
+
+    __slots__ = ("nanosec", "sec")
+    _type: ClassVar[str]
+    _fields: ClassVar[tuple[str, ...]] = ("sec", "nanosec")
+
+    def __init__(self, secs: float = 0, nsecs: int = 0, **fields: int):
+        secs, nsecs = fields.get("sec", secs), fields.get("nanosec", nsecs)
+        if not isinstance(secs, int):
+            if nsecs:
+                raise ValueError("if secs is a float, nsecs cannot be set")
+            secs, nsecs = divmod(round(float(secs) * SECOND), SECOND)
+        carry, self.nanosec = divmod(int(nsecs), SECOND)
+        self.sec = int(secs) + carry
+
+    secs = property(lambda self: self.sec, lambda self, value: setattr(self, "sec", value))
+    nsecs = property(lambda self: self.nanosec, lambda self, value: setattr(self, "nanosec", value))
+
+    @classmethod
+    def from_sec(cls, seconds: float) -> Any:
+        return cls(float(seconds))
+
+    @classmethod
+    def from_seconds(cls, seconds: float) -> Any:
+        return cls(float(seconds))
+
+    def to_sec(self) -> float:
+        return self.sec + self.nanosec * 1e-9
+
+    def to_nsec(self) -> int:
+        return self.sec * SECOND + self.nanosec
+
+    def is_zero(self) -> bool:
+        return self.sec == 0 and self.nanosec == 0
+
+    def set(self, secs: int, nsecs: int) -> None:
+        self.sec, self.nanosec = secs, nsecs
+
+    def __bool__(self) -> bool:
+        return not self.is_zero()
+
+    def __hash__(self) -> int:
+        return hash((self.sec, self.nanosec))
+
+    def __eq__(self, other: object) -> bool:
+        return hasattr(other, "nanosec") and self.to_nsec() == other.to_nsec()  # type: ignore[attr-defined]
+
+    def __lt__(self, other: Any) -> bool:
+        if not hasattr(other, "nanosec"):
+            return NotImplemented
+        return self.to_nsec() < other.to_nsec()
+
+    def __repr__(self) -> str:
+        return f"{type(self).__module__.split('.')[-1]}.{type(self).__name__}[{self.to_nsec()}]"
+
+    def __str__(self) -> str:
+        return str(self.to_nsec())
+
+
+def _is(value: object, cls: type) -> bool:
+    return getattr(value, "_type", None) == cls._type  # type: ignore[attr-defined]
+
+
+class Duration(_Stamp):
+    """A span of time; may be negative."""
+
+    __slots__ = ()
+    _type = "builtin_interfaces/Duration"
+
+    def __add__(self, other: Any) -> Any:
+        if _is(other, Time):
+            return Time(0, self.to_nsec() + other.to_nsec())
+        return Duration(0, self.to_nsec() + other.to_nsec()) if _is(other, Duration) else NotImplemented
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        return Duration(0, self.to_nsec() - other.to_nsec()) if _is(other, Duration) else NotImplemented
+
+    def __neg__(self) -> Duration:
+        return Duration(0, -self.to_nsec())
+
+    def __abs__(self) -> Duration:
+        return Duration(0, abs(self.to_nsec()))
+
+    def __mul__(self, factor: float) -> Duration:
+        return Duration(0, round(self.to_nsec() * factor))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        if _is(other, Duration):
+            return self.to_nsec() / other.to_nsec()
+        return Duration(0, round(self.to_nsec() / other))
+
+    def __floordiv__(self, other: Any) -> Any:
+        if _is(other, Duration):
+            return self.to_nsec() // other.to_nsec()
+        return Duration(0, self.to_nsec() // other)
+
+
+class Time(_Stamp):
+    """A point in time."""
+
+    __slots__ = ()
+    _type = "builtin_interfaces/Time"
+
+    def __init__(self, secs: float = 0, nsecs: int = 0, **fields: int):
+        super().__init__(secs, nsecs, **fields)
+        if self.sec < 0:
+            raise TypeError("time values must be positive")
+
+    def to_time(self) -> float:
+        return self.to_sec()
+
+    @staticmethod
+    def now() -> Time:
+        """The cell's time."""
+        from armcell.moveit.session import current_session
+
+        return Time.from_sec(current_session().bus.clock.now())
+
+    def __add__(self, other: Any) -> Any:
+        return Time(0, self.to_nsec() + other.to_nsec()) if _is(other, Duration) else NotImplemented
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        if _is(other, Time):
+            return Duration(0, self.to_nsec() - other.to_nsec())
+        return Time(0, self.to_nsec() - other.to_nsec()) if _is(other, Duration) else NotImplemented
+
+    def __rsub__(self, other: Any) -> Any:
+        return Duration(0, other.to_nsec() - self.to_nsec()) if _is(other, Time) else NotImplemented

@@ -1,0 +1,72 @@
+"""Running a user's script against a cell: unchanged, in this process, with the shims in place of ROS."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from armcell.cell import LiveCell
+from armcell.core import InputError
+from armcell.moveit.install import installed
+from armcell.moveit.session import Session
+
+INTERRUPTED = 130
+
+
+def run_script(
+    script: Path, live: LiveCell, arguments: Sequence[str] = (), rate: float = 100.0,
+    auto_grip: bool = False, quiet: bool = False,
+) -> tuple[int, Session]:  # fmt: skip
+    """Run a script to its end, with the motions that it has begun; then leave nothing running.
+
+    Args:
+        live: a cell that is not connected yet.
+        arguments: its own, `sys.argv[1:]`.
+        auto_grip: close a gripper that rests with an object between its open fingers.
+    Returns:
+        The script's exit status (130 after Ctrl-C), and the session it ran in, closed.
+    Raises:
+        InputError: there is no such script.
+    """
+    if not script.is_file():
+        raise InputError("there is no such script", file=script)
+    session = Session(live, rate, auto_grip, quiet)
+    argv, path = sys.argv, list(sys.path)
+    with session, installed(session.messages) as hidden:
+        if hidden:
+            session.hint("hidden", f"the installed {', '.join(hidden)} are not used in this run")
+        sys.argv = [str(script), *arguments]
+        sys.path.insert(0, str(script.resolve().parent))
+        try:
+            return _status(script, session), session
+        finally:
+            sys.argv, sys.path[:] = argv, path
+
+
+def _status(script: Path, session: Session) -> int:
+    try:
+        runpy.run_path(str(script), run_name="__main__")
+    except KeyboardInterrupt:
+        session.served.cell.stop()
+        return INTERRUPTED
+    except SystemExit as end:
+        session.finish()
+        return end.code if isinstance(end.code, int) else 0 if end.code is None else _said(end.code)
+    except Exception as error:
+        session.served.cell.stop()
+        frames = traceback.extract_tb(error.__traceback__)
+        mine = [i for i, f in enumerate(frames) if Path(f.filename).resolve() == script.resolve()]
+        shown = frames[mine[0] : mine[-1] + 1] if mine else frames  # what is ours helps nobody
+        text = "".join(traceback.format_list(shown))
+        print(f"Traceback (most recent call last):\n{text}{type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    session.finish()
+    return INTERRUPTED if session.interrupted else 0
+
+
+def _said(text: object) -> int:
+    print(text, file=sys.stderr)  # noqa: T201
+    return 1

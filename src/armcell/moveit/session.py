@@ -1,0 +1,129 @@
+"""What a script talks to: the bus with the cell on it, found by every shim."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+
+from armcell.cell import LiveCell
+from armcell.core import InputError
+from armcell.model import RobotModel
+from armcell.moveit.message_classes import MessageClasses
+from armcell.ros import ActionClient, Bus
+from armcell.ros.nodes import ServedCell
+
+logger = logging.getLogger(__name__)
+CHECK = 0.1  # [s] between two looks whether it is all over
+_current: list[Session] = []
+
+
+class Session:
+    """A served cell and the state that rospy keeps per process.
+
+    Args:
+        live: a cell that is not connected yet.
+        rate: [Hz] of the states and the clock.
+        auto_grip: close a gripper that rests with an object between its fingers.
+    """
+
+    def __init__(self, live: LiveCell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False):
+        self.bus = Bus()
+        self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
+        self.messages = MessageClasses(self.bus.schema)
+        self.node_name = ""
+        self.interrupted = False
+        self.shutting_down = threading.Event()
+        self.on_shutdown: list[Any] = []
+        self.lines: list[str] = []
+        """What the script has logged, and the hints."""
+        self.clients: dict[str, ActionClient] = {}  # of actions that were used
+        self.rng = np.random.default_rng(live.ctx.seed)
+        self._quiet, self._hints = quiet, set()
+
+    @property
+    def model(self) -> RobotModel:
+        return self.served.live.model
+
+    def __enter__(self) -> Session:
+        if _current:
+            raise InputError("a session is open already", cure="close it first")
+        _current.append(self)
+        try:
+            self.served.start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.shut_down("closed")
+        for client in self.clients.values():
+            client.close()
+        self.served.close()
+        _current.remove(self)
+
+    def shut_down(self, reason: str) -> None:
+        """What rospy.signal_shutdown does: everybody who waits is told, and the hooks run once."""
+        if self.shutting_down.is_set():
+            return
+        self.shutting_down.set()
+        self.interrupted = reason == "interrupted"
+        logger.info("shutdown: %s", reason)
+        for hook in self.on_shutdown:
+            try:
+                hook()
+            except Exception:
+                logger.exception("a shutdown hook failed")
+
+    # --- talking ---
+    def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
+        """A message as scripts have them."""
+        return self.messages[name](*values, **fields)
+
+    def call(self, service: str, request: Any) -> Any:
+        """Ask a service; the script's own copy of the answer.
+
+        Raises:
+            ServiceError: it is not there, or failed.
+        """
+        return self.messages.local(self.bus.call(service, request))
+
+    def say(self, level: str, text: str) -> None:
+        """A log line on standard error, in ROS's form."""
+        line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
+        self.lines.append(line)
+        if not self._quiet:
+            print(line, file=sys.stderr, flush=True)  # noqa: T201  (what a script logs is for its user)
+
+    def hint(self, key: str, text: str) -> None:
+        """Say something about the script, once."""
+        if key not in self._hints:
+            self._hints.add(key)
+            self.say("HINT", text)
+
+    @property
+    def hints(self) -> set[str]:
+        return self._hints
+
+    def finish(self) -> None:
+        """Wait for the motions that the script has begun and not waited for."""
+        goals = [goal for client in self.clients.values() for goal in client.unfinished]
+        while self.served.thread.is_alive() and not all(goal.wait(CHECK) for goal in goals):
+            pass
+        while self.served.thread.is_alive() and (works := self.served.cell.works()):
+            works[0].wait(CHECK)
+
+
+def current_session() -> Session:
+    """The open session.
+
+    Raises:
+        RuntimeError: there is none.
+    """
+    if not _current:
+        raise RuntimeError("no cell to talk to: run the script with `armcell run SCRIPT.py --cell CELL`")
+    return _current[-1]

@@ -1,0 +1,223 @@
+"""actionlib: SimpleActionClient and SimpleActionServer on the bus's actions.
+
+Source of names and behaviour: actionlib's documentation (docs.ros.org/en/noetic/api/actionlib).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from armcell.moveit.message_classes import classes
+from armcell.moveit.session import CHECK, current_session
+from armcell.moveit.shims.rospy import ROSInterruptException, get_time, is_shutdown
+from armcell.ros import ActionClient as BusClient
+from armcell.ros import ActionServer as BusServer
+from armcell.ros.actions import Done, Goal, State
+
+GoalStatus = classes()["actionlib_msgs/GoalStatus"]
+
+
+class SimpleGoalState:
+    PENDING, ACTIVE, DONE = 0, 1, 2
+
+
+def _plain(action_spec: Any) -> str:
+    return action_spec._type.removesuffix("Action")
+
+
+def _seconds(duration: Any) -> float:
+    return duration.to_sec() if hasattr(duration, "to_sec") else float(duration)
+
+
+class SimpleActionClient:
+    """One goal at a time; a new one replaces the last."""
+
+    def __init__(self, ns: str, ActionSpec: Any):
+        session = current_session()
+        self._client = BusClient(session.bus, ns, _plain(ActionSpec))
+        self._session, self._sent = session, None
+
+    def wait_for_server(self, timeout: Any = 0.0) -> bool:
+        """Whether somebody takes the goals; a timeout of 0 waits for ever, by the wall's clock."""
+        seconds = _seconds(timeout)
+        give_up = time.monotonic() + seconds if seconds > 0 else None
+        name = f"{self._client.name}/goal"
+        while not any(t.name == name and t.subscribers for t in self._session.bus.topics()):
+            if is_shutdown() or (give_up is not None and time.monotonic() > give_up):
+                return False
+            self._session.shutting_down.wait(0.02)
+        return True
+
+    def send_goal(
+        self, goal: Any, done_cb: Callable[..., None] | None = None,
+        active_cb: Callable[[], None] | None = None, feedback_cb: Callable[[Any], None] | None = None,
+    ) -> None:  # fmt: skip
+        local = self._session.messages.local
+        told = None if feedback_cb is None else (lambda message: feedback_cb(local(message)))
+        sent = self._sent = self._client.send(local(goal), told)
+        if done_cb is not None or active_cb is not None:
+            threading.Thread(target=self._watch, args=(sent, done_cb, active_cb), daemon=True).start()
+
+    def _watch(self, sent: Any, done_cb: Any, active_cb: Any) -> None:
+        while not sent.wait(0.02):
+            if active_cb is not None and sent.state is State.ACTIVE:
+                active_cb()
+                active_cb = None
+            if is_shutdown():
+                return
+        if active_cb is not None:
+            active_cb()
+        if done_cb is not None:
+            done_cb(int(sent.state), self._session.messages.local(sent.result))
+
+    def send_goal_and_wait(self, goal: Any, execute_timeout: Any = 0.0, preempt_timeout: Any = 0.0) -> int:
+        self.send_goal(goal)
+        if not self.wait_for_result(execute_timeout):
+            self.cancel_goal()
+            self.wait_for_result(preempt_timeout if _seconds(preempt_timeout) > 0 else 2.0)
+        return self.get_state()
+
+    def wait_for_result(self, timeout: Any = 0.0) -> bool:
+        """Whether there is a result; a timeout of 0 waits for ever, by the cell's clock."""
+        if self._sent is None:
+            return False
+        seconds = _seconds(timeout)
+        give_up = get_time() + seconds if seconds > 0 else None
+        try:
+            while not self._sent.wait(CHECK if give_up is None else 0.01):
+                if is_shutdown():
+                    return False
+                if give_up is not None and get_time() > give_up:
+                    return False
+        except KeyboardInterrupt:
+            self.cancel_goal()
+            self._session.shut_down("interrupted")
+            raise ROSInterruptException("interrupted while waiting for a result") from None
+        return True
+
+    def get_result(self) -> Any:
+        return None if self._sent is None or self._sent.result is None else (
+            self._session.messages.local(self._sent.result)
+        )  # fmt: skip
+
+    def get_state(self) -> int:
+        return int(State.LOST) if self._sent is None else int(self._sent.state)
+
+    def get_goal_status_text(self) -> str:
+        return "" if self._sent is None else self._sent.text
+
+    def cancel_goal(self) -> None:
+        if self._sent is not None:
+            self._sent.cancel()
+
+    def cancel_all_goals(self) -> None:
+        self._client.cancel_all()
+
+    def cancel_goals_at_and_before_time(self, time: Any) -> None:
+        stamp = self._session.new("actionlib_msgs/GoalID", stamp=time)
+        self._client._cancel.publish(stamp)
+
+    def stop_tracking_goal(self) -> None:
+        self._sent = None
+
+
+class SimpleActionServer:
+    """Serves an action by a callback that runs in a thread of its own."""
+
+    def __init__(
+        self,
+        name: str,
+        ActionSpec: Any,
+        execute_cb: Callable[[Any], None] | None = None,
+        auto_start: bool = True,
+    ):
+        self._session = current_session()
+        self._name, self._type, self._callback = name, _plain(ActionSpec), execute_cb
+        self._server: BusServer | None = None
+        self._goal: Goal | None = None
+        self._next: list[Goal] = []
+        self._ended: dict[str, Done] = {}
+        self._over: dict[str, threading.Event] = {}
+        self._on_goal: Callable[[], None] | None = None
+        self._on_preempt: Callable[[], None] | None = None
+        if auto_start:
+            self.start()
+
+    def start(self) -> None:
+        if self._server is None:
+            self._server = BusServer(self._session.bus, self._name, self._type, self._execute)
+
+    def _execute(self, goal: Goal) -> Done:
+        over = self._over[goal.id.id] = threading.Event()
+        if self._callback is not None:
+            self._goal = goal
+            threading.Thread(target=self._watch_cancel, args=(goal, over), daemon=True).start()
+            self._callback(self._session.messages.local(goal.message))
+            over.set()
+            # actionlib: a callback that ends without saying how has aborted its goal.
+            return self._ended.pop(goal.id.id, None) or Done(
+                State.ABORTED, self._result(None), "not set by the callback"
+            )
+        self._next.append(goal)
+        threading.Thread(target=self._watch_cancel, args=(goal, over), daemon=True).start()
+        if self._on_goal is not None:
+            self._on_goal()
+        while not over.wait(CHECK):
+            if is_shutdown():
+                return Done(State.ABORTED, self._result(None), "shutdown")
+        return self._ended.pop(goal.id.id)
+
+    def _watch_cancel(self, goal: Goal, over: threading.Event) -> None:
+        while not over.is_set() and not is_shutdown():
+            if goal.cancel.wait(0.02):
+                if self._on_preempt is not None and goal is self._goal:
+                    self._on_preempt()
+                return
+
+    def _result(self, result: Any) -> Any:
+        return result if result is not None else self._session.new(f"{self._type}Result")
+
+    def _end(self, state: State, result: Any, text: str) -> None:
+        if self._goal is None:
+            return
+        self._ended[self._goal.id.id] = Done(state, self._result(result), text)
+        if self._callback is None:
+            self._over[self._goal.id.id].set()
+
+    def set_succeeded(self, result: Any = None, text: str = "") -> None:
+        self._end(State.SUCCEEDED, result, text)
+
+    def set_aborted(self, result: Any = None, text: str = "") -> None:
+        self._end(State.ABORTED, result, text)
+
+    def set_preempted(self, result: Any = None, text: str = "") -> None:
+        self._end(State.PREEMPTED, result, text)
+
+    def publish_feedback(self, feedback: Any) -> None:
+        if self._goal is not None:
+            self._goal.feedback(feedback)
+
+    def get_default_result(self) -> Any:
+        return self._result(None)
+
+    def is_preempt_requested(self) -> bool:
+        return self._goal is not None and self._goal.cancel.is_set()
+
+    def is_new_goal_available(self) -> bool:
+        return bool(self._next)
+
+    def is_active(self) -> bool:
+        return self._goal is not None and not self._goal.state.is_over
+
+    def accept_new_goal(self) -> Any:
+        self._goal = self._next.pop(0)
+        return self._session.messages.local(self._goal.message)
+
+    def register_goal_callback(self, cb: Callable[[], None]) -> None:
+        self._on_goal = cb
+
+    def register_preempt_callback(self, cb: Callable[[], None]) -> None:
+        self._on_preempt = cb

@@ -1,0 +1,5 @@
+"""moveit_commander.exception."""
+
+
+class MoveItCommanderException(Exception):
+    """What was asked cannot be done; says why."""

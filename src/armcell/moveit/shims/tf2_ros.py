@@ -1,0 +1,186 @@
+"""tf2_ros: a buffer that answers from /tf as it is on the bus, listeners and broadcasters.
+
+The buffer keeps the newest transform of each frame, not their history: a lookup in the past gets the newest.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from armcell.core import SE3
+from armcell.moveit.message_classes import classes
+from armcell.moveit.ros_time import Time
+from armcell.moveit.session import current_session
+from armcell.ros.convert import pose_from_message, transform_message
+
+TransformStamped = classes()["geometry_msgs/TransformStamped"]
+TF = "tf2_msgs/TFMessage"
+TOPICS = ("/tf", "/tf_static")
+MAX_DEPTH = 200
+
+
+class TransformException(Exception):
+    """Base of tf2's errors."""
+
+
+class LookupException(TransformException):
+    """A frame that nobody has published."""
+
+
+class ConnectivityException(TransformException):
+    """Two frames without a way between them."""
+
+
+class ExtrapolationException(TransformException):
+    """A time that is not known."""
+
+
+class InvalidArgumentException(TransformException):
+    """A transform that cannot be."""
+
+
+class TimeoutException(TransformException):
+    """Nothing came in time."""
+
+
+def _seconds(timeout: Any) -> float:
+    return timeout.to_sec() if hasattr(timeout, "to_sec") else float(timeout)
+
+
+class Buffer:
+    """Transforms by child frame."""
+
+    def __init__(self, cache_time: Any = None, debug: bool = True):
+        self._session = current_session()
+        self._lock = threading.Condition()
+        self._frames: dict[str, tuple[str, SE3, Any]] = {}
+
+    def set_transform(self, transform: Any, authority: str = "") -> None:
+        child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+        with self._lock:
+            self._frames[child] = (parent, pose_from_message(transform.transform), transform.header.stamp)
+            self._lock.notify_all()
+
+    set_transform_static = set_transform
+
+    def take(self, message: Any) -> None:
+        for transform in message.transforms:
+            self.set_transform(transform)
+
+    def lookup_transform(
+        self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = 0.0
+    ) -> Any:
+        """T_target_source, waiting for the frames up to a timeout."""
+        T, stamp = self._wait(target_frame, source_frame, _seconds(timeout))
+        schema = self._session.bus.schema
+        header = schema.new("std_msgs/Header", stamp=stamp, frame_id=target_frame)
+        return self._session.messages.local(transform_message(schema, header, source_frame, T))
+
+    def can_transform(
+        self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = 0.0, **more: Any
+    ) -> bool:
+        try:
+            self._wait(target_frame, source_frame, _seconds(timeout))
+        except TransformException:
+            return False
+        return True
+
+    def transform(
+        self, object_stamped: Any, target_frame: str, timeout: Any = 0.0, new_type: Any = None
+    ) -> Any:
+        """A stamped pose, point or vector in another frame."""
+        from armcell.moveit.shims import tf2_geometry_msgs as convert
+
+        found = self.lookup_transform(target_frame, object_stamped.header.frame_id, Time(), timeout)
+        kind = object_stamped._type.split("/")[1]
+        make = {
+            "PoseStamped": convert.do_transform_pose,
+            "PointStamped": convert.do_transform_point,
+            "Vector3Stamped": convert.do_transform_vector3,
+        }
+        if kind not in make:
+            raise InvalidArgumentException(f"a {kind} is not transformed; known: {', '.join(make)}")
+        return make[kind](object_stamped, found)
+
+    def _wait(self, target: str, source: str, seconds: float) -> tuple[SE3, Any]:
+        give_up = time.monotonic() + max(seconds, 0.0)
+        while True:
+            try:
+                with self._lock:
+                    return self._lookup(target.lstrip("/"), source.lstrip("/"))
+            except TransformException:
+                left = give_up - time.monotonic()
+                if left <= 0 or self._session.shutting_down.is_set():
+                    raise
+                with self._lock:
+                    self._lock.wait(min(left, 0.05))
+
+    def _lookup(self, target: str, source: str) -> tuple[SE3, Any]:
+        roots, Ts, stamps = [], [], []
+        for frame in (target, source):
+            known = {f for child, (parent, _, _) in self._frames.items() for f in (child, parent)}
+            if frame not in known:
+                raise LookupException(f'"{frame}" passed to lookupTransform argument does not exist.')
+            T, at, stamp = SE3.identity(), frame, Time()
+            for _ in range(MAX_DEPTH):
+                if at not in self._frames:
+                    break
+                parent, step, stamp = self._frames[at]
+                T, at = step @ T, parent
+            roots.append(at)
+            Ts.append(T)
+            stamps.append(stamp)
+        if roots[0] != roots[1]:
+            raise ConnectivityException(f"Could not find a connection between '{target}' and '{source}'")
+        newest = max(stamps, key=lambda s: s.to_nsec())
+        return Ts[0].inv() @ Ts[1], newest
+
+
+class TransformListener:
+    """Fills a buffer from /tf and /tf_static."""
+
+    def __init__(self, buffer: Buffer, queue_size: Any = None, **more: Any):
+        bus = current_session().bus
+        self.buffer = buffer
+        self._subscriptions = [bus.subscribe(topic, TF, buffer.take, 100) for topic in TOPICS]
+
+    def unregister(self) -> None:
+        for subscription in self._subscriptions:
+            subscription.close()
+
+
+class TransformBroadcaster:
+    """Publishes transforms."""
+
+    TOPIC, LATCH = "/tf", False
+
+    def __init__(self) -> None:
+        self._session = current_session()
+        self._publisher = self._session.bus.advertise(self.TOPIC, TF, self.LATCH)
+
+    def sendTransform(self, transform: Any) -> None:
+        transforms = list(transform) if isinstance(transform, list | tuple) else [transform]
+        self._publisher.publish(self._session.messages.local(self._session.new(TF, transforms)))
+
+
+class StaticTransformBroadcaster(TransformBroadcaster):
+    """Publishes transforms that stay."""
+
+    TOPIC, LATCH = "/tf_static", True
+
+
+__all__ = [
+    "Buffer",
+    "ConnectivityException",
+    "ExtrapolationException",
+    "InvalidArgumentException",
+    "LookupException",
+    "StaticTransformBroadcaster",
+    "TimeoutException",
+    "TransformBroadcaster",
+    "TransformException",
+    "TransformListener",
+    "TransformStamped",
+]

@@ -1,0 +1,101 @@
+"""Collision objects: moveit_msgs/CollisionObject."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from armcell.core import SE3, InputError, Plane, Shape
+from armcell.ros.convert import pose_from_message, pose_message
+from armcell.ros.moveit_convert.shapes import ShapeMessages, mesh_shape, plane_pose, primitive_shape
+from armcell.ros.schema import Schema
+from armcell.scene import WORLD, CollisionObject, ObjectType
+
+ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
+
+
+def frame_of(header: Any) -> str:
+    """A header's frame; an empty one is the world, a leading slash means nothing."""
+    return header.frame_id.lstrip("/") or WORLD
+
+
+def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
+    """The shapes (shape, T_object_shape) of a CollisionObject or a BoundingVolume.
+
+    A shape without a pose stands at the origin, as in MoveIt.
+
+    Raises:
+        InputError: a shape that cannot be, or more poses than shapes.
+    """
+    found: list[tuple[Shape, SE3]] = []
+
+    def each(kind: str, items: Any, poses: Any) -> list[tuple[Any, SE3]]:
+        if len(poses) > len(items):
+            raise InputError(f"{len(poses)} {kind} poses for {len(items)} shapes")
+        placed = [pose_from_message(p) for p in poses]
+        return list(zip(items, placed + [SE3.identity()] * (len(items) - len(placed))))
+
+    for item, T in each("primitive", message.primitives, message.primitive_poses):
+        found.append((primitive_shape(item), T))
+    for item, T in each("mesh", message.meshes, message.mesh_poses):
+        found.append((mesh_shape(item), T))
+    if hasattr(message, "planes"):
+        for item, T in each("plane", message.planes, message.plane_poses):
+            found.append((Plane(), T @ plane_pose(item)))
+    return tuple(found)
+
+
+def object_from_message(message: Any, like: CollisionObject | None = None) -> CollisionObject:
+    """The object of a CollisionObject, in its header's frame.
+
+    Where it has one shape and no pose of its own, the shape's pose becomes the object's (as in MoveIt).
+
+    Args:
+        like: an object of that name that is known already: its mass, friction and colour stay.
+    Raises:
+        InputError: no name, no shape, or one that cannot be.
+    """
+    shapes, T = shapes_from_message(message), pose_from_message(message.pose)
+    if not shapes:
+        raise InputError(f"object {message.id!r} has no shape")
+    if len(shapes) == 1 and _is_unset(message.pose):
+        T, shapes = shapes[0][1], ((shapes[0][0], SE3.identity()),)
+    subframes = {
+        name: pose_from_message(pose) for name, pose in zip(message.subframe_names, message.subframe_poses)
+    }
+    kind = ObjectType(message.type.key, message.type.db)
+    if like is None:
+        return CollisionObject(message.id, shapes, T, subframes=subframes, type=kind)
+    return replace(like, shapes=shapes, T_world_object=T, subframes=subframes, type=kind)
+
+
+def object_message(schema: Schema, header: Any, item: CollisionObject, operation: int = ADD) -> Any:
+    """The CollisionObject of an object, in the world's frame (which the header names).
+
+    Clouds and octrees are left out: an object of nothing else has no shapes in its message.
+    """
+    lists = ShapeMessages(schema)
+    for shape, T in item.shapes:
+        lists.add(shape, T)
+    poses = lambda pairs: [pose_message(schema, T) for _, T in pairs]  # noqa: E731
+    return schema.new(
+        "moveit_msgs/CollisionObject",
+        header=header,
+        pose=pose_message(schema, item.T_world_object),
+        id=item.name,
+        type=schema.new("object_recognition_msgs/ObjectType", key=item.type.key, db=item.type.db),
+        primitives=[m for m, _ in lists.primitives],
+        primitive_poses=poses(lists.primitives),
+        meshes=[m for m, _ in lists.meshes],
+        mesh_poses=poses(lists.meshes),
+        planes=[m for m, _ in lists.planes],
+        plane_poses=poses(lists.planes),
+        subframe_names=list(item.subframes),
+        subframe_poses=[pose_message(schema, T) for T in item.subframes.values()],
+        operation=operation,
+    )
+
+
+def _is_unset(pose: Any) -> bool:
+    p, r = pose.position, pose.orientation
+    return not (p.x or p.y or p.z or r.x or r.y or r.z) and r.w in (0.0, 1.0)

@@ -1,0 +1,277 @@
+"""Several motions on one driver: what runs, what waits, and the one thread that lets time pass.
+
+Works of different joints run side by side. One that shares joints with another waits for its end, and by
+default makes it end. Everything that touches the driver happens in the thread that calls `turn`.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Generator, Iterable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.control import Driver
+from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.core.checks import require
+
+Steps = Generator[None, None, ExecutionResult]
+T = TypeVar("T")
+MAX_WORKS = 16  # waiting and running
+STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
+
+
+class Work:
+    """Something that moves joints: either `steps`, made when it begins, or `job`, run in one go.
+
+    Attributes:
+        joints: no two works that share one run at once.
+        cancel: set it to end the work early.
+        gives_way: whether a newer work of the same joints ends this one; else the newer one waits.
+        trajectory: where it is known beforehand, for those who look whether two may run at once.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        joints: Iterable[str],
+        steps: Callable[[Driver, threading.Event], Steps] | None = None,
+        job: Callable[[threading.Event], ExecutionResult] | None = None,
+        gives_way: bool = True,
+        trajectory: JointTrajectory | None = None,
+    ):
+        self.name, self.joints, self.gives_way = name, frozenset(joints), gives_way
+        self.make, self.job, self.trajectory = steps, job, trajectory
+        self.cancel = threading.Event()
+        self.began: float | None = None  # [s] of the driver's clock
+        self.steps: Steps | None = None
+        self.result: ExecutionResult | None = None
+        self.error: BaseException | None = None
+        self._over = threading.Event()
+        self._listeners: list[Callable[[Work], None]] = []
+
+    @property
+    def is_over(self) -> bool:
+        return self._over.is_set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Whether it has ended, after waiting for that up to `timeout` [s]."""
+        return self._over.wait(timeout)
+
+    def outcome(self) -> ExecutionResult:
+        """How it ended.
+
+        Raises:
+            InputError: what was asked cannot be done.
+        """
+        if self.error is not None:
+            raise self.error
+        return STOPPED if self.result is None else self.result
+
+    def then(self, listener: Callable[[Work], None]) -> Work:
+        """Tell somebody, in the driver's thread, when it has ended. To be called before it is put."""
+        self._listeners.append(listener)
+        return self
+
+    def end(self, result: ExecutionResult | None, error: BaseException | None = None) -> None:
+        self.result, self.error = result, error
+        for listener in self._listeners:
+            listener(self)
+        self._over.set()
+
+
+class Conductor:
+    """A driver that many may use at once.
+
+    It offers the driver's own methods, to jobs and in `call`; `advance` also runs the other works and tells
+    `after_step`.
+    """
+
+    def __init__(self, driver: Driver, after_step: Callable[[], None] = lambda: None):
+        self._driver, self._after_step = driver, after_step
+        self._lock = threading.Lock()
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._waiting: list[Work] = []
+        self._running: list[Work] = []
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._driver, name)
+
+    # --- from any thread ---
+    def put(self, work: Work) -> Work:
+        """Begin a work as soon as those of the same joints are over.
+
+        Raises:
+            InputError: too many wait, or the cell is closed.
+        """
+        with self._lock:
+            require(not self._closed, "the cell is closed")
+            if len(self._waiting) + len(self._running) >= MAX_WORKS:
+                raise InputError(f"{MAX_WORKS} motions wait already", cure="wait for one to end")
+            for other in (*self._waiting, *self._running):
+                if other.gives_way and other.joints & work.joints:
+                    other.cancel.set()
+            self._waiting.append(work)
+        return work
+
+    def works(self, joints: Iterable[str] | None = None) -> list[Work]:
+        """What waits and runs, of some joints where they are given."""
+        with self._lock:
+            every = [*self._running, *self._waiting]
+        return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
+
+    def stop(self) -> None:
+        """End everything that moves."""
+        for work in self.works():
+            work.cancel.set()
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Run something in the driver's thread between two steps, and wait for its answer."""
+        if threading.current_thread() is self._thread:
+            return function()
+        answer: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
+
+        def run() -> None:
+            try:
+                answer.put((True, function()))
+            except BaseException as error:
+                answer.put((False, error))
+
+        with self._lock:
+            require(not self._closed, "the cell is closed")
+            self._calls.put(run)
+        ok, value = answer.get()
+        if not ok:
+            raise value
+        return value
+
+    # --- the driver's thread ---
+    def turn(self) -> None:
+        """One period of the driver, or one whole job."""
+        self._thread = threading.current_thread()
+        with self._lock:
+            job = next((w for w in self._ready() if w.job is not None), None)
+            if job is not None:
+                self._waiting.remove(job)
+                self._running.append(job)
+        if job is None:
+            self.advance(self._driver.period)
+            return
+        job.began = self._driver.now
+        result, error = None, None
+        try:
+            assert job.job is not None
+            result = STOPPED if job.cancel.is_set() else job.job(job.cancel)
+        except Exception as failure:
+            error = failure
+        self._finish(job, result, error)
+
+    def advance(self, duration: float) -> None:
+        """Let time pass [s] for the driver and for every work."""
+        driver, end = self._driver, self._driver.now + duration
+        while driver.now < end - 1e-9:
+            while not self._calls.empty():
+                self._calls.get()()
+            self._begin()
+            for work in [w for w in self._running if w.steps is not None]:
+                self._step(work)
+            driver.advance(min(driver.period, end - driver.now))
+            self._after_step()
+
+    def close(self) -> None:
+        """Answer everybody who waits; nothing can be put from now on."""
+        with self._lock:
+            self._closed = True
+            works = [*self._running, *self._waiting]
+            self._running, self._waiting = [], []
+        for work in works:
+            work.end(ExecutionResult(ErrorCode.PREEMPTED, "the cell was closed"))
+        while not self._calls.empty():
+            self._calls.get()()
+
+    def _ready(self) -> list[Work]:
+        """Those that nothing before them keeps waiting."""
+        taken = {joint for w in self._running for joint in w.joints}
+        ready = []
+        for work in self._waiting:
+            if not work.joints & taken:
+                ready.append(work)
+            taken |= work.joints
+        return ready
+
+    def _begin(self) -> None:
+        with self._lock:
+            cancelled = [w for w in self._waiting if w.cancel.is_set()]
+            self._waiting = [w for w in self._waiting if not w.cancel.is_set()]
+            begun = [w for w in self._ready() if w.job is None]
+            for work in begun:
+                self._waiting.remove(work)
+                self._running.append(work)
+        for work in cancelled:
+            work.end(STOPPED)
+        for work in begun:
+            assert work.make is not None
+            work.began = self._driver.now
+            try:
+                work.steps = work.make(_Some(self._driver, work.joints), work.cancel)  # type: ignore[arg-type]
+            except Exception as error:
+                self._finish(work, None, error)
+
+    def _step(self, work: Work) -> None:
+        assert work.steps is not None
+        try:
+            next(work.steps)
+        except StopIteration as end:
+            self._finish(work, end.value)
+        except Exception as error:
+            self._finish(work, None, error)
+
+    def _finish(self, work: Work, result: ExecutionResult | None, error: Exception | None = None) -> None:
+        with self._lock:
+            if work in self._running:
+                self._running.remove(work)
+        work.end(result, error)
+
+
+class _Some:
+    """A driver of some of the joints: its stop holds these and leaves the others at what they do."""
+
+    def __init__(self, driver: Driver, joints: frozenset[str]):
+        self._driver, self._joints = driver, joints
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._driver, name)
+
+    def stop(self) -> None:
+        state = self._driver.joint_state()
+        mine = state.reindexed(n for n in state.joint_names if n in self._joints)
+        if mine.joint_names:
+            self._driver.command(mine.joint_names, mine.positions, np.zeros(len(mine.joint_names)))
+
+    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> Any:
+        return self._driver.command(joint_names, positions, velocities)
+
+
+def remaining(trajectory: JointTrajectory, passed: float) -> JointTrajectory:
+    """What is left of a trajectory after some time [s]."""
+    if passed <= 0:
+        return trajectory
+    q, v, a = trajectory.sample(passed)
+    later = trajectory.times > passed + 1e-9
+
+    def rows(first: np.ndarray, values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else np.vstack([first, values[later]])
+
+    return replace(
+        trajectory,
+        times=np.concatenate([[0.0], trajectory.times[later] - passed]),
+        positions=np.vstack([q, trajectory.positions[later]]),
+        velocities=rows(v, trajectory.velocities),
+        accelerations=rows(a, trajectory.accelerations),
+    )

@@ -1,0 +1,90 @@
+"""The cell in this process, as move_group sees it: measured, edited by clients, and true to what is held."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from armcell.control import ExecutionSettings
+from armcell.model import Gripper, RobotModel
+from armcell.ros.nodes.cell_node import CellNode
+from armcell.ros.nodes.conductor import Work
+from armcell.scene import PlanningScene
+from armcell.tasks.context import Holding, TaskContext
+
+LET_GO = 0.004  # [m] wider than when it was grasped: the fingers have opened
+FALLEN = 0.03  # [m] from where it was between the fingers
+
+
+class LocalCell:
+    """`CellAccess` to a cell that a `CellNode` runs.
+
+    An object between closed fingers is attached to the hand by itself, whoever closed them, and belongs to
+    the world again when they open: nobody has to tell the planning scene what physics knows.
+    """
+
+    def __init__(self, node: CellNode):
+        self._node, self._edit = node, threading.Lock()
+        self._widths: dict[str, float] = {}  # by object, of the fingers when it was grasped
+
+    @property
+    def model(self) -> RobotModel:
+        return self._node.live.model
+
+    def scene(self) -> PlanningScene:
+        return self._node.conductor.call(self._now)
+
+    def _now(self) -> PlanningScene:
+        ctx = self._node.live.ctx
+        self._look_at_grippers(ctx)
+        return ctx.scene()
+
+    def _look_at_grippers(self, ctx: TaskContext) -> None:
+        world = ctx.base
+        for gripper in self.model.grippers.values():
+            reading = ctx.driver.gripper(gripper.name)
+            mine = [h for h in ctx.holding.values() if h.gripper.name == gripper.name]
+            for held in mine:
+                opened = reading.width > self._widths.get(held.object, reading.width) + LET_GO
+                if reading.held != held.object and (opened or ctx.slip_of(held) > FALLEN):
+                    del ctx.holding[held.object]
+            if reading.held is None or reading.held in ctx.holding or reading.held not in world.objects:
+                continue
+            T = ctx.T_tcp_object(reading.held, gripper)
+            ctx.holding[reading.held] = Holding(reading.held, gripper, T)
+            self._widths[reading.held] = reading.width
+
+    def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
+        with self._edit:
+            changed = make(self.scene())
+            self._node.conductor.call(lambda: self._take(changed))
+            return self.scene()
+
+    def _take(self, scene: PlanningScene) -> None:
+        """What the grippers hold is known from them: the world keeps the object itself."""
+        ctx = self._node.live.ctx
+        for name in ctx.holding:
+            if name in scene.attached:
+                scene = scene.with_detached(name)
+        ctx.change_scene(scene)
+
+    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
+        return self._node.play(message, settings)
+
+    def drive(self, gripper: Gripper, width: float, force: float) -> Work:
+        return self._node.grippers.drive(gripper, width, force)
+
+    def held(self, gripper: Gripper) -> str | None:
+        return self._node.conductor.call(lambda: self._node.live.driver.gripper(gripper.name).held)
+
+    def works(self, joints: Iterable[str] | None = None) -> list[Work]:
+        return self._node.conductor.works(joints)
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        others = tuple(others)
+        driver = self._node.live.driver
+        self._node.conductor.call(lambda: driver.expect_contact(body, others, expected))
+
+    def stop(self) -> None:
+        self._node.conductor.stop()

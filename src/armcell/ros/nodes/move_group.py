@@ -1,0 +1,471 @@
+"""move_group: MoveIt's planning services and actions, answered by armcell's planners.
+
+How the real one answers is copied where clients rely on it (codes, states, feedback); where it silently does
+something else than it was asked, ours refuses and says so.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from armcell.collision import ExactChecker
+from armcell.core import ErrorCode, InputError, Outcome, PlanResult, UnknownNameError
+from armcell.planning import constraint_errors, pipelines, plan, plan_cartesian, planner_defaults, solve_ik
+from armcell.ros.actions import ActionServer, Done, Goal, State
+from armcell.ros.bus import Bus
+from armcell.ros.convert import pose_from_message, pose_message
+from armcell.ros.moveit_convert import (
+    attached_changes,
+    cartesian_request_from_message,
+    constraints_from_message,
+    diff_from_message,
+    error_code_message,
+    plan_request_from_message,
+    robot_state_from_message,
+    robot_state_message,
+    robot_trajectory_message,
+)
+from armcell.ros.moveit_convert.objects import frame_of
+from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.conductor import Work
+from armcell.ros.nodes.scene_node import SceneNode
+from armcell.scene import WORLD, PlanningScene, SceneDiff
+
+logger = logging.getLogger(__name__)
+NAME = "/move_group"
+DISPLAY = ("/move_group/display_planned_path", "/display_planned_path")
+ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2  # moveit_msgs/ContactInformation
+MAX_CONTACTS = 100
+
+
+class MoveGroupNode:
+    """Serves a cell the way move_group does. Pick and place: `PickPlaceNode`.
+
+    Services: /plan_kinematic_path, /compute_cartesian_path, /compute_ik, /compute_fk, /check_state_validity,
+    /query_planner_interface, /get_planner_params, /set_planner_params, and those of `SceneNode`. Actions:
+    /move_group, /execute_trajectory. Topics: /trajectory_execution_event (in, "stop"),
+    /move_group/display_planned_path (out).
+    """
+
+    def __init__(self, cell: CellAccess, bus: Bus):
+        self.cell, self.bus = cell, bus
+        self.scene_node = SceneNode(cell, bus)
+        self._parameters: dict[tuple[str, str, str], dict[str, str]] = {}
+        self._stop = threading.Event()
+        self._executing: list[threading.Event] = []
+        serve = lambda name, handler: bus.serve(f"/{name}", SERVICES[name], handler)  # noqa: E731
+        self._display = [bus.advertise(n, "moveit_msgs/DisplayTrajectory", latch=True) for n in DISPLAY]
+        self._members: list[Any] = [
+            serve("plan_kinematic_path", self._plan_service),
+            serve("compute_cartesian_path", self._cartesian_service),
+            serve("compute_ik", self._ik_service),
+            serve("compute_fk", self._fk_service),
+            serve("check_state_validity", self._validity_service),
+            serve("query_planner_interface", self._query_service),
+            serve("get_planner_params", self._get_params),
+            serve("set_planner_params", self._set_params),
+            ActionServer(bus, NAME, "moveit_msgs/MoveGroup", self._move),
+            # Arms are moved at once: which goal makes way for which is decided by their joints.
+            ActionServer(
+                bus, "/execute_trajectory", "moveit_msgs/ExecuteTrajectory", self._execute, concurrent=True
+            ),
+            bus.subscribe("/trajectory_execution_event", "std_msgs/String", self._on_event),
+            *self._display,
+            self.scene_node,
+        ]
+
+    def close(self) -> None:
+        self._stop.set()
+        for member in self._members:
+            member.close()
+
+    def __enter__(self) -> MoveGroupNode:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
+        return self.bus.schema.new(f"moveit_msgs/{name}", *values, **fields)
+
+    def header(self, frame: str = WORLD) -> Any:
+        return self.bus.header(frame)
+
+    def code(self, code: ErrorCode | int) -> Any:
+        return error_code_message(self.bus.schema, code)
+
+    def state_message(self, scene: PlanningScene) -> Any:
+        return robot_state_message(self.bus.schema, self.header(), scene)
+
+    # --- planning ---
+    def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
+        """Plan a moveit_msgs/MotionPlanRequest in a scene; what is wrong with it is in the result."""
+        try:
+            wanted = plan_request_from_message(request, scene, self._parameters_of(request))
+            result = plan(scene, wanted, cancel)
+        except InputError as error:
+            logger.warning("planning request refused: %s", error)
+            return PlanResult(_request_code(request, error), str(error))
+        repaired = result.evidence.get("start_repaired")
+        if result.ok and repaired and repaired["begins_at"] != "actual start":
+            contacts = "; ".join(c.describe() for c in repaired["contacts"][:3])
+            text = f"start in collision: {contacts}; no way out was found"
+            result = PlanResult(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": repaired["contacts"]})
+        if not result.ok:
+            logger.warning(
+                "planning for %s failed: %s: %s", request.group_name, result.code.name, result.message
+            )
+        return result
+
+    def settled(self, group: str, cancel: threading.Event | None = None) -> None:
+        """Return when what this group does at the moment is over: a plan from a moving state is of no use."""
+        if group not in self.cell.model.groups:
+            return
+        model = self.cell.model
+        joints = set(model.groups[group].joint_names)
+        for gripper in model.grippers.values():
+            if gripper.arm_group == group:
+                joints.add(gripper.joint_name)
+        while not self._stop.is_set() and not (cancel is not None and cancel.is_set()):
+            works = self.cell.works(joints)
+            if not works:
+                return
+            works[0].wait(0.05)
+
+    def start_scene(self, request: Any, cancel: threading.Event | None = None) -> PlanningScene:
+        """The scene that a request begins in: measured, after the group has come to rest."""
+        if not request.start_state.joint_state.name:
+            self.settled(request.group_name, cancel)
+        return self.cell.scene()
+
+    def planned(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
+        """A MotionPlanResponse; shown on display_planned_path where there is a motion."""
+        # What was wrong with the start state is in the result already.
+        state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
+        trajectory = robot_trajectory_message(self.bus.schema, self.header(), result.trajectory)
+        if result.trajectory is not None:
+            shown = self.new("DisplayTrajectory", scene.model.name, [trajectory], state)
+            for publisher in self._display:
+                publisher.publish(shown)
+        return self.new(
+            "MotionPlanResponse",
+            state,
+            request.group_name,
+            trajectory,
+            result.planning_time,
+            self.code(result.code),
+        )
+
+    def _plan_service(self, request: Any) -> Any:
+        asked = request.motion_plan_request
+        scene = self.start_scene(asked)
+        return self.new("GetMotionPlanResponse", self.planned(asked, scene, self.plan(asked, scene)))
+
+    def _cartesian_service(self, request: Any) -> Any:
+        def refused(code: ErrorCode) -> Any:
+            return self.new(
+                "GetCartesianPathResponse",
+                self.state_message(scene),
+                fraction=-1.0,
+                error_code=self.code(code),
+            )
+
+        scene = self.start_scene(request)
+        if request.group_name not in scene.model.groups:
+            logger.warning("%s", UnknownNameError("planning group", request.group_name, scene.model.groups))
+            return refused(ErrorCode.INVALID_GROUP_NAME)
+        try:
+            result = plan_cartesian(scene, cartesian_request_from_message(request, scene))
+        except InputError as error:
+            logger.warning("Cartesian request refused: %s", error)
+            return refused(_code_of(error, ErrorCode.FAILURE))
+        if result.fraction < 1.0:
+            logger.warning("the line is followed for %.0f %%: %s", result.fraction * 100, result.message)
+        # A part of the way is success with a fraction, as from move_group.
+        return self.new(
+            "GetCartesianPathResponse",
+            self.state_message(_started(scene, request.start_state)),
+            robot_trajectory_message(self.bus.schema, self.header(), result.trajectory),
+            float(result.fraction),
+            self.code(ErrorCode.SUCCESS if result.fraction > 0 or result.ok else result.code),
+        )
+
+    # --- kinematics and validity ---
+    def _ik_service(self, request: Any) -> Any:
+        asked = request.ik_request
+        scene = self.cell.scene()
+
+        def answer(code: ErrorCode, solution: PlanningScene | None = None) -> Any:
+            state = self.new("RobotState") if solution is None else self.state_message(solution)
+            return self.new("GetPositionIKResponse", state, self.code(code))
+
+        if asked.group_name not in scene.model.groups:
+            return answer(ErrorCode.INVALID_GROUP_NAME)
+        try:
+            scene = _started(scene, asked.robot_state)
+            link, stamped = asked.ik_link_name, asked.pose_stamped
+            if asked.pose_stamped_vector:
+                if len(asked.pose_stamped_vector) > 1:
+                    raise InputError("poses of several links at once", cure="ask for each arm's group")
+                link, stamped = (list(asked.ik_link_names) or [""])[0], asked.pose_stamped_vector[0]
+            T = scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
+            result = solve_ik(scene, asked.group_name, T, link or None, bool(asked.avoid_collisions))
+            if not result.ok or result.positions is None:
+                logger.info("inverse kinematics: %s", result.message)
+                return answer(result.code)
+            names = scene.model.group(asked.group_name).joint_names
+            q = scene.positions.copy()
+            q[scene.model.columns(names)] = result.positions
+            found = scene.with_positions(q)
+            wanted = constraints_from_message(asked.constraints)
+            if wanted and not all(
+                e.ok for e in constraint_errors(found, asked.group_name, wanted, result.positions)
+            ):
+                return answer(ErrorCode.NO_IK_SOLUTION)
+        except InputError as error:
+            logger.warning("inverse kinematics refused: %s", error)
+            return answer(_code_of(error, ErrorCode.FAILURE))
+        return answer(ErrorCode.SUCCESS, found)
+
+    def _fk_service(self, request: Any) -> Any:
+        def refused(code: ErrorCode) -> Any:
+            return self.new("GetPositionFKResponse", error_code=self.code(code))
+
+        scene = self.cell.scene()
+        try:
+            scene = _started(scene, request.robot_state)
+            names = list(request.fk_link_names)
+            if not names or any(n not in scene.frame_names for n in names):
+                return refused(ErrorCode.INVALID_LINK_NAME)
+            frame = frame_of(request.header)
+            into = scene.frame_pose(frame).inv()
+        except InputError as error:
+            logger.warning("forward kinematics refused: %s", error)
+            return refused(_code_of(error, ErrorCode.FAILURE))
+        poses = [
+            self.bus.schema.new(
+                "geometry_msgs/PoseStamped", self.header(frame),
+                pose_message(self.bus.schema, into @ scene.frame_pose(n)),
+            )
+            for n in names
+        ]  # fmt: skip
+        return self.new("GetPositionFKResponse", poses, names, self.code(ErrorCode.SUCCESS))
+
+    def _validity_service(self, request: Any) -> Any:
+        def answer(valid: bool, **more: Any) -> Any:
+            return self.new("GetStateValidityResponse", valid, **more)
+
+        scene = self.cell.scene()
+        try:
+            scene = _started(scene, request.robot_state)
+            names = scene.model.group(request.group_name).joint_names if request.group_name else None
+            checker = ExactChecker(scene, names)
+            q = scene.positions[checker.columns]
+            contacts = [
+                self._contact(scene, c) for c in checker.contacts(q) if not names or _moves(checker, c)
+            ]  # fmt: skip
+            wanted = constraints_from_message(request.constraints)
+            errors = constraint_errors(scene, request.group_name, wanted, q) if wanted and names else ()
+        except InputError as error:
+            logger.warning("state refused: %s", error)
+            return answer(False)
+        results = [self.new("ConstraintEvalResult", e.ok, float(np.linalg.norm(e.error))) for e in errors]
+        valid = not contacts and all(e.ok for e in errors)
+        return answer(valid, contacts=contacts[:MAX_CONTACTS], constraint_result=results)
+
+    def _contact(self, scene: PlanningScene, contact: Any) -> Any:
+        def kind(body: str) -> int:
+            return ROBOT_LINK if body in scene.model.links else (
+                ROBOT_ATTACHED if body in scene.attached else WORLD_OBJECT
+            )  # fmt: skip
+
+        return self.new(
+            "ContactInformation",
+            header=self.header(),
+            position=self.bus.schema.new("geometry_msgs/Point", *map(float, contact.position)),
+            depth=max(-float(contact.distance), 0.0),
+            contact_body_1=contact.body_a,
+            body_type_1=kind(contact.body_a),
+            contact_body_2=contact.body_b,
+            body_type_2=kind(contact.body_b),
+        )
+
+    # --- planners ---
+    def _query_service(self, request: Any) -> Any:
+        described = [
+            self.new("PlannerInterfaceDescription", f"armcell {name}", name, sorted(table))
+            for name, table in pipelines.items()
+        ]
+        return self.new("QueryPlannerInterfacesResponse", described)
+
+    def _parameters_of(self, request: Any) -> dict[str, Any]:
+        """Set for the planner in general, and over them for the group."""
+        key = (request.pipeline_id, request.planner_id)
+        return {
+            **self._parameters.get((*key, ""), {}),
+            **self._parameters.get((*key, request.group_name), {}),
+        }
+
+    def _get_params(self, request: Any) -> Any:
+        key = (request.pipeline_id, request.planner_config)
+        try:
+            values = {k: str(v) for k, v in planner_defaults(*key).items()}
+        except UnknownNameError as error:
+            logger.warning("%s", error)
+            return self.new("GetPlannerParamsResponse")
+        values |= self._parameters.get((*key, ""), {})
+        values |= self._parameters.get((*key, request.group), {}) if request.group else {}
+        params = self.new("PlannerParams", list(values), list(values.values()), [""] * len(values))
+        return self.new("GetPlannerParamsResponse", params)
+
+    def _set_params(self, request: Any) -> Any:
+        key = (request.pipeline_id, request.planner_config, request.group)
+        given = dict(zip(request.params.keys, request.params.values))
+        self._parameters[key] = given if request.replace else {**self._parameters.get(key, {}), **given}
+        return self.new("SetPlannerParamsResponse")
+
+    # --- the move_group action ---
+    def _move(self, goal: Goal) -> Done:
+        """Plan and, unless `plan_only`, execute; with `replan` again when the execution fails."""
+        request, options = goal.message.request, goal.message.planning_options
+        attempts = 1 + (
+            max(int(options.replan_attempts), 0) if options.replan and not options.plan_only else 0
+        )
+        result, outcome = self.new("MoveGroupResult"), Outcome(ErrorCode.FAILURE)
+        for _ in range(attempts):
+            self._feedback(goal, "MoveGroup", "PLANNING")
+            scene = self.start_scene(request, goal.cancel)
+            if goal.cancel.is_set():
+                outcome = Outcome(ErrorCode.PREEMPTED, "cancelled")
+                break
+            try:
+                scene = scene.apply(diff_from_message(options.planning_scene_diff, scene))
+            except InputError as error:
+                outcome = Outcome(ErrorCode.FAILURE, str(error))
+                break
+            found = self.plan(request, scene, goal.cancel)
+            response = self.planned(request, scene, found)
+            result.trajectory_start, result.planned_trajectory = (
+                response.trajectory_start,
+                response.trajectory,
+            )
+            result.planning_time, outcome = response.planning_time, found
+            if not found.ok or options.plan_only:
+                break
+            self._feedback(goal, "MoveGroup", "MONITOR")
+            outcome = self.executed(response.trajectory, goal.cancel)
+            result.executed_trajectory = response.trajectory
+            if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
+                break
+        self._feedback(goal, "MoveGroup", "IDLE")
+        result.error_code = self.code(outcome.code)
+        return done(outcome, result)
+
+    def _execute(self, goal: Goal) -> Done:
+        self._feedback(goal, "ExecuteTrajectory", "MONITOR")
+        outcome = self.executed(goal.message.trajectory, goal.cancel)
+        self._feedback(goal, "ExecuteTrajectory", "IDLE")
+        return done(outcome, self.new("ExecuteTrajectoryResult", self.code(outcome.code)))
+
+    def executed(self, trajectory: Any, cancel: threading.Event) -> Outcome:
+        """Execute a moveit_msgs/RobotTrajectory to its end."""
+        if trajectory.multi_dof_joint_trajectory.points:
+            return Outcome(ErrorCode.FAILURE, "multi-DOF trajectories are not executed")
+        if not trajectory.joint_trajectory.points:
+            return Outcome(ErrorCode.SUCCESS, "empty trajectory")
+        with self.stoppable(cancel):
+            try:
+                return waited(self.cell.play(trajectory.joint_trajectory), cancel)
+            except InputError as error:
+                logger.warning("trajectory refused: %s", error)
+                return Outcome(ErrorCode.CONTROL_FAILED, str(error))
+
+    @contextmanager
+    def stoppable(self, cancel: threading.Event) -> Iterator[None]:
+        """A "stop" that comes before the motion has begun counts as well."""
+        self._executing.append(cancel)
+        try:
+            yield
+        finally:
+            self._executing.remove(cancel)
+
+    def _feedback(self, goal: Goal, action: str, state: str) -> None:
+        goal.feedback(self.new(f"{action}Feedback", state))
+
+    def _on_event(self, message: Any) -> None:
+        if message.data == "stop":
+            for cancel in list(self._executing):
+                cancel.set()
+            self.cell.stop()
+
+
+SERVICES = {
+    "plan_kinematic_path": "moveit_msgs/GetMotionPlan",
+    "compute_cartesian_path": "moveit_msgs/GetCartesianPath",
+    "compute_ik": "moveit_msgs/GetPositionIK",
+    "compute_fk": "moveit_msgs/GetPositionFK",
+    "check_state_validity": "moveit_msgs/GetStateValidity",
+    "query_planner_interface": "moveit_msgs/QueryPlannerInterfaces",
+    "get_planner_params": "moveit_msgs/GetPlannerParams",
+    "set_planner_params": "moveit_msgs/SetPlannerParams",
+}
+
+
+def waited(work: Work, cancel: threading.Event) -> Outcome:
+    """How a work ended, after waiting for it; a cancelled goal ends it."""
+    while not work.wait(0.01):
+        if cancel.is_set():
+            work.cancel.set()
+    return work.outcome()
+
+
+def done(outcome: Outcome, result: Any) -> Done:
+    """How move_group's actions end: aborted whenever the code is neither success nor preempted."""
+    state = State.SUCCEEDED if outcome.ok else State.ABORTED
+    if outcome.code is ErrorCode.PREEMPTED:
+        state = State.PREEMPTED
+    return Done(state, result, outcome.message or outcome.code.name)
+
+
+def _started(scene: PlanningScene, message: Any) -> PlanningScene:
+    """The scene with a RobotState's joints and attached objects."""
+    state = robot_state_from_message(message, scene)
+    if state is not None:
+        scene = replace(scene, positions=scene.state.updated(state).positions)
+    for attached in message.attached_collision_objects:
+        if attached.object.id not in scene.attached:
+            scene = scene.apply(SceneDiff(tuple(attached_changes(attached, scene))))
+    return scene
+
+
+def _moves(checker: ExactChecker, contact: Any) -> bool:
+    """Whether the checker's joints move one of a contact's bodies."""
+    moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
+    return contact.body_a in moved or contact.body_b in moved
+
+
+def _request_code(request: Any, error: InputError) -> ErrorCode:
+    """move_group answers FAILURE for names it does not know, and for no goal its own code."""
+    if not request.goal_constraints or "no constraints" in str(error):
+        return ErrorCode.INVALID_GOAL_CONSTRAINTS
+    return ErrorCode.FAILURE
+
+
+def _code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
+    """The code for something that does not exist."""
+    kind = error.kind if isinstance(error, UnknownNameError) else ""
+    known = {
+        "frame": ErrorCode.FRAME_TRANSFORM_FAILURE,
+        "link": ErrorCode.INVALID_LINK_NAME,
+        "joint": ErrorCode.INVALID_ROBOT_STATE,
+        "planning group": ErrorCode.INVALID_GROUP_NAME,
+        "object": ErrorCode.INVALID_OBJECT_NAME,
+    }
+    return known.get(kind, otherwise)

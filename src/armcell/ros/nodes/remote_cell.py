@@ -1,0 +1,322 @@
+"""A cell whose simulator (or robot) is elsewhere: seen and moved through topics alone.
+
+That is Unity, or `armcell sim`, in its own process. What happened to a motion is taken from
+/trajectory_status where the simulator publishes it, else from the joints: they arrive or they do not.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from armcell.control import ExecutionSettings
+from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointState, JointTrajectory
+from armcell.model import Gripper, RobotModel
+from armcell.records.mcap_writer import ros_name
+from armcell.ros.bus import Bus
+from armcell.ros.convert import pose_from_message, trajectory_from_message
+from armcell.ros.moveit_convert.states import joint_state_from_message
+from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
+from armcell.ros.nodes.conductor import Work
+from armcell.ros.nodes.gripping import TOPIC as GRIPPER
+from armcell.scene import WORLD, PlanningScene
+
+logger = logging.getLogger(__name__)
+STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint states
+STALE = 2.0  # [s] without joint states: the simulator is gone
+ARRIVED = 0.01  # [rad or m] from the trajectory's end
+AT_REST = 0.02  # [rad/s or m/s]
+GRACE, FACTOR = (
+    5.0,
+    3.0,
+)  # a motion may take FACTOR times its duration and GRACE [s] more, of the wall's clock
+GRIP_TIME = 0.3  # [s] of the wall's clock that fingers stand before they count as stalled
+GRIP_TIMEOUT = 6.0  # [s]
+GRIP_START = 0.4  # [s] in which fingers may begin to move
+HELD_MARGIN = 0.01  # [m] around an object in which the tcp of the hand that holds it is
+POLL = 0.01  # [s]
+
+
+class RemoteCell:
+    """`CellAccess` over a bus that a simulator is joined to.
+
+    Args:
+        scene: the cell's scene at the start; measured states and poses replace its own as they come.
+    """
+
+    def __init__(self, bus: Bus, scene: PlanningScene):
+        self._bus, self._scene = bus, scene
+        self._lock, self._edit = threading.Lock(), threading.Lock()
+        self._joints: JointState | None = None
+        self._at = 0.0  # [s] of the wall's clock, of the last joint states
+        self._poses: dict[str, SE3] = {}
+        self._targets: dict[str, float] = {}  # widths that the grippers were told
+        self._running: list[Work] = []
+        self._closed = threading.Event()
+        movable = [n for n, o in scene.objects.items() if o.movable]
+        topics = {f"/object_pose/{ros_name(n)}": n for n in movable}
+        if len(movable) == 1:
+            topics["/object_pose"] = movable[0]
+        self._members: list[Any] = [
+            bus.subscribe("/joint_states", "sensor_msgs/JointState", self._on_joints, 2),
+            bus.subscribe("/clock", "rosgraph_msgs/Clock", self._on_clock, 2),
+            bus.subscribe(STATUS, "std_msgs/String", self._on_status, 50),
+            *(
+                bus.subscribe(topic, "geometry_msgs/PoseStamped", self._pose_callback(name), 2)
+                for topic, name in topics.items()
+            ),
+        ]
+        self._trajectories = bus.advertise(TRAJECTORY, "trajectory_msgs/JointTrajectory")
+        grippers = list(scene.model.grippers.values())
+        self._grippers = {
+            g.name: bus.advertise(
+                GRIPPER if len(grippers) == 1 else f"/{g.name}{GRIPPER}", "std_msgs/Float64"
+            )
+            for g in grippers
+        }
+        self._said: list[str] = []
+
+    def close(self) -> None:
+        self._closed.set()
+        for member in (*self._members, self._trajectories, *self._grippers.values()):
+            member.close()
+
+    # --- what comes in ---
+    def _on_joints(self, message: Any) -> None:
+        try:
+            state = joint_state_from_message(message, self.model)
+            if state is None:
+                return
+            velocities = None
+            if len(message.velocity) == len(message.name):
+                by_name = dict(zip(message.name, message.velocity))
+                velocities = np.array([float(by_name[n]) for n in state.joint_names])
+            state = JointState(state.joint_names, state.positions, velocities)
+        except InputError as error:
+            logger.warning("/joint_states: %s", error)
+            return
+        with self._lock:
+            self._joints, self._at = state, time.monotonic()
+
+    def _on_clock(self, message: Any) -> None:
+        self._bus.clock.set(message.clock.to_sec())
+
+    def _on_status(self, message: Any) -> None:
+        with self._lock:
+            self._said.append(message.data)
+
+    def _pose_callback(self, name: str) -> Callable[[Any], None]:
+        def take(message: Any) -> None:
+            try:
+                frame = message.header.frame_id or WORLD
+                known = frame in (WORLD, self.model.root_link)
+                T = (SE3.identity() if known else self._scene.frame_pose(frame)) @ pose_from_message(
+                    message.pose
+                )
+            except InputError as error:
+                logger.warning("pose of %s: %s", name, error)
+                return
+            with self._lock:
+                self._poses[name] = T
+
+        return take
+
+    # --- looking ---
+    @property
+    def model(self) -> RobotModel:
+        return self._scene.model
+
+    def joints(self) -> JointState:
+        """The last joint states.
+
+        Raises:
+            InputError: none came, or none for some time: says what to look at.
+        """
+        give_up = time.monotonic() + STATE_TIMEOUT
+        while self._joints is None and time.monotonic() < give_up and not self._closed.is_set():
+            time.sleep(POLL)
+        with self._lock:
+            state, at = self._joints, self._at
+        if state is None:
+            raise InputError(
+                "no /joint_states yet", cure="is the simulator running, connected, and publishing them?"
+            )
+        if time.monotonic() - at > STALE:
+            raise InputError(
+                f"no /joint_states for {time.monotonic() - at:.1f} s", cure="the simulator stands or is gone"
+            )
+        return state
+
+    def scene(self) -> PlanningScene:
+        state = self.joints()
+        model = self.model
+        q = self._scene.state.updated(state).positions
+        with self._lock:
+            scene, poses = self._scene, dict(self._poses)
+        scene = replace(scene, positions=np.clip(q, model.lower, model.upper))
+        for name, T in poses.items():
+            if name in scene.objects:
+                scene = scene.with_object_pose(name, T)
+        for gripper in model.grippers.values():
+            item = self._between(scene, gripper)
+            if item is not None and self._grips(gripper, state):
+                scene = scene.with_attached(item, gripper.tcp_link, gripper.hand_links)
+        return scene
+
+    def _grips(self, gripper: Gripper, state: JointState) -> bool:
+        """Whether the fingers were told to close farther than they could."""
+        target = self._targets.get(gripper.name)
+        if target is None or gripper.joint_name not in state.joint_names:
+            return False
+        return gripper.width(state[gripper.joint_name]) > max(target, 0.0) + 0.002
+
+    def _between(self, scene: PlanningScene, gripper: Gripper) -> str | None:
+        tcp = scene.frame_pose(gripper.tcp_link).translation
+        for item in scene.objects.values():
+            low, high = item.bounds()
+            point = item.T_world_object.inv().apply(tcp)
+            if item.movable and np.all(point >= low - HELD_MARGIN) and np.all(point <= high + HELD_MARGIN):
+                return item.name
+        return None
+
+    def held(self, gripper: Gripper) -> str | None:
+        bodies = self.scene().attached
+        return next((n for n, b in bodies.items() if b.link == gripper.tcp_link), None)
+
+    def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
+        with self._edit:
+            measured = self.scene()
+            changed = make(measured)
+            for name in measured.attached:
+                if name not in self._scene.attached and name in changed.attached:
+                    changed = changed.with_detached(name)  # the fingers say who holds it
+            with self._lock:
+                self._scene = changed
+        return self.scene()
+
+    # --- moving ---
+    def works(self, joints: Iterable[str] | None = None) -> list[Work]:
+        wanted = None if joints is None else frozenset(joints)
+        with self._lock:
+            self._running = [w for w in self._running if not w.is_over]
+            return [w for w in self._running if wanted is None or w.joints & wanted]
+
+    def _begin(self, work: Work, follow: Callable[[Work], ExecutionResult]) -> Work:
+        for other in self.works(work.joints):
+            other.cancel.set()
+            other.wait(1.0)
+        with self._lock:
+            self._running.append(work)
+
+        def run() -> None:
+            try:
+                work.end(follow(work))
+            except InputError as error:
+                work.end(None, error)
+
+        threading.Thread(target=run, name=work.name, daemon=True).start()
+        return work
+
+    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
+        trajectory = trajectory_from_message(message, self.model, self.joints())
+        if len(trajectory.times):
+            self._check_start(trajectory, settings)
+
+        def follow(work: Work) -> ExecutionResult:
+            with self._lock:
+                self._said.clear()
+            self._trajectories.publish(message)
+            return self._follow(work, trajectory)
+
+        return self._begin(Work("trajectory", trajectory.joint_names, trajectory=trajectory), follow)
+
+    def _check_start(self, trajectory: JointTrajectory, settings: ExecutionSettings) -> None:
+        here = self.joints().reindexed(trajectory.joint_names).positions
+        errors = np.abs(here - trajectory.positions[0])
+        if np.max(errors) > settings.start_tolerance:
+            i = int(np.argmax(errors))
+            raise InputError(
+                f"{trajectory.joint_names[i]} is {errors[i]:.3f} from the trajectory's start",
+                cure="plan again from its state",
+            )
+
+    def _follow(self, work: Work, trajectory: JointTrajectory) -> ExecutionResult:
+        if not len(trajectory.times):
+            return ExecutionResult(ErrorCode.SUCCESS, "stop")
+        names, end = trajectory.joint_names, trajectory.positions[-1]
+        give_up = time.monotonic() + FACTOR * trajectory.duration + GRACE
+        error = np.inf
+        while time.monotonic() < give_up and not self._closed.is_set():
+            if work.cancel.is_set():
+                self.stop_joints(names)
+                return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
+            with self._lock:
+                said = list(self._said)
+            for text in said:
+                what, _, why = text.partition(": ")
+                if what == "done":
+                    return ExecutionResult(ErrorCode.SUCCESS, why)
+                if what in ("failed", "refused"):
+                    return ExecutionResult(ErrorCode.CONTROL_FAILED, f"the simulator: {why}")
+                if what == "stopped":
+                    return ExecutionResult(ErrorCode.PREEMPTED, f"the simulator: {why}")
+            if not said:  # one that says nothing: look at the joints
+                state = self.joints().reindexed(names)
+                error = float(np.max(np.abs(state.positions - end)))
+                rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
+                if error <= ARRIVED and rests:
+                    return ExecutionResult(ErrorCode.SUCCESS, final_error=error)
+            time.sleep(POLL)
+        text = f"the simulator did not arrive: {error:.3f} from the end"
+        return ExecutionResult(ErrorCode.CONTROL_FAILED, text)
+
+    def drive(self, gripper: Gripper, width: float, force: float) -> Work:
+        if not (np.isfinite(width) and np.isfinite(force)):
+            raise InputError(f"gripper command of width {width} m and force {force} N")
+        width = float(np.clip(width, 0.0, gripper.max_width))
+        # One number on the topic: a width, or below zero the force to close with.
+        value = -min(force, gripper.max_force) if width <= 0 < force else width
+
+        def follow(work: Work) -> ExecutionResult:
+            self._targets[gripper.name] = width
+            self._grippers[gripper.name].publish(self._bus.schema.new("std_msgs/Float64", value))
+            return self._follow_fingers(work, gripper, width)
+
+        return self._begin(Work(f"gripper {gripper.name}", (gripper.joint_name,)), follow)
+
+    def _follow_fingers(self, work: Work, gripper: Gripper, wanted: float) -> ExecutionResult:
+        began = still = time.monotonic()
+        last = np.inf
+        while time.monotonic() - began < GRIP_TIMEOUT and not self._closed.is_set():
+            if work.cancel.is_set():
+                return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
+            width = gripper.width(self.joints()[gripper.joint_name])
+            if abs(width - last) > 5e-4:
+                last, still = width, time.monotonic()
+            if abs(width - wanted) <= 1e-3:
+                return ExecutionResult(ErrorCode.SUCCESS, evidence={"width": width, "stalled": False})
+            now = time.monotonic()
+            if now - still > GRIP_TIME and now - began > GRIP_START + GRIP_TIME:
+                break
+            time.sleep(POLL)
+        return ExecutionResult(ErrorCode.SUCCESS, evidence={"width": last, "stalled": True})
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        """Contacts are the simulator's affair."""
+
+    def stop_joints(self, names: Iterable[str]) -> None:
+        """An empty trajectory stops."""
+        self._trajectories.publish(
+            self._bus.schema.new("trajectory_msgs/JointTrajectory", joint_names=list(names))
+        )
+
+    def stop(self) -> None:
+        for work in self.works():
+            work.cancel.set()
+        self.stop_joints(())

@@ -1,0 +1,108 @@
+"""A cell with all that is served of it: states, motions, grippers, move_group, pick and place, grasping."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack
+
+from armcell.cell import Cell, LiveCell
+from armcell.planning import prepare, warm_up
+from armcell.ros.bus import Bus
+from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cell_node import CellNode
+from armcell.ros.nodes.grasp_server import GraspServer
+from armcell.ros.nodes.local_cell import LocalCell
+from armcell.ros.nodes.move_group import MoveGroupNode
+from armcell.ros.nodes.pick_place import PickPlaceNode
+from armcell.ros.nodes.remote_cell import RemoteCell
+from armcell.ros.nodes.states import RATE
+from armcell.tasks import TaskSettings
+
+
+def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
+    group = MoveGroupNode(cell, bus)
+    stack.callback(group.close)
+    stack.callback(PickPlaceNode(group, settings).close)
+    if cell.model.grippers:
+        stack.callback(GraspServer(cell, bus).close)
+
+
+class ServedCell:
+    """Runs from `start` (or `with`) to `close`.
+
+    Args:
+        plan: serve move_group, too, not the robot and its grippers alone.
+        auto_grip: see `CellNode`.
+    """
+
+    def __init__(
+        self, live: LiveCell, bus: Bus, rate: float = RATE, plan: bool = True, auto_grip: bool = False
+    ):
+        self.bus, self.live = bus, live
+        self.node = CellNode(live, bus, rate, auto_grip)
+        self.cell = LocalCell(self.node)
+        self._plan = plan
+        self._stack = ExitStack()
+        self.failure: BaseException | None = None
+        self.thread = threading.Thread(target=self._run, name=f"cell {live.name}", daemon=True)
+
+    def _run(self) -> None:
+        try:
+            self.node.run()
+        except BaseException as error:  # said by whoever waits for it
+            self.failure = error
+
+    def start(self, poll: float = 0.1) -> None:
+        """Connect the cell and serve it; returns when it is ready.
+
+        Raises:
+            What made it end, where it ended before it was ready.
+        """
+        self.thread.start()
+        while not self.node.ready.wait(poll):
+            if not self.thread.is_alive():
+                raise self.failure or RuntimeError("the cell ended before it was ready")
+        if self._plan:
+            _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
+
+    def close(self) -> None:
+        """Stop what moves and leave the bus."""
+        self._stack.close()
+        self.node.close()
+        if self.thread.ident is not None:
+            self.thread.join(timeout=5.0)
+
+    def __enter__(self) -> ServedCell:
+        self.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class ServedPlanner:
+    """The planner and the grasp server of a cell whose simulator is another program on the bus."""
+
+    def __init__(self, cell: Cell, bus: Bus, seed: int = 0):
+        self.bus = bus
+        self._scene, self._settings = cell.scene(seed), cell.settings
+        self.cell = RemoteCell(bus, self._scene)
+        self._stack = ExitStack()
+
+    def start(self) -> None:
+        warm_up()
+        for group in self._scene.model.groups.values():
+            if group.tip_link:
+                prepare(self._scene, group.name)
+        _serve_planner(self.cell, self.bus, self._settings, self._stack)
+
+    def close(self) -> None:
+        self._stack.close()
+        self.cell.close()
+
+    def __enter__(self) -> ServedPlanner:
+        self.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

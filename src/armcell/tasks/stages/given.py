@@ -1,0 +1,197 @@
+"""Stages where the caller says how to pick and place: grasps and places as MoveIt's messages have them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armcell.collision import neighbours
+from armcell.core import SE3, PlanResult
+from armcell.grasping import RELEASE_GAP, Grasp
+from armcell.model import Gripper
+from armcell.scene import PlanningScene
+from armcell.tasks.search import Draft, Planning
+from armcell.tasks.settings import Speed
+from armcell.tasks.stages.grasp import finger_state, reachable
+from armcell.tasks.stages.moves import moved, straight, with_contacts
+from armcell.tasks.steps import Expect, Grip, Motion, StillHeld
+from armcell.timing import reversed_in_time
+
+UNDER = 0.006  # [m] what is that near to a place is what the object will stand on
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Way:
+    """A straight motion of the tip in the world: as long as wanted, or at least `least` [m] of it."""
+
+    offset: Vector  # [m]
+    least: float = 0.0
+
+    def taken(self, result: PlanResult) -> bool:
+        """Whether enough of it can be done."""
+        length = float(np.linalg.norm(self.offset))
+        return result.ok or (
+            result.trajectory is not None and 0 < self.least <= result.fraction * length + 1e-6
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GivenGrasp(Grasp):
+    """A grasp with its own approach and lift, both in the world."""
+
+    approach: Way = Way((0.0, 0.0, -0.1))
+    lift: Way = Way((0.0, 0.0, 0.1))
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseGivenGrasp:
+    """Those of the given grasps that can be reached and whose approach is free, in their order."""
+
+    object: str
+    gripper: Gripper
+    grasps: tuple[GivenGrasp, ...]
+    speed: Speed
+    name: str = "grasp"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        for grasp in self.grasps:
+            yield from self._approaches(draft, planning, grasp)
+
+    def _approaches(self, draft: Draft, planning: Planning, grasp: GivenGrasp) -> Iterator[Draft]:
+        gripper = self.gripper
+        opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
+        scene = opened.with_allowed(self.object, gripper.hand_links)
+        T_world_tcp = scene.object(self.object).T_world_object @ grasp.T_object_tcp
+        found = False
+        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
+            at_grasp = scene.with_state(arm)
+            back = _moved_by(T_world_tcp, grasp.approach.offset, -1.0)
+            result = straight(at_grasp, gripper.arm_group, gripper.tcp_link, back, self.speed)
+            if not grasp.approach.taken(result) or result.trajectory is None:
+                planning.reject("approach", grasp.name, result.message)
+                continue
+            found = True
+            approach = reversed_in_time(result.trajectory)
+            yield draft.then(
+                Grip("open", gripper, grasp.opening, gripper.max_force),
+                Expect(self.object, gripper.finger_links),
+                scene=opened,
+                grasp=grasp,
+                candidate=grasp.name,
+                pre_grasp=approach.positions[0],
+                approach=Motion(
+                    "approach", approach, "cartesian", result.planning_time, result.min_clearance
+                ),
+                after_approach=at_grasp,
+            )
+        if found:
+            planning.reject(self.name, grasp.name, "no complete plan with this grasp")
+
+
+@dataclass(frozen=True, eq=False)
+class Lift:
+    """The straight way that the chosen grasp gives, away from what the object stands on."""
+
+    object: str
+    gripper: Gripper
+    supports: tuple[str, ...]
+    speed: Speed
+    name: str = "lift"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        grasp: GivenGrasp = draft.data["grasp"]
+        gripper = self.gripper
+        scene = with_contacts(draft.scene, ((self.object, self.supports),))
+        target = _moved_by(scene.frame_pose(gripper.tcp_link), grasp.lift.offset)
+        result = straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
+        if not grasp.lift.taken(result) or result.trajectory is None:
+            planning.reject(self.name, grasp.name, result.message)
+            return
+        yield moved(draft, self.name, result)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPlace:
+    """Where an object is to be put, how it comes there and how the hand leaves (in the world)."""
+
+    name: str
+    T_world_object: SE3
+    down: Way = Way((0.0, 0.0, -0.08))
+    away: Way | None = None  # back out of the hand's own direction where None
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseGivenPlace:
+    """Those of the given places that can be reached by their own straight way, in their order."""
+
+    object: str
+    gripper: Gripper
+    places: tuple[GivenPlace, ...]
+    speed: Speed
+    name: str = "placement"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        for place in self.places:
+            yield from self._ways_down(draft, planning, place)
+
+    def _ways_down(self, draft: Draft, planning: Planning, place: GivenPlace) -> Iterator[Draft]:
+        gripper = self.gripper
+        supports = standing_on(draft.scene, self.object, place.T_world_object)
+        T_tcp_object = draft.scene.frame_pose(gripper.tcp_link).inv() @ draft.scene.frame_pose(self.object)
+        T_world_tcp = place.T_world_object.shifted(z=RELEASE_GAP) @ T_tcp_object.inv()
+        scene = with_contacts(draft.scene, ((self.object, supports),))
+        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, place.name):
+            at_place = scene.with_state(arm)
+            up = _moved_by(T_world_tcp, place.down.offset, -1.0)
+            result = straight(at_place, gripper.arm_group, gripper.tcp_link, up, self.speed)
+            if not place.down.taken(result) or result.trajectory is None:
+                planning.reject("lower", place.name, result.message)
+                continue
+            lower = reversed_in_time(result.trajectory)
+            yield draft.then(
+                StillHeld(self.object, gripper),
+                Expect(self.object, supports),
+                place=place,
+                candidate=place.name,
+                pre_place=lower.positions[0],
+                lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance),
+                after_lower=draft.scene.with_state(arm),
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Leave:
+    """Away from the object that was put down: as the place says, else back out of the hand's direction."""
+
+    object: str
+    gripper: Gripper
+    distance: float  # [m] where the place says nothing
+    speed: Speed
+    name: str = "retreat"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        place: GivenPlace = draft.data["place"]
+        gripper = self.gripper
+        scene = with_contacts(draft.scene, ((self.object, gripper.hand_links),))
+        tcp = scene.frame_pose(gripper.tcp_link)
+        back = tcp.rotation.matrix @ np.array([0.0, 0.0, -self.distance])
+        away = place.away or Way((float(back[0]), float(back[1]), float(back[2])), self.distance / 2)
+        result = straight(scene, gripper.arm_group, gripper.tcp_link, _moved_by(tcp, away.offset), self.speed)
+        if not away.taken(result) or result.trajectory is None:
+            planning.reject(self.name, place.name, result.message)
+            return
+        yield moved(draft, self.name, result)
+
+
+def standing_on(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:
+    """What a held object will touch where it is put."""
+    put = scene.with_detached(item).with_object_pose(item, T_world_object)
+    return tuple(neighbours(put, item, UNDER))
+
+
+def _moved_by(T: SE3, offset: Vector, sign: float = 1.0) -> SE3:
+    return replace(T, translation=T.translation + sign * np.asarray(offset))

@@ -1,0 +1,121 @@
+"""`armcell run SCRIPT.py --cell CELL`: exit status, arguments, imports, errors, Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from armcell.cell import load
+from armcell.cli.main import main
+from armcell.core import InputError
+from armcell.moveit import current_session, run_script
+
+MOVING = """
+import rospy
+from moveit_commander import MoveGroupCommander
+rospy.init_node("mover")
+arm = MoveGroupCommander("panda_arm")
+arm.set_max_velocity_scaling_factor(0.02)
+arm.set_joint_value_target("panda_joint1", 2.5)
+arm.go({wait})
+"""
+
+
+def run(tmp_path, text, *arguments, **kwargs):
+    file = tmp_path / "script.py"
+    file.write_text(text)
+    live = load("panda_table").connect("fake", None, time_scale=20.0)
+    return run_script(file, live, arguments, quiet=True, **kwargs)
+
+
+def test_exit_status_and_arguments(tmp_path):
+    (tmp_path / "beside.py").write_text("NUMBER = 5\n")
+    text = "import sys, beside\nfrom rospy import myargv\nassert __name__ == '__main__'\n"
+    text += "assert sys.argv[1:] == ['a', 'x:=1'] and len(myargv()) == 2\nsys.exit(beside.NUMBER)\n"
+    assert run(tmp_path, text, "a", "x:=1")[0] == 5
+    assert run(tmp_path, "pass\n")[0] == 0
+    assert "rospy" not in sys.modules and "geometry_msgs.msg" not in sys.modules
+
+
+def test_an_error_shows_the_scripts_own_lines(tmp_path, capsys):
+    text = "from moveit_commander import MoveGroupCommander\narm = MoveGroupCommander('panda_arm')\n\n"
+    status, _ = run(tmp_path, text + "arm.set_max_velocity_scaling_factor(7)\n")
+    shown = capsys.readouterr().err
+    assert status == 1 and "script.py" in shown and "line 4" in shown and "MoveItCommanderException" in shown
+    assert "armcell/moveit" not in shown and "runpy" not in shown
+
+
+def test_nothing_is_left_running(tmp_path):
+    before = threading.active_count()
+    status, _ = run(tmp_path, "import rospy\nrospy.sleep(0.2)\n")
+    end = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < end:
+        time.sleep(0.01)
+    assert status == 0 and threading.active_count() <= before
+    with pytest.raises(RuntimeError, match="armcell run"):
+        current_session()
+
+
+def test_motions_that_were_not_waited_for_are_finished(tmp_path):
+    text = MOVING.format(wait="wait=False").replace("0.02", "1.0")
+    _, session = run(tmp_path, text)
+    assert session.served.live.driver.joint_state()["panda_joint1"] == pytest.approx(2.5, abs=2e-3)
+
+
+def test_ctrl_c_in_a_wait_ends_the_script_and_stops_the_arm(tmp_path):
+    interrupt = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
+    interrupt.start()
+    began = time.monotonic()
+    status, session = run(
+        tmp_path, "import rospy\nrospy.on_shutdown(lambda: print('hook'))\n" + MOVING.format(wait="")
+    )
+    assert status == 130 and time.monotonic() - began < 10
+    assert (
+        session.served.live.driver.joint_state()["panda_joint1"] < 2.0
+        and not session.served.thread.is_alive()
+    )
+
+
+def test_ctrl_c_is_rospys_interrupt_in_a_loop(tmp_path):
+    text = "import rospy\nrate = rospy.Rate(10)\ntry:\n"
+    text += "    while not rospy.is_shutdown():\n        rate.sleep()\n"
+    text += "except rospy.ROSInterruptException:\n    rospy.loginfo('cleaned up')\n"
+    threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
+    status, session = run(tmp_path, text)
+    assert status == 130 and any("cleaned up" in line for line in session.lines)
+
+
+def test_wrong_calls_of_the_command(tmp_path, capsys):
+    script = tmp_path / "s.py"
+    script.write_text("pass\n")
+    assert main(["run", str(script)]) == 1 and "--cell" in capsys.readouterr().err
+    assert main(["run", str(tmp_path / "no.py"), "--cell", "panda_table"]) == 1
+    assert "no such script" in capsys.readouterr().err
+    assert (
+        main(["run", str(script), "--cell", "no_such_cell"]) == 1
+        and "no_such_cell" in capsys.readouterr().err
+    )
+    assert main(["run", str(script), "--cell", "panda_table", "--mode", "dream"]) == 1
+    with pytest.raises(InputError):
+        run_script(tmp_path / "no.py", load("panda_table").connect("fake"))
+
+
+@pytest.mark.slow
+def test_the_command_in_a_process_of_its_own_ends_by_ctrl_c(tmp_path):
+    file = tmp_path / "spin.py"
+    file.write_text(
+        "import rospy\nrospy.init_node('n')\nrospy.loginfo('spinning')\nrospy.spin()\nprint('after')\n"
+    )
+    command = [sys.executable, "-m", "armcell", "run", str(file), "--cell", "panda_table", "--mode", "fake"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    while "spinning" not in process.stderr.readline():
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 130 and "after" in out and "Traceback" not in err

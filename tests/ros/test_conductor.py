@@ -1,0 +1,184 @@
+"""Several motions on one driver: which run, which wait, which end, and what a stop holds."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from tests.control.helpers import make
+
+from armcell.cell import load
+from armcell.control import playing
+from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.ros.nodes.conductor import MAX_WORKS, Conductor, Work, remaining
+from armcell.ros.nodes.together import contact_together
+from armcell.scene import PlanningScene
+
+
+@pytest.fixture(scope="module")
+def scene() -> PlanningScene:
+    return load("dual_ur10").scene()
+
+
+@pytest.fixture
+def driver(scene):
+    with make("fake", scene) as connected:
+        yield connected
+
+
+def swing(driver, side, shift=0.3, duration=1.0):
+    names = driver._model.group(f"{side}_arm").joint_names
+    q = driver.joint_state().reindexed(names).positions
+    end = q + shift * (np.arange(len(names)) == 0)
+    return JointTrajectory(names, np.array([0.0, duration]), np.array([q, end]), np.zeros((2, len(names))))
+
+
+def work(driver, side, **kwargs):
+    motion = swing(driver, side, **kwargs)
+    return Work(side, motion.joint_names, lambda d, c: playing(d, motion, cancel=c), trajectory=motion)
+
+
+def turn_until(conductor, condition, seconds=5.0):
+    end = conductor.now + seconds
+    while not condition() and conductor.now < end:
+        conductor.turn()
+    assert condition()
+
+
+def test_arms_move_at_once(driver):
+    conductor = Conductor(driver)
+    left, right = conductor.put(work(driver, "left")), conductor.put(work(driver, "right"))
+    turn_until(conductor, lambda: left.is_over and right.is_over)
+    assert left.outcome().ok and right.outcome().ok
+    assert left.began == right.began and conductor.now < left.began + 1.2  # not one after the other
+
+
+def test_a_newer_motion_of_the_same_joints_takes_over(driver):
+    conductor = Conductor(driver)
+    first, other = conductor.put(work(driver, "left")), conductor.put(work(driver, "right"))
+    for _ in range(20):
+        conductor.turn()
+    second = conductor.put(
+        Work("left", first.joints, lambda d, c: playing(d, swing(driver, "left", 0.1), cancel=c))
+    )
+    turn_until(conductor, lambda: second.is_over and other.is_over)
+    assert first.outcome().code is ErrorCode.PREEMPTED and second.outcome().ok and other.outcome().ok
+
+
+def test_what_does_not_give_way_is_waited_for(driver):
+    conductor = Conductor(driver)
+    first = work(driver, "left")
+    first.gives_way = False
+    conductor.put(first)
+    conductor.turn()
+    second = conductor.put(
+        Work("left", first.joints, lambda d, c: playing(d, swing(driver, "left", 0.1), cancel=c))
+    )
+    turn_until(conductor, lambda: second.is_over)
+    assert first.outcome().ok and second.outcome().ok and second.began >= first.outcome().finished
+
+
+def test_a_stop_of_one_arm_leaves_the_other_moving(driver):
+    conductor = Conductor(driver)
+    left, right = conductor.put(work(driver, "left")), conductor.put(work(driver, "right"))
+    goal = right.trajectory.end.positions
+    for _ in range(20):
+        conductor.turn()
+    left.cancel.set()
+    turn_until(conductor, lambda: left.is_over and right.is_over)
+    assert left.outcome().code is ErrorCode.PREEMPTED and right.outcome().ok
+    names = right.trajectory.joint_names
+    assert np.allclose(driver.joint_state().reindexed(names).positions, goal, atol=1e-3)
+
+
+def test_a_job_has_the_driver_to_itself_and_others_of_other_joints_go_on(driver):
+    conductor = Conductor(driver)
+    left = conductor.put(work(driver, "left"))
+    ran = []
+
+    def job(cancel):
+        conductor.advance(0.5)
+        ran.append(conductor.now)
+        return ExecutionResult(ErrorCode.SUCCESS)
+
+    right = conductor.put(Work("job", swing(driver, "right").joint_names, job=job))
+    turn_until(conductor, lambda: left.is_over and right.is_over)
+    assert ran and left.outcome().ok and right.outcome().ok and conductor.now < 1.3
+
+
+def test_calls_from_other_threads_are_answered_between_steps(driver):
+    conductor, answers = Conductor(driver), []
+
+    def ask():
+        answers.append(conductor.call(lambda: threading.current_thread().name))
+        with pytest.raises(ZeroDivisionError):
+            conductor.call(lambda: 1 / 0)
+        answers.append("raised")
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    turn_until(conductor, lambda: len(answers) == 2, seconds=60.0)
+    thread.join()
+    assert answers == [threading.current_thread().name, "raised"]
+
+
+def test_a_work_that_fails_ends_with_its_error_and_the_others_go_on(driver):
+    conductor = Conductor(driver)
+
+    def bad(d, cancel):
+        yield
+        raise InputError("broken")
+
+    broken = conductor.put(Work("bad", ["right_elbow_joint"], bad))
+    left = conductor.put(work(driver, "left"))
+    turn_until(conductor, lambda: left.is_over)
+    with pytest.raises(InputError, match="broken"):
+        broken.outcome()
+    assert left.outcome().ok
+
+
+def test_too_many_are_refused_and_closing_answers_everybody(driver):
+    conductor = Conductor(driver)
+    works = []
+    for _ in range(MAX_WORKS):
+        each = work(driver, "left")
+        each.gives_way = False
+        works.append(conductor.put(each))
+    with pytest.raises(InputError, match="wait already"):
+        conductor.put(work(driver, "left"))
+    conductor.close()
+    assert all(w.outcome().code is ErrorCode.PREEMPTED for w in works)
+    with pytest.raises(InputError, match="closed"):
+        conductor.put(work(driver, "left"))
+
+
+def test_what_is_left_of_a_trajectory_is_the_same_motion(driver):
+    whole = swing(driver, "left")
+    rest = remaining(whole, 0.4)
+    for t in np.linspace(0.4, 1.0, 13):
+        assert np.allclose(rest.sample(t - 0.4)[0], whole.sample(t)[0], atol=1e-12)
+    assert remaining(whole, 0.0) is whole and remaining(whole, 2.0).duration == 0.0
+
+
+def test_motions_that_meet_are_told_from_those_that_do_not(driver, scene):
+    """Two tips sent to one point: the arms stand opposite each other; coal's checker looks at the ends."""
+    from armcell.collision import ExactChecker
+    from armcell.planning import solve_ik
+
+    at = scene.frame_pose("left_gripper_tcp")
+    middle = type(at)(at.rotation, np.array([0.0, 0.0, 1.3]))
+    motions = []
+    for side in ("left", "right"):
+        own = scene.frame_pose(f"{side}_gripper_tcp")
+        found = solve_ik(scene, f"{side}_arm", type(own)(own.rotation, middle.translation))
+        assert found.ok, found.message
+        names = scene.model.group(f"{side}_arm").joint_names
+        q = scene.state.reindexed(names).positions
+        motions.append(
+            JointTrajectory(names, np.array([0, 2.0]), np.array([q, found.positions]), np.zeros((2, 6)))
+        )
+    both = scene.with_state(motions[0].end).with_state(motions[1].end)
+    assert ExactChecker(both).contacts(both.positions, padded=False)
+    assert "touches" in contact_together(scene, motions[:1], motions[1])
+    assert not contact_together(scene, [swing(driver, "left", 0.1)], swing(driver, "right", 0.1))
