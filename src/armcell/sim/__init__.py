@@ -5,6 +5,7 @@ from armcell.sim.build import BuiltModel, GripperIndex, build
 from armcell.sim.camera import Camera
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.grip import GripperState, WeldEvent
+from armcell.sim.hand_trials import Trial, TrialResult, TrialSettings, run_trials
 from armcell.sim.pace import Pacer
 from armcell.sim.render import has_gl, render_depth, render_rgb
 from armcell.sim.settings import PhysicsSettings
@@ -20,6 +21,9 @@ __all__ = [
     "PhysicsContact",
     "PhysicsSettings",
     "SimWorld",
+    "Trial",
+    "TrialResult",
+    "TrialSettings",
     "UnwantedContact",
     "WeldEvent",
     "WorldSnapshot",
@@ -28,4 +32,5 @@ __all__ = [
     "has_gl",
     "render_depth",
     "render_rgb",
+    "run_trials",
 ]

@@ -1,16 +1,19 @@
 """In which order, and what if it fails? Stages, search, recipes."""
 
 from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.proof import NOISE, Proof, prove, varied
 from armcell.tasks.recipes import hold, move_to, pick, place, release
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.steps import Motion, perform_all
 
 __all__ = [
+    "NOISE",
     "Draft",
     "Holding",
     "Motion",
     "Planning",
+    "Proof",
     "Speed",
     "Stage",
     "StageReport",
@@ -21,6 +24,8 @@ __all__ = [
     "perform_all",
     "pick",
     "place",
+    "prove",
     "release",
     "search",
+    "varied",
 ]

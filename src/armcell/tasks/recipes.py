@@ -57,6 +57,8 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         if draft is None:
             return outcome
         outcome = perform_all(ctx, draft.steps + after)
+        chosen = {"grasp": draft.data["grasp"], "proof": draft.data["proof"]}
+        outcome = replace(outcome, evidence={**outcome.evidence, **chosen})
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return outcome
         excluded = (*excluded, draft.data["grasp"].name)
