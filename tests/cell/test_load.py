@@ -125,6 +125,7 @@ def test_unknown_cell_lists_the_known():
         armcell.load("panda_pik")
 
 
+@pytest.mark.slow
 # --- the draw ---
 def test_a_seed_s_draw_is_its_own_and_in_range(built_in):
     draws = [built_in.draw(seed) for seed in range(50)]
