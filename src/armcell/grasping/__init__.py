@@ -23,6 +23,7 @@ from armcell.grasping.quality import (
     hull_quality,
     robustness,
 )
+from armcell.grasping.stability import Rest, resting_now, rests
 from armcell.grasping.surface import Surface, cloud_surface, surface_of
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "Proposals",
     "Quality",
     "Rejection",
+    "Rest",
     "Surface",
     "cloud_surface",
     "contact_wrenches",
@@ -49,6 +51,8 @@ __all__ = [
     "nearest_miss",
     "needed_force",
     "place_candidates",
+    "resting_now",
+    "rests",
     "robustness",
     "support_surface",
     "surface_of",

@@ -81,8 +81,9 @@ def prove(
         own = results[n * trials : (n + 1) * trials]
         good = sum(not r.lost and r.slip <= MAX_SLIP and r.turn <= MAX_TURN for r in own)
         slip = float(np.median([min(r.slip, 1.0) for r in own]))
-        stored[i] = {"counts": np.array([good, trials]), "slip": np.array(slip)}
-        keep("proofs", keys[i], **stored[i])
+        counts, median = np.array([good, trials]), np.array(slip)
+        stored[i] = {"counts": counts, "slip": median}
+        keep("proofs", keys[i], counts=counts, slip=median)
     return [
         Proof(grasp, int(kept["counts"][0]), int(kept["counts"][1]), float(kept["slip"]))
         for grasp, kept in zip(grasps, stored, strict=True)
