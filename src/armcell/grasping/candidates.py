@@ -191,6 +191,11 @@ def _judged(
             has, holds = np.degrees(np.arctan((float(slanted[i]), friction)))
             text = f"slips off: the surface is {has:.0f} deg slanted, friction holds {holds:.0f} deg"
             rejected.append(Rejection(name, text, 3, float(np.radians(has - holds))))
+        elif needed[i] > gripper.max_force:
+            beside = 1000 * float(lever[i])
+            text = f"needs {needed[i]:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"
+            excess = float(needed[i]) / gripper.max_force
+            rejected.append(Rejection(name, f"{text} {gripper.max_force:.0f} N", 4, excess))
         else:
             pose, opening = SE3(SO3(R[i]), at[i]), float(fitted.measures[good[i], 1])
             pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))

@@ -84,7 +84,8 @@ def _flat_top(mesh: Mesh, T: SE3) -> tuple[SE3, float, float] | None:
         low, high = at.min(0), at.max(0)
         x, y = (high - low)[:2]
         if area[same].sum() > 0.85 * x * y and (best is None or x * y > best[1] * best[2]):
-            best = SE3.from_xyz(*((low + high) / 2)[:2], float(z)), float(x), float(y)
+            middle = (low + high) / 2
+            best = SE3.from_xyz(float(middle[0]), float(middle[1]), float(z)), float(x), float(y)
     return best
 
 

@@ -77,9 +77,9 @@ def _simplex_areas(points: Array, simplices: NDArray[np.int32]) -> Array:
 
 def plane_axes(up: Array) -> tuple[Array, Array]:
     """Two unit directions (3,) that make a right-handed frame with `up` as z."""
-    x = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    x = np.asarray(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), dtype=np.float64)
     x /= np.linalg.norm(x)
-    return x, np.cross(up, x)
+    return x, np.asarray(np.cross(up, x), dtype=np.float64)
 
 
 def polygon(points: Array, up: Array) -> Array:

@@ -26,11 +26,14 @@ from armcell.tasks.stages import (
 from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, Grip, perform_all
 
 
-def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
+def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = ()) -> Outcome:
     """Grasp an object and lift it; the next grasp is tried when one fails.
 
+    Args:
+        excluded: names of grasps that are not to be used.
     Returns:
-        SUCCESS, or the last failure with the reasons per candidate in the evidence ("rejections").
+        SUCCESS with the grasp in the evidence ("grasp", and "proof" where `prove_grasps` is set), or the last
+        failure with the reasons per candidate ("rejections").
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
     """
@@ -39,7 +42,7 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
             raise InputError(f"gripper {gripper.name!r} already holds {held.object}", cure="place it first")
     if not ctx.scene().object(item).movable:
         raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
-    s, excluded, outcome = ctx.settings, (), DONE
+    s, outcome = ctx.settings, DONE
     for _ in range(s.attempts):
         scene = ctx.scene()
         supports = tuple(neighbours(scene, item))
