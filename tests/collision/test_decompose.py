@@ -44,3 +44,12 @@ def test_without_coacd_our_own_cuts_hold_the_mesh(monkeypatch):
     monkeypatch.setattr(decompose, "can_decompose", lambda: False)
     mesh, torus = ring(20)
     assert sum(volumes(decompose.object_pieces(mesh))) > torus.volume
+
+
+def test_where_coacd_crashes_our_own_cuts_are_taken(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(decompose, "can_decompose", lambda: True)
+    monkeypatch.setattr(decompose, "_PROGRAM", "import os; os.kill(os.getpid(), 11)")
+    mesh, torus = ring(16)
+    assert sum(volumes(decompose.object_pieces(mesh))) > torus.volume
+    assert "CoACD failed on this mesh" in caplog.text

@@ -61,17 +61,21 @@ def grasp(
     todo = list(made_objects()) if library else []
     if objects is not None:
         todo += list(objects_of(objects, bench.gripper, count, scale))
-    rows = []
+    rows: list[Row] = []
+
+    def save(found: dict[str, Any] | None) -> None:
+        if json_file is not None:
+            data = {"summary": found, "robot": robot, "seed": seed, "rows": [asdict(r) for r in rows]}
+            write_json(json_file, data)
+
     for name, item, shrunk in track(
         todo, "picking", console=errors, disable=not errors.is_terminal, transient=True
     ):
         rows.append(bench.run(name, item, shrunk))
+        save(None)  # what was done is there if the rest is not waited for
     found = summary(rows)
     _show(rows, found)
-    if json_file is not None:
-        write_json(
-            json_file, {"summary": found, "robot": robot, "seed": seed, "rows": [asdict(r) for r in rows]}
-        )
+    save(found)
     share = found["first_attempt"]["share"]
     return 0 if share is not None and share >= 0.95 else 1
 

@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import subprocess
+import sys
+import tempfile
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +24,7 @@ log = logging.getLogger(__name__)
 
 CONCAVITY = 0.06  # CoACD's threshold: smaller follows the mesh closer, with more pieces
 MAX_HULLS = 24
+MAX_SECONDS = 120
 CONVEX = 0.98  # share of its hull that a mesh fills to be taken as convex
 VERSION = 1  # to be raised when the same mesh gives other pieces
 
@@ -43,8 +48,8 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     stored = recall("pieces", key)
     if stored is None:
         found = _coacd(mesh, closed)
-        if not found:
-            return convex_pieces(mesh)
+        if not found:  # which is kept as well, not to be tried again
+            found = [(piece.vertices, piece.faces) for piece in convex_pieces(mesh)]
         counts = np.array([(len(v), len(f)) for v, f in found])
         stored = {
             "counts": counts,
@@ -58,25 +63,53 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def _coacd(mesh: Mesh, closed: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    import coacd
-
-    coacd.set_log_level("off")
-    hulls = coacd.run_coacd(
-        coacd.Mesh(mesh.vertices, mesh.faces),
-        threshold=CONCAVITY, max_convex_hull=MAX_HULLS, mcts_iterations=40, mcts_nodes=10, mcts_max_depth=2,
-        preprocess_mode="off" if closed else "on", preprocess_resolution=40, seed=0,
-    )  # fmt: skip
-    found = []
+    """CoACD's pieces, found in a process of its own: it crashes on some meshes. Empty if it did."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder) / "mesh.npz", Path(folder) / "pieces.npz"
+        preprocess = "off" if closed else "on"
+        np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
+        command = [sys.executable, "-c", _PROGRAM, str(given), str(found), preprocess]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=MAX_SECONDS, check=False)
+        except subprocess.TimeoutExpired:
+            log.warning(
+                "%s: CoACD took more than %d s; split by our own cuts", mesh.file or "mesh", MAX_SECONDS
+            )
+            return []
+        if done.returncode != 0 or not found.exists():
+            log.warning("%s: CoACD failed on this mesh; split by our own cuts", mesh.file or "mesh")
+            return []
+        with np.load(found) as stored:
+            hulls = [(stored[f"v{i}"], stored[f"f{i}"]) for i in range(len(stored.files) // 2)]
+    pieces = []
     for vertices, faces in hulls:
         try:
-            piece = _outward(np.asarray(vertices, dtype=float), np.asarray(faces))
+            pieces.append(_outward(vertices, faces))
         except Exception as error:  # a hull without a volume: qhull has errors of its own
             log.info(
                 "%s: a piece of CoACD's is left out: %s", mesh.file or "mesh", str(error).splitlines()[0]
             )
-            continue
-        found.append(piece)
-    return found
+    return pieces
+
+
+_PROGRAM = f"""
+import sys
+import coacd
+import numpy as np
+
+given, found, preprocess = sys.argv[1:]
+coacd.set_log_level("off")
+with np.load(given) as mesh:
+    mesh = coacd.Mesh(mesh["vertices"], mesh["faces"])
+hulls = coacd.run_coacd(
+    mesh, threshold={CONCAVITY}, max_convex_hull={MAX_HULLS}, mcts_iterations=40, mcts_nodes=10,
+    mcts_max_depth=2, preprocess_mode=preprocess, preprocess_resolution=40, seed=0,
+)
+arrays = {{}}
+for i, (vertices, faces) in enumerate(hulls):
+    arrays[f"v{{i}}"], arrays[f"f{{i}}"] = np.asarray(vertices, float), np.asarray(faces)
+np.savez(found, **arrays)
+"""
 
 
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
