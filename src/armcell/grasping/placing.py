@@ -16,6 +16,7 @@ from armcell.scene import CollisionObject
 RELEASE_GAP = 0.001  # [m] above the support when the fingers open
 STABILITY_MARGIN = 0.004  # [m] the object's foot stays inside the support's edge, its mass inside the foot's
 FREE_PLACES = 24  # besides the grid
+OVERHANG = 0.4  # share of its margin that an object must keep where its foot reaches over an edge
 ROLLS = 0.05  # of score less where an object stands on a round side
 
 Array = NDArray[np.float64]
@@ -176,7 +177,7 @@ def _on_side(
             if np.any(np.abs((x, y)) + foot > half):
                 stands = (side.foot @ turned.T)[:, :2] - middle + (x, y)
                 mass = (turned @ surface.centre_of_mass)[:2] - middle + (x, y)
-                if not (open_edges and central and _stands_on(stands, mass, half)):
+                if not (open_edges and central and _stands_on(stands, mass, half, side.margin)):
                     continue
             # The whole's middle goes to (x, y), wherever in the object its origin is.
             origin = np.array([x - middle[0], y - middle[1], side.height])
@@ -192,8 +193,12 @@ def _on_side(
     return found
 
 
-def _stands_on(foot: Array, mass: Array, half: Array) -> bool:
-    """Whether a centre of mass (2,) is well over the part of a foot (n, 2) that is on a rectangle."""
+def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
+    """Whether a centre of mass (2,) is well over the part of a foot (n, 2) that is on a rectangle.
+
+    Args:
+        whole: [m] margin on the whole foot, of which a share must be left.
+    """
     for axis in range(2):
         for sign in (1.0, -1.0):
             foot = _clipped(foot, axis, sign, float(half[axis]))
@@ -201,7 +206,7 @@ def _stands_on(foot: Array, mass: Array, half: Array) -> bool:
                 return False
     flat = np.column_stack([foot, np.zeros(len(foot))])
     up = np.array([0.0, 0.0, 1.0])
-    return margin_of(polygon(flat, up), up, np.array([*mass, 0.0])) >= STABILITY_MARGIN
+    return margin_of(polygon(flat, up), up, np.array([*mass, 0.0])) >= max(STABILITY_MARGIN, OVERHANG * whole)
 
 
 def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:

@@ -79,10 +79,11 @@ def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None =
     """Put a held object down on another object; the outcome's evidence has the target pose ("placement").
 
     Raises:
-        InputError: the object is not held, or it does not fit on the support.
+        InputError: the object is not held, it does not fit on the support, or it is its own.
     """
     if item not in ctx.holding:
         raise InputError(f"the robot does not hold {item!r}", cure="pick it first")
+    require(item != on, f"{item!r} cannot be put on itself")
     s, gripper = ctx.settings, ctx.holding[item].gripper
     stages: list[Stage] = [
         ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at),
