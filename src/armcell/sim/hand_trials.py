@@ -69,8 +69,8 @@ class Trial:
 class TrialResult:
     """How the object moved in the hand."""
 
-    closing: float  # [m] while the hand closed
-    slip: float  # [m] from there to the end
+    closing: float  # [m] of the centre of mass while the hand closed
+    slip: float  # [m] from there to the end, of the object's point between the pads
     turn: float  # [rad]
     lost: bool  # no longer between the fingers, or physics gave up
 
@@ -211,9 +211,9 @@ class _World:
             SE3.from_quat_wxyz(row[at : at + 3], row[at + 3 : at + 7])
             for row in (plan.initial, state[plan.closed], state[plan.end])
         )
-        slip, turn = closed.distance_to(end)
-        # The slip of the centre of mass: of the origin it would depend on where a user put that.
-        slip = float(np.linalg.norm(closed.apply(self.centre) - end.apply(self.centre)))
+        turn = closed.distance_to(end)[1]
+        between = closed.inv().apply(self.T_root_tcp.translation)  # the object's point at the tcp
+        slip = float(np.linalg.norm(closed.apply(between) - end.apply(between)))
         closing = float(np.linalg.norm(before.apply(self.centre) - closed.apply(self.centre)))
         return TrialResult(closing, slip, turn, slip > 0.03)
 
