@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench-planning bench-kernel bench-planners bench-constraints bench-wires test-interop lint format clean FORCE
+.PHONY: help demo test check fuzz bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -58,6 +58,10 @@ bench-planning: $(VENV)/.stamp-bench ## set up, then measure planning beside oth
 
 bench-constraints: $(VENV)/.stamp ## set up, then measure planning with path constraints (RUNS=50)
 	$(PY) -m benchmarks.constraints --runs $(or $(RUNS),50)
+
+bench-dual: $(VENV)/.stamp ## set up, then measure two UR10: planning, proofs, tasks in physics (RUNS=100, an hour)
+	$(BIN)/armcell bench dual
+	$(PY) -m benchmarks.two_arms --runs $(or $(RUNS),100)
 
 clean: ## remove the environment, builds and caches (runs/ stays)
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache

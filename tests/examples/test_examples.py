@@ -306,3 +306,28 @@ def test_26_grasp_server(printed):
     assert 150 < number(r"lifted by ([\d.]+) mm", said) < 250
     assert "status: grasping cube" in said and "status: done: cube is lifted" in said
     assert "unwanted contacts: 0" in said
+
+
+@pytest.mark.slow
+def test_19_two_arms_planned(printed):
+    text = printed("19_two_arms_planned.py")
+    assert number(r"proven in ([\d.]+) ms", text) < 20
+    assert re.search(r"refused: .*left_\w+ and right_\w+ would touch", text)
+    assert "beside: searched" in text
+
+
+@pytest.mark.slow
+def test_20_two_arms_at_work(printed):
+    text = printed("20_two_arms_at_work.py")
+    assert text.startswith("done in") and " 0 contacts" in text
+    order = re.search(r"in the middle: (.*)", text).group(1).split(", ")
+    assert sorted(order) == ["left_arm"] * 2 + ["right_arm"] * 2
+
+
+@pytest.mark.slow
+def test_21_carry_together(printed):
+    text = printed("21_carry_together.py")
+    assert number(r"at most ([\d.]+) mm off", text) <= 0.5
+    assert number(r"squeezed with ([\d.]+) N", text) <= 30
+    assert number(r"slipped ([\d.]+) mm", text) <= 1.0
+    assert number(r"lies ([\d.]+) mm", text) <= 2.0

@@ -387,10 +387,10 @@ def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> No
     """A turn and a slide about the body's z axis, coupled by the pitch."""
     per_radian = thread.pitch / (2 * np.pi)
     turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
-    # The inertia added to the slide makes the coupling stiff: it yields to a force by that over the mass.
+    # The engine makes a coupling as soft as both joints are light, so both get some inertia of their own.
     for kind, joint, low, loss, armature in (
-        (mujoco.mjtJoint.mjJNT_SLIDE, _slide_name(name), -thread.travel, 0.0, 100.0),
-        (mujoco.mjtJoint.mjJNT_HINGE, _turn_name(name), -turns, thread.torque, 1e-3),
+        (mujoco.mjtJoint.mjJNT_SLIDE, _slide_name(name), -thread.travel, 0.0, 1.0),
+        (mujoco.mjtJoint.mjJNT_HINGE, _turn_name(name), -turns, thread.torque, 0.02),
     ):
         body.add_joint(
             name=joint, type=kind, axis=axis, limited=True, range=[low, -low * 0.1], frictionloss=loss,
@@ -398,7 +398,7 @@ def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> No
         )  # fmt: skip
     spec.add_equality(
         name=f"{name}:thread", type=mujoco.mjtEq.mjEQ_JOINT, name1=_slide_name(name), name2=_turn_name(name),
-        data=[0.0, per_radian] + [0.0] * 10, solref=[0.004, 1.0], solimp=[0.999, 0.9999, 0.001, 0.5, 2.0],
+        data=[0.0, per_radian] + [0.0] * 10, solref=[0.004, 1.0], solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
     )  # fmt: skip
 
 

@@ -148,7 +148,12 @@ def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] |
     text = f"the goals of {' and '.join(map(repr, requests))} cannot be held at once"
     if nearest is None:
         return Outcome(ErrorCode.GOAL_IN_COLLISION, text)
-    return Outcome(ErrorCode.GOAL_IN_COLLISION, f"{text}: {nearest.describe()}", {"contacts": [nearest]})
+    how = "touch" if nearest.distance <= 0 else f"be {1000 * nearest.distance:.0f} mm apart"
+    return Outcome(
+        ErrorCode.GOAL_IN_COLLISION,
+        f"{text}: {nearest.body_a} and {nearest.body_b} would {how}",
+        {"contacts": [nearest]},
+    )
 
 
 def _both(scene: PlanningScene, arms: Arms) -> str:
