@@ -15,6 +15,7 @@ from armcell.cli import (
     doctor,
     explain,
     ik,
+    look,
     msg,
     plan,
     run,
@@ -47,6 +48,8 @@ Examples:
 
   armcell view panda_pick                     plan in the browser: drag the goal, plan, preview, execute
 
+  armcell look six_axis_camera                what a depth camera sees: objects with poses and sizes
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -68,6 +71,7 @@ app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("ik")(ik.ik)
 app.command("fk")(ik.fk)
 app.command("check-state")(check_state.check_state)
+app.command("look", epilog=look.EXAMPLES)(look.look)
 app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")

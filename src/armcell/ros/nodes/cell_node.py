@@ -20,6 +20,7 @@ from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
+from armcell.ros.nodes.cameras import CameraPublisher
 from armcell.ros.nodes.states import RATE, StatePublisher
 
 logger = logging.getLogger(__name__)
@@ -47,7 +48,8 @@ class CellNode:
     Topics in: /planned_trajectory (trajectory_msgs/JointTrajectory; a newer one takes over, an empty one
     stops), /gripper_command (std_msgs/Float64: 0 or more is a width [m], 0 grasps; below 0 closes with that
     force [N per finger]); with several grippers /<gripper>/gripper_command. Actions: /<group>_controller/
-    follow_joint_trajectory for each arm. Topic out beside the states: /trajectory_status (std_msgs/String).
+    follow_joint_trajectory for each arm. Topics out beside the states: /trajectory_status (std_msgs/String)
+    and those of the cell's cameras (`CameraPublisher`).
 
     Args:
         live: connected by `run`; paced by its own time scale.
@@ -57,7 +59,8 @@ class CellNode:
     def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE):
         self.live, self.bus = live, bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)
-        self._driver: Any = _Publishing(live.driver, self._states)
+        self._cameras = CameraPublisher(bus, live.cameras)
+        self._driver: Any = _Publishing(live.driver, self._states, self._cameras)
         self._jobs: queue.Queue[_Job] = queue.Queue(MAX_JOBS)
         self._motion: _Job | None = None  # the newest one, waiting or at work
         self._stop = threading.Event()
@@ -85,7 +88,7 @@ class CellNode:
                 while not self._stop.is_set():
                     self._turn()
         finally:
-            for member in (*self._actions, *self._subs, self._status, self._states):
+            for member in (*self._actions, *self._subs, self._status, self._states, self._cameras):
                 member.close()
 
     def _turn(self) -> None:
@@ -198,8 +201,8 @@ def _follow_code(result: ExecutionResult) -> int:
 class _Publishing:
     """A driver that publishes its states whenever time passes, and runs small commands in between."""
 
-    def __init__(self, driver: Driver, states: StatePublisher):
-        self._driver, self._states = driver, states
+    def __init__(self, driver: Driver, states: StatePublisher, cameras: CameraPublisher):
+        self._driver, self._states, self._cameras = driver, states, cameras
         self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
     def __getattr__(self, name: str) -> Any:
@@ -215,3 +218,4 @@ class _Publishing:
         self._driver.advance(duration)
         if self._states.due(self._driver.now):
             self._states.publish(self._driver)
+            self._cameras.publish(self._states.tf)
