@@ -47,9 +47,13 @@ def compile_times() -> dict[str, float]:
 
 def _process(cache: str) -> tuple[float, float]:
     # This process has pointed Numba at its own cache folder; the child is to choose its own.
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    # Bytecode is kept, as on a user's machine, whatever this one's environment says.
+    environment = {
+        k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
+    }
+    environment |= {"ARMCELL_CACHE_DIR": cache, "PYTHONPYCACHEPREFIX": f"{cache}/bytecode"}
     began = time.monotonic()
-    child = subprocess.Popen([sys.executable, "-c", WARM_UP], env={**environment, "ARMCELL_CACHE_DIR": cache})
+    child = subprocess.Popen([sys.executable, "-c", WARM_UP], env=environment)
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:

@@ -10,10 +10,14 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import shutil
 import sys
 import tempfile
+import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+KEPT_DAYS = 30
 
 
 def cache_root() -> Path:
@@ -49,6 +53,19 @@ def writable(folder: Path) -> bool:
         return False
 
 
+def _drop_old(used: Path) -> None:
+    """Delete kernels of other sources that no process has started with for `KEPT_DAYS`."""
+    try:
+        if time.time() - used.stat().st_mtime < 86400 and any(used.iterdir()):
+            return  # looked at today
+        os.utime(used)
+        for other in used.parent.iterdir():
+            if other != used and time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:
+                shutil.rmtree(other, ignore_errors=True)
+    except OSError:
+        pass  # another process was quicker, or they are not ours to delete
+
+
 def use_cache() -> Path:
     """Point Numba at the folder for these sources; a temporary one where the user's is not writable."""
     folder = cache_root() / "kernels" / source_hash()
@@ -59,6 +76,7 @@ def use_cache() -> Path:
             / folder.name
         )
         writable(folder)
+    _drop_old(folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)

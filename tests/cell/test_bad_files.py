@@ -115,6 +115,7 @@ def test_yaml_errors_name_the_line(tmp_path, text, line):
     assert f"cell.yaml:{line}: is not valid YAML" in failure(tmp_path, text)
 
 
+@pytest.mark.slow
 def test_a_deep_file_does_not_crash_the_process(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("robot: " + "[" * 25_000 + "]" * 25_000 + "\n")

@@ -68,10 +68,8 @@ def without_wall_times(value):
     return [without_wall_times(v) for v in value] if isinstance(value, list) else value
 
 
-@pytest.mark.parametrize(
-    ("name", "mode"),
-    [("panda_pick", "sim"), pytest.param("six_axis_pick", "sim", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "mode"), [("panda_pick", "sim"), ("six_axis_pick", "sim")])
 def test_two_processes_give_the_same_bytes(name, mode):
     asked = [
         subprocess.Popen([sys.executable, "-c", RUN, name, mode], stdout=subprocess.PIPE, text=True)
@@ -100,6 +98,7 @@ def edited(tmp_path, *changes: tuple[str, str]):
     return armcell.load(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["weld", "hybrid"])
 def test_grip_modes_report_their_welds(tmp_path, mode):
     cell = edited(
@@ -115,6 +114,7 @@ def test_grip_modes_report_their_welds(tmp_path, mode):
     assert weld["reason"]
 
 
+@pytest.mark.slow
 def test_friction_alone_says_that_it_failed(tmp_path):
     cell = edited(tmp_path, ("    movable: true\n    mass: 0.1\n    friction: 0.6\n", SLIPPERY))
     result = perform(cell, "sim", 0)

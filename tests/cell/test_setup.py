@@ -67,6 +67,7 @@ def test_ignored_pairs_never_touch_or_always(name, tmp_path):
             assert counts[a, b] == CHECKED, (a, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_what_touches_is_checked(name):
     """The other way round, by the exact checker: every pair seen in contact is not ignored as "Never"."""

@@ -196,6 +196,7 @@ def test_both_arms_of_a_baxter(tmp_path):
     assert any(row["solved"] for row in rows) and any("touching" in row for row in rows)
 
 
+@pytest.mark.slow
 def test_two_arms_are_planned_as_one(tmp_path):
     """The generated problems are the same for the same seed, and their paths touch nothing."""
 

@@ -31,6 +31,7 @@ def urdf(folder, name: str = "UR5"):
     return file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "method"),
     [(["--robot", "ur10"], "analytic"), (["--robot", "ur10", "--numeric"], "numeric"),

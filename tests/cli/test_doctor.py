@@ -36,6 +36,7 @@ def test_the_lists_are_those_of_the_project():
     assert {k: set(v) for k, v in EXTRAS.items()} == {k: names(v) for k, v in users.items()}
 
 
+@pytest.mark.slow
 def test_this_machine(capsys, tmp_path):
     found = lines(capsys, tmp_path)
     assert found["packages"]["verdict"] == "ok" and f"numpy {version('numpy')}" in found["packages"]["found"]
@@ -43,6 +44,7 @@ def test_this_machine(capsys, tmp_path):
     assert {"Python", "machine", "OpenGL", "compiled kernels", "port 10000", "port 11311"} <= set(found)
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken(capsys, tmp_path, monkeypatch):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -96,6 +98,7 @@ def test_a_wrong_address_and_a_silent_one(monkeypatch):
 
 
 # --- cells ---
+@pytest.mark.slow
 def test_a_sound_cell(capsys, tmp_path):
     found = lines(capsys, tmp_path, "panda_pick")
     for check in ("cell file", "start state", "pick cube", "robot's files", "TF tree", "gains"):
@@ -127,6 +130,7 @@ def hinge(tmp_path):
     return make
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "verdict", "share"), [(2.0, "ok", "49%"), (6.0, "no", "147%")])
 def test_a_drive_that_is_too_weak(capsys, tmp_path, hinge, mass, verdict, share):
     """20 Nm hold m * 9.81 * 0.5 m: 2 kg take 49 % of them, 6 kg 147 %."""

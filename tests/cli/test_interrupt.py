@@ -88,6 +88,7 @@ def test_while_it_plans(tmp_path):
     interrupted(process)
 
 
+@pytest.mark.slow
 def test_with_the_view_open_the_port_is_free_again(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -122,6 +123,7 @@ runpy.run_module("armcell", run_name="__main__")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "module",
     [
@@ -139,6 +141,7 @@ def test_while_it_loads(module):
     assert process.stdout == ""
 
 
+@pytest.mark.slow
 def test_while_the_planning_panel_is_open():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

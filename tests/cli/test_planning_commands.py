@@ -127,6 +127,7 @@ def test_a_state_out_of_limits(capsys, tmp_path):
     assert margins["panda_joint4"] == pytest.approx(-0.0698 - np.deg2rad(10), abs=1e-4)
 
 
+@pytest.mark.slow
 # --- explain ---
 def test_explain_a_line_that_stops(capsys, tmp_path):
     said = call(
@@ -137,6 +138,7 @@ def test_explain_a_line_that_stops(capsys, tmp_path):
     assert not data["possible"] and 0 < data["explanation"]["data"]["fraction"] < 1
 
 
+@pytest.mark.slow
 def test_explain_shows_it(capsys):
     said = call(capsys, "explain", "panda_pick", "--pose", "0.55", "0.06", "0.2", "--view", "--port", "8097")
     assert said.status == 1 and "view: http://127.0.0.1:" in said.out

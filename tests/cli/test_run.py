@@ -49,6 +49,7 @@ def test_a_run_that_fails_is_status_1_and_says_why(capsys, here):
     assert "150 mm wide, the gripper opens 80 mm" in result["message"]
 
 
+@pytest.mark.slow
 def test_without_headless_a_folder_with_report_numbers_and_record(capsys, here):
     said = call(capsys, "run", "panda_pick", *FAKE, "--json", "out.json")
     assert said.status == 0

@@ -126,6 +126,7 @@ def test_the_error_names_the_line_of_a_broken_cell(capsys, tmp_path):
     assert f"{file}:3: is not valid YAML" in said.err
 
 
+@pytest.mark.slow
 # --- as a process ---
 def test_the_exit_status_of_the_process():
     said = finished(start("check", "panda_pik"))
@@ -133,6 +134,7 @@ def test_the_exit_status_of_the_process():
     assert "unknown cell 'panda_pik'" in said.err and "Traceback" not in said.err
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
     read, write = os.pipe()
     os.close(read)

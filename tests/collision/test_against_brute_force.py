@@ -82,6 +82,7 @@ def _distance_of(checker: ExactChecker, pair: frozenset[str]) -> float:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_contacts_and_distances_agree(robot):
     touched, free = check_agreement(robot, scenes=6, poses=8, seed=0)

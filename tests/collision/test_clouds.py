@@ -302,6 +302,7 @@ def test_a_robot_reaches_into_a_bin():
         assert kernel.is_free(q) == exact.is_free(q)
 
 
+@pytest.mark.slow
 # --- proofs ---
 @pytest.mark.parametrize("kind", ["points", "cells", "mesh"])
 def test_what_is_proven_is_free(kind):

@@ -116,6 +116,7 @@ ROBOTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_it_is_never_below_the_measured_motion(name):
     scene, names = scene_of(name)

@@ -15,6 +15,7 @@ from armcell.scene import PlanningScene
 SAMPLES = 5000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robot_names())
 def test_pairs_that_never_touch_do_not(name):
     model = load_robot(name)
@@ -45,6 +46,7 @@ def test_named_states_are_free(name):
             assert ExactChecker(scene).contacts(scene.positions) == [], (group, state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robot_names())
 def test_sampling_anew_finds_the_srdf_s_pairs(name):
     """With few samples more pairs look like "Never" than are; those of the SRDF must be among them."""
@@ -56,6 +58,7 @@ def test_sampling_anew_finds_the_srdf_s_pairs(name):
         assert (found[pair] == "Adjacent") == (reason == "Adjacent")
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_pairs():
     model = load_robot("ur10")
     seen = []

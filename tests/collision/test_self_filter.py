@@ -37,6 +37,7 @@ def link_surfaces(scene: PlanningScene) -> list[trimesh.Trimesh]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("padding", [0.0, 0.02])
 @pytest.mark.parametrize("robot", [panda, ur10])
 def test_the_robots_own_points(robot, padding):

@@ -58,6 +58,7 @@ def test_short_documented_and_public(script):
     assert not re.search(r"from armcell\.\w+\.\w+", text)
 
 
+@pytest.mark.slow
 def test_01_load_a_robot(printed):
     said = printed("01_load_a_robot.py")
     assert "panda" in said and "ur10_gripper" in said
@@ -71,6 +72,7 @@ def test_01_load_a_robot(printed):
     assert re.search(r"2 m away: NO_IK_SOLUTION: panda_hand_tcp cannot reach", said)
 
 
+@pytest.mark.slow
 def test_02_plan_to_a_pose(printed):
     said = printed("02_plan_to_a_pose.py")
     assert said.startswith("SUCCESS: by ")
@@ -83,6 +85,7 @@ def test_02_plan_to_a_pose(printed):
     assert len(re.findall(r"touches box \([\d.]+ mm deep\)", said)) >= 2
 
 
+@pytest.mark.slow
 def test_03_scene_and_collisions(printed):
     said = printed("03_scene_and_collisions.py")
     states = {line.split()[0]: line for line in said.splitlines()[:3]}
@@ -98,6 +101,7 @@ def test_03_scene_and_collisions(printed):
     assert "allowed, it touches: 0 bodies" in said
 
 
+@pytest.mark.slow
 def test_04_pick_and_place(printed):
     said = printed("04_pick_and_place.py")
     assert "pick: SUCCESS; the hand holds cube with" in said
@@ -129,6 +133,7 @@ def test_the_own_cell_is_sound(capsys):
     assert main(["check", str(EXAMPLES / "05_your_own_cell")]) == 0
 
 
+@pytest.mark.slow
 def test_10_scene_services(printed):
     said = printed("10_scene_services.py")
     assert "the mug stands at 0.60, 0.20, 0.261" in said and "nothing was changed" in said
@@ -235,3 +240,12 @@ def test_24_two_programs_over_ros_tcp(printed):
     assert number(r"planned (\d+) points", said) > 5
     assert re.search(r"simulator: executing \d+ points", said)
     assert number(r"goal: ([\d.]+) rad", said) < 1e-3
+
+
+@pytest.mark.slow
+def test_29_campaign(printed):
+    said = printed("29_campaign.py")
+    assert number(r"(\d+) of 40 succeed", said) < 40
+    assert (
+        "GOAL_IN_COLLISION" in said and "--set objects.lamp.pose.y=" in said and "report: report.html" in said
+    )

@@ -46,6 +46,7 @@ def random_states(model, rng, count=10):
     return q, rng.normal(0, 2, q.shape), rng.normal(0, 5, q.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFERENCES)
 def test_torques_are_pinocchio_s(name):
     model, reference = REFERENCES[name]()

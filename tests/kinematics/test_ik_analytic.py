@@ -38,6 +38,7 @@ def check(ik: IKSolver, target: SE3, reference: np.ndarray, tolerance: float = 1
     return found
 
 
+@pytest.mark.slow
 def test_ur10_a_thousand_poses_against_pinocchio():
     """Every configuration is among the solutions of its pose, and pinocchio agrees with all of them."""
     model, reference = REFERENCES["ur10"]()

@@ -45,6 +45,7 @@ def check(ik: NumericIK, target: SE3, result, reference: np.ndarray) -> None:
     assert result.position_error == pytest.approx(metres, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "ur10"])
 def test_a_thousand_poses_against_pinocchio(robot):
     """Poses by pinocchio's forward kinematics; every one solved from far away, and pinocchio agrees."""

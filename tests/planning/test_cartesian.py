@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.planning.helpers import judge
@@ -167,6 +170,22 @@ def test_nowhere_to_go():
 def test_the_step_must_be_positive(value):
     with pytest.raises(InputError, match="max_step"):
         run(panda(), tip(panda()).shifted(z=-0.1), max_step=value)
+
+
+def test_a_step_that_would_take_forever_is_refused():
+    with pytest.raises(InputError, match="divides a line"):
+        run(panda(), tip(panda()).shifted(z=-0.1), max_step=1e-9)
+
+
+def test_a_long_line_is_cancelled():
+    scene, cancel = panda(), threading.Event()
+    start = tip(scene)
+    request = CartesianRequest("arm", (start.shifted(z=-0.2),), max_step=1e-5)
+    plan_cartesian(scene, replace(request, max_step=0.01))  # compiled and kept
+    threading.Timer(0.3, cancel.set).start()
+    result = plan_cartesian(scene, request, cancel)
+    assert result.code is ErrorCode.PREEMPTED and "cancelled" in result.message
+    assert result.fraction == 0.0 and result.trajectory is None
 
 
 @pytest.mark.parametrize("value", [0.0, -0.1, np.nan])

@@ -99,6 +99,7 @@ def stops():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", ["collision", "joint limit", "out of reach", "jump", "path constraint"])
 def test_a_stop_tells_its_place_and_cause(cause):
     scene, goal, options, code = stops()[cause]

@@ -34,6 +34,7 @@ def holding(mass: float) -> PlanningScene:
     return scene.with_object(block).with_attached("block", link, ("wrist_3_link", "ee_link", "tool0"))
 
 
+@pytest.mark.slow
 def test_jerk_limits_are_kept_on_a_certified_path():
     scene = panda_wall()
     result = plan(scene, request(AROUND, jerk_limits=True))
@@ -67,6 +68,7 @@ def test_a_carried_weight_counts_as_pinocchio_counts_it():
         np.testing.assert_allclose(dynamics.torques(q, v, a)[0], expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_torque_limits_slow_a_heavy_load():
     goal = JointGoal(JointState(("shoulder_lift_joint",), [-1.4]))
     light, heavy = (plan(holding(m), request(goal, torque_limits=True)) for m in (0.1, 9.5))

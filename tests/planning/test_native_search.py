@@ -156,6 +156,7 @@ def test_two_threads_find_what_one_finds_after_the_other():
             np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner_id", ["RRTConnect", "AORRTC", "PRM"])
 def test_cancelling_takes_milliseconds(planner_id):
     """5 ms is the aim; another program may hold the processor, so the best of several counts."""
@@ -274,6 +275,7 @@ def test_more_iterations_never_cost_more(name):
     assert np.linalg.norm(ask[1][0] - ask[0]) <= costs[-1]
 
 
+@pytest.mark.slow
 def test_it_improves_on_first_paths_that_are_not_the_shortest():
     checker, *ask = question(*PROBLEMS["panda"]())
     firsts = {s: length(NativePlanner(checker).plan(*ask, seed=s).waypoints) for s in range(20)}

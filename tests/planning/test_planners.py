@@ -66,6 +66,7 @@ def test_it_says_which_parameters_it_has(pipeline, name):
         )
 
 
+@pytest.mark.slow
 @each_planner
 def test_it_is_cancelled(pipeline, name):
     scene, goal = walled_in()

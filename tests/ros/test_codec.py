@@ -17,6 +17,7 @@ IDS = ["ros1", "cdr"]
 SHORT = schema().new("geometry_msgs/PoseWithCovariance", covariance=[1.0])  # needs 36
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", CODECS, ids=IDS)
 def test_every_type_comes_back_as_it_was(codec):
     rng = np.random.default_rng(5)

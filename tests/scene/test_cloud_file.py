@@ -85,6 +85,7 @@ def compressed(packed: bytes = PACKED, announced: int | None = None, size: int =
     return pcd("binary_compressed", 60, "x y z i", "4 4 4 1", "F F F U", "1 1 1 1") + sizes + packed
 
 
+@pytest.mark.slow
 def test_pcd_compressed(tmp_path):
     found = load_points(save(tmp_path, "a.pcd", compressed()))
     i = np.arange(60)

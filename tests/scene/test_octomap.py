@@ -60,6 +60,7 @@ def voxels(tree: Octree, size: float = RESOLUTION) -> set[tuple[int, int, int]]:
     return found
 
 
+@pytest.mark.slow
 def test_the_map_is_octomaps(octomaps):
     mine = OccupancyMap(RESOLUTION)
     for eye, points in scans():

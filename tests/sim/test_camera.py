@@ -43,6 +43,7 @@ def test_depth_of_a_slanted_plane_and_of_nothing():
     assert not render_depth(_world(), sky).any()
 
 
+@pytest.mark.slow
 def test_left_is_left_and_up_is_up():
     """The red box is right of and below the camera's axis, and so it is in either kind of picture."""
     camera = Camera.looking_at(

@@ -80,6 +80,7 @@ def test_limits_hold_at_every_millisecond(seed, deviation):
     assert np.max(np.abs(a) / PANDA_A) <= 1.0 + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.3, 0.02])
 @pytest.mark.parametrize(("step", "deviation"), [(0.02, 0.002), (0.15, 0.3), (1.0, 0.05), (1.0, 1.0)])
 def test_limits_hold_on_walks_of_every_kind(scale, step, deviation):

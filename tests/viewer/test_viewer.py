@@ -181,6 +181,7 @@ def test_an_address_that_cannot_be_is_one_clear_line(scene, host, port):
         CellViewer(scene, host=host, port=port)
 
 
+@pytest.mark.slow
 def test_importing_is_light():
     code = "import sys, armcell.viewer; sys.exit('viser' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

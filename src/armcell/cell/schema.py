@@ -51,6 +51,15 @@ class TypeSpec(Strict):
     db: str = ""
 
 
+class ThreadSpec(Strict):
+    """A thread: the object turns about its z axis and goes in by `pitch` per turn."""
+
+    into: str  # an object that stands before it in the file
+    pitch: float = Field(gt=0)  # [m]
+    travel: float = Field(gt=0)  # [m]
+    torque: float = Field(0.2, ge=0)  # [Nm] of friction
+
+
 class ObjectSpec(Strict):
     """An object: one shape given directly, or several under `shapes`."""
 
@@ -67,6 +76,7 @@ class ObjectSpec(Strict):
     shapes: list[ShapeSpec] = []
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
+    thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] = (0.6, 0.6, 0.6)
     movable: bool = False
@@ -220,6 +230,7 @@ class CellSpec(Strict):
     markers: dict[str, MarkerSpec] = {}
     perception: PerceptionSpec | None = None
     task: list[StepSpec] = []
+    script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
 
@@ -227,6 +238,12 @@ class CellSpec(Strict):
     @classmethod
     def _robot(cls, value):
         return {"model": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_task(self):
+        if self.task and self.script is not None:
+            raise ValueError("has a task and a script: give one or the other")
+        return self
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:

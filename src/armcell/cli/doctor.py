@@ -8,7 +8,7 @@ import platform
 import socket
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -20,26 +20,19 @@ from rich.table import Table
 from armcell import __version__, _cache
 from armcell.cli import goals
 from armcell.cli.console import console
+from armcell.cli.doctor_line import NO, NOTE, OK, Line
 from armcell.cli.installed import EXTRAS, NEEDED
 from armcell.core import InputError
 
 PORTS = {10000: "Unity (ROS-TCP)", 11311: "ROS 1 master", 8080: "viewer"}
 PATIENCE = 3.0  # [s] to connect
-OK, NO, NOTE = "ok", "no", "note"
 STYLES = {OK: "[green]ok[/green]", NO: "[red]no[/red]", NOTE: "[yellow]--[/yellow]"}
 
 
-@dataclass(frozen=True)
-class Line:
-    """One thing looked at. `verdict`: ok, no (with the cure), or note: not wrong, but good to know."""
-
-    verdict: str
-    check: str
-    found: str
-
-
 def doctor(
-    cell: str | None = typer.Argument(None, help="Also look at this cell: built-in, folder or YAML file."),
+    cell: str | None = typer.Argument(
+        None, help="Also look at this cell (built-in, folder, YAML file) or MoveIt package."
+    ),
     connect: str | None = typer.Option(
         None, metavar="HOST:PORT", help="Also try to reach an endpoint, e.g. Unity's 127.0.0.1:10000."
     ),
@@ -171,6 +164,13 @@ def of_cell(name: str) -> Iterator[Line]:
     """The findings of `armcell check`, and meshes, gains, transforms and controllers."""
     from armcell.cell import load
     from armcell.cli.check import findings
+    from armcell.cli.doctor_package import of_package
+    from armcell.model.setup import is_moveit_config
+
+    if is_moveit_config(Path(name)):
+        yield from of_package(Path(name))
+        if not any(Path(name).glob("cell.y*ml")):
+            return
 
     heard = _Warnings()
     logger = logging.getLogger("armcell")

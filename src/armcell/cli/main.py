@@ -10,6 +10,7 @@ import typer
 from armcell import __version__
 from armcell.cli import (
     bench,
+    campaign,
     check,
     check_state,
     doctor,
@@ -21,6 +22,7 @@ from armcell.cli import (
     run,
     serve,
     setup,
+    step_response,
     topic,
     view,
 )
@@ -50,6 +52,8 @@ Examples:
 
   armcell look six_axis_camera                what a depth camera sees: objects with poses and sizes
 
+  armcell campaign panda_pick --trials 200    how often does it work, and why not
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -63,6 +67,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("run")(run.run)
+app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
 app.command("explain")(explain.explain)
@@ -72,6 +77,7 @@ app.command("ik")(ik.ik)
 app.command("fk")(ik.fk)
 app.command("check-state")(check_state.check_state)
 app.command("look", epilog=look.EXAMPLES)(look.look)
+app.command("step-response")(step_response.step_response)
 app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")

@@ -342,7 +342,7 @@ class PlanningSession:
     ) -> None:
         try:
             if isinstance(request, CartesianRequest):
-                result = plan_cartesian(scene, request)
+                result = plan_cartesian(scene, request, job.cancel)
             else:
                 result = plan(scene, request, job.cancel)
         except InputError as error:  # misuse is explained as well

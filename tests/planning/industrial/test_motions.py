@@ -376,6 +376,7 @@ def test_a_held_object_is_moved_on_the_line():
     assert at.isclose(goal, 1e-5, 1e-5)
 
 
+@pytest.mark.slow
 def test_options_around_it():
     scene = panda()
     goal = tip(scene).shifted(y=0.3)

@@ -226,6 +226,7 @@ def test_a_searched_motion_may_be_part_of_it():
     judge(scene, result.trajectory)
 
 
+@pytest.mark.slow
 def test_what_a_blend_would_break_is_refused():
     scene = ur10()
     (a, _), (b, _) = corner(scene, 0.1).items

@@ -148,17 +148,32 @@ def _neighbours_together(centres: Array) -> NDArray[np.int64]:
 
 
 def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
-    """A small sphere around spheres: Ritter's start, then a few steps towards the farthest one."""
-    centre = (np.min(centres - radii[:, None], axis=0) + np.max(centres + radii[:, None], axis=0)) / 2
-    step = 0.5
-    for _ in range(60):
-        reach = np.linalg.norm(centres - centre, axis=1) + radii
-        far = int(np.argmax(reach))
-        direction = centres[far] - centre
-        centre = centre + step * direction * 0.1
-        step *= 0.93
-    reach = np.linalg.norm(centres - centre, axis=1) + radii
-    return centre, float(reach.max())
+    """A small sphere around spheres (n, 3), (n,): Ritter's start, then a few steps towards the farthest."""
+    low, high = np.min(centres - radii[:, None], axis=0), np.max(centres + radii[:, None], axis=0)
+    *centre, radius = _shrink(np.ascontiguousarray(centres), np.ascontiguousarray(radii), (low + high) / 2)
+    return np.array(centre), radius
+
+
+@njit(cache=True)
+def _shrink(centres, radii, start):
+    """Centre and radius that 60 ever smaller steps from `start` (3,) come to."""
+    x, y, z = start
+    step = 0.05
+    reach = 0.0
+    for k in range(61):
+        far = 0
+        reach = -1.0
+        for i in range(len(radii)):
+            dx, dy, dz = centres[i, 0] - x, centres[i, 1] - y, centres[i, 2] - z
+            r = np.sqrt(dx * dx + dy * dy + dz * dz) + radii[i]
+            if r > reach:
+                far, reach = i, r
+        if k < 60:
+            x += step * (centres[far, 0] - x)
+            y += step * (centres[far, 1] - y)
+            z += step * (centres[far, 2] - z)
+            step *= 0.93
+    return x, y, z, reach
 
 
 def shape_key(shape: Shape, overshoot: float) -> str:

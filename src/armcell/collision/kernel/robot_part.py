@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from armcell.collision.kernel import near
 from armcell.collision.kernel.cover import GROUP, Cover, bounding_sphere, cover
 from armcell.collision.kernel.kept import Kept
 from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of
-from armcell.core import SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
+from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
 from armcell.kinematics.tree import REVOLUTE
+from armcell.model import Link
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
@@ -50,9 +52,20 @@ class _Body:
     sizes: list[int]
     pieces: Pieces
 
+    def moved(self, T: F64) -> _Body:
+        """Placed in another frame by T (4, 4)."""
+
+        def at(spheres: F64) -> F64:
+            out = spheres.copy()
+            out[..., :3] = out[..., :3] @ T[:3, :3].T + T[:3, 3]
+            return out
+
+        return _Body(at(self.around), at(self.spheres), at(self.groups), self.sizes, self.pieces.moved(T))
+
 
 _parts: Kept[RobotPart] = Kept(8)
 _bodies: Kept[_Body] = Kept(512)
+_placed: Kept[_Body] = Kept(512)  # the same in their frames
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
@@ -110,31 +123,37 @@ class _Builder:
 
     # --- kinematics: only the group's joints are left, everything else is merged ---
     def _frames(self) -> None:
-        tree, q = self.tree, self.scene.positions
+        tree = self.tree
         self.parent, self.fixed, self.kind, self.column = [0], [np.eye(4)[:3].ravel()], [0], [0]
         self.multiplier, self.offset = [1.0], [0.0]
         self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
         self.adjustable: set[int] = set()  # links that a joint outside the group moves within their frame
-        rest = tree.link_transforms(q)
+        rest = tree.link_transforms(self.scene.positions)
+        # T_parent_link where it is now, of every joint's links: the rigid inverse of the one times the other
+        turn = rest[tree.parent, :3, :3].transpose(0, 2, 1)
+        relative = np.tile(np.eye(4), (len(tree.parent), 1, 1))
+        relative[:, :3, :3] = turn @ rest[1:, :3, :3]
+        relative[:, :3, 3:] = turn @ (rest[1:, :3, 3:] - rest[tree.parent, :3, 3:])
         for j in range(len(tree.parent)):
             frame, T = self.of_link[int(tree.parent[j])]
-            T = T @ tree.T_parent_joint[j]
             column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
             if column is None:  # not moved by the group: where it is now
-                relative = np.linalg.inv(rest[tree.parent[j]] @ tree.T_parent_joint[j]) @ rest[j + 1]
-                self.of_link[j + 1] = (frame, T @ relative)
+                self.of_link[j + 1] = (frame, T @ relative[j])
                 if frame > 0 and (tree.kind[j] or int(tree.parent[j]) in self.adjustable):
                     self.adjustable.add(j + 1)
                 continue
-            A = np.eye(4)
-            A[:3, :3] = SO3.between((0.0, 0.0, 1.0), tree.axis[j]).matrix
+            A = _turned_to_z(*tree.axis[j].tolist())
             self.parent.append(frame)
-            self.fixed.append((T @ A)[:3].ravel())
+            self.fixed.append((T @ tree.T_parent_joint[j] @ A)[:3].ravel())
             self.kind.append(REVOLUTE_KIND if tree.kind[j] == REVOLUTE else 2)
             self.column.append(column)
             self.multiplier.append(float(tree.multiplier[j]))
             self.offset.append(float(tree.offset[j]))
             self.of_link[j + 1] = (len(self.parent) - 1, A.T)
+        self.above: list[list[int]] = [[]]  # the frames from the world's down to each
+        for f in range(1, len(self.parent)):
+            self.above.append([*self.above[self.parent[f]], f])
+        self.arm = [math.hypot(*T[[3, 7, 11]]) for T in self.fixed]  # from each frame's parent to its origin
 
     # --- bodies ---
     def _bodies(self) -> tuple[list[tuple[str, int]], dict[str, Any], Pieces]:
@@ -152,33 +171,30 @@ class _Builder:
             frame, T = self.of_link[tree.link_index[link.name]]
             overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
             scale = scene.link_scale.get(link.name, 1.0)
-            shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix, overshoot) for c in link.collisions]
-            body = _bodies.get((self.model, link.name, scale, overshoot), partial(_body, shapes))
+            body = _bodies.get(
+                (self.model, link.name, scale, overshoot), partial(_link_body, link, scale, overshoot)
+            )
             bodies.append((link.name, frame))
             placed.append((body, T))
             padding.append(scene.link_padding.get(link.name, scene.padding))
             self.placed_for_good.append(tree.link_index[link.name] not in self.adjustable)
         for held in scene.attached.values():
             frame, T = self.of_link[tree.link_index[held.link]]
-            shapes = [(s, t.matrix, _object_overshoot(s)) for s, t in held.object.shapes]
-            body = _bodies.get((held.object.shapes,), partial(_body, shapes))
+            body = _bodies.get((held.object.shapes,), partial(_held_body, held.object.shapes))
             bodies.append((held.object.name, frame))
             placed.append((body, T @ held.T_link_object.matrix))
             padding.append(scene.link_padding.get(held.link, scene.padding))
             self.placed_for_good.append(False)
         spheres, groups, sizes, pieces, body_sphere = [np.zeros((0, 5))], [np.zeros((0, 4))], [], [], []
         body_groups, body_pieces = [0], [0]
-        for body, T in placed:
-            mine = body.groups.copy()
-            mine[:, :3] = mine[:, :3] @ T[:3, :3].T + T[:3, 3]
-            every = body.spheres.copy()
-            every[:, :3] = every[:, :3] @ T[:3, :3].T + T[:3, 3]
-            groups.append(mine)
-            spheres.append(every)
+        for own, T in placed:
+            body = _placed.get((own, T.tobytes()), partial(own.moved, T))
+            groups.append(body.groups)
+            spheres.append(body.spheres)
             sizes += body.sizes
-            body_sphere.append([*(T[:3, :3] @ body.around[:3] + T[:3, 3]), body.around[3]])
-            pieces.append(body.pieces.moved(T))
-            body_groups.append(body_groups[-1] + len(mine))
+            body_sphere.append(body.around)
+            pieces.append(body.pieces)
+            body_groups.append(body_groups[-1] + len(body.groups))
             body_pieces.append(body_pieces[-1] + len(body.pieces.kind))
         up = np.float32(1 + 1e-6)  # rounding to float32 may not shrink a cover
         group = np.vstack(groups).astype(np.float32)
@@ -229,15 +245,11 @@ class _Builder:
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
         """The frames below the nearest common one, down to each of two frames."""
-        up = [[], []]
-        for k, frame in enumerate((f, e)):
-            while frame > 0:
-                up[k].insert(0, frame)
-                frame = self.parent[frame]
-        while up[0] and up[1] and up[0][0] == up[1][0]:
-            up[0].pop(0)
-            up[1].pop(0)
-        return up[0], up[1]
+        a, b = self.above[f], self.above[e]
+        common = 0
+        while common < min(len(a), len(b)) and a[common] == b[common]:
+            common += 1
+        return a[common:], b[common:]
 
     def _meeting(self, branch_i, branch_j, columns, arrays, i, j) -> NDArray[np.bool_]:
         lower, upper = [], []
@@ -276,7 +288,7 @@ class _Builder:
             else:
                 reach[:, c] += m
                 radius = radius + m * self._span(frame) + abs(self.offset[frame])
-            radius = radius + np.linalg.norm(np.array(self.fixed[frame]).reshape(3, 4)[:, 3])
+            radius = radius + self.arm[frame]
         return reach
 
     # --- motion bounds ---
@@ -292,7 +304,7 @@ class _Builder:
                 else:
                     reach[k, c] += m
                     radius += m * self._span(frame) + abs(self.offset[frame])
-                radius += float(np.linalg.norm(np.array(self.fixed[frame]).reshape(3, 4)[:, 3]))
+                radius += self.arm[frame]
                 frame = self.parent[frame]
         return reach * (1 + 1e-6)
 
@@ -303,18 +315,20 @@ class _Builder:
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
         """Only joints above exactly one of the two bodies move them against each other."""
-        above = []
-        for _, frame in bodies:
-            joints = set()
-            while frame > 0:
-                joints.add(frame)
-                frame = self.parent[frame]
-            above.append(joints)
+        above = [set(self.above[frame]) for _, frame in bodies]
         out = np.zeros((len(pairs), self.dof))
-        for p, (i, j) in enumerate(pairs):
+        for p, (i, j) in enumerate(pairs.tolist()):
             for c in {self.column[f] for f in above[i] ^ above[j]}:
                 out[p, c] = reach[i, c] + reach[j, c]
         return out
+
+
+@lru_cache
+def _turned_to_z(x: float, y: float, z: float) -> F64:
+    """(4, 4) the rotation that takes z to a joint's axis."""
+    A = np.eye(4)
+    A[:3, :3] = SO3.between((0.0, 0.0, 1.0), (x, y, z)).matrix
+    return A
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[list[I32]]) -> dict[str, I32]:
@@ -333,6 +347,14 @@ def _near_tables(body_groups: I32, pairs: I32, meeting: list[list[I32]]) -> dict
         "meet": np.array(first_other, np.int32),
         "meet_groups": np.concatenate([np.zeros(0, np.int32), *others]).astype(np.int32),
     }
+
+
+def _link_body(link: Link, scale: float, overshoot: float) -> _Body:
+    return _body([(_scaled(c.shape, scale), c.T_link_shape.matrix, overshoot) for c in link.collisions])
+
+
+def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
+    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes])
 
 
 def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:

@@ -7,6 +7,7 @@ joints has one way only.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -59,8 +60,9 @@ class Follower:
 
     def __init__(
         self, request: CartesianRequest, ik: IKSolver, checker: KernelChecker | None,
-        manifold: Manifold | None, rest: Array, bounds: Array,
+        manifold: Manifold | None, rest: Array, bounds: Array, cancel: threading.Event,
     ):  # fmt: skip
+        self.cancel = cancel
         self.request, self.ik, self.checker, self.manifold = request, ik, checker, manifold
         self.rest, self.bounds = rest, np.ascontiguousarray(bounds)
         slides = np.array([ik.model.joint(name).type == "prismatic" for name in ik.joint_names])
@@ -103,6 +105,8 @@ class Follower:
         path: list[Array] = []
         last = start
         for k, pose in enumerate(poses):
+            if self.cancel.is_set():
+                break
             before = q.copy()
             step = None
             if wish is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import replace
 from functools import partial
@@ -38,9 +39,13 @@ CORRIDOR_SHARE, CORRIDOR_ROOM = 0.1, 5e-3  # of a joint's corridor, and [rad or 
 
 
 @explained(CartesianRequest)
-def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResult:
+def plan_cartesian(
+    scene: PlanningScene, request: CartesianRequest, cancel: threading.Event | None = None
+) -> PlanResult:
     """A straight-line motion of a link through the poses of the request.
 
+    Args:
+        cancel: set it from another thread to stop: the result is PREEMPTED.
     Returns:
         SUCCESS with `fraction` 1, or a code with the part that can be done (fraction < 1), its path and
         trajectory, and in the message where it stops and why. Fraction 0 has neither. Evidence of a stop:
@@ -48,8 +53,8 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
         1), and by cause: `contacts`; `joint` and `step` of a jump; `joints_at_limit`, `missing_m`,
         `missing_rad`, `least_singular_value`; `violations` of path constraints.
     Raises:
-        InputError: no waypoints, zero step, unknown group or link, scaling outside (0, 1], path constraints
-            that cannot be meant.
+        InputError: no waypoints, a zero step or one too small, unknown group or link, scaling outside
+            (0, 1], path constraints that cannot be meant.
     """
     _check(request)
     if request.start is not None:
@@ -77,7 +82,7 @@ def plan_cartesian(scene: PlanningScene, request: CartesianRequest) -> PlanResul
             text = "start violates the path constraints: " + "; ".join(v.text for v in found[:3])
             return _refused(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, text, {"violations": found})
         manifold.allow_edges([start])
-    result = _along(_Line(scene, request, ik, checker, manifold), start)
+    result = _along(_Line(scene, request, ik, checker, manifold, cancel or threading.Event()), start)
     return replace(result, planning_time=time.monotonic() - began)
 
 
@@ -103,8 +108,9 @@ class _Line:
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
-        manifold: Manifold | None,
+        manifold: Manifold | None, cancel: threading.Event,
     ):  # fmt: skip
+        self.cancel = cancel
         self.scene, self.request, self.ik = scene, request, ik
         self.checker, self.manifold = checker, manifold
         self.legs = poses_between(scene.frame_pose(ik.tip_link), request)
@@ -119,7 +125,9 @@ class _Line:
             bounds[:, 0] = np.minimum(np.maximum(bounds[:, 0], low + room), start)
             bounds[:, 1] = np.maximum(np.minimum(bounds[:, 1], high - room), start)
         checker = self.checker if self.request.avoid_collisions else None
-        follower = Follower(self.request, self.ik, checker, self.manifold, self.scene.positions, bounds)
+        follower = Follower(
+            self.request, self.ik, checker, self.manifold, self.scene.positions, bounds, self.cancel
+        )
         path, stop = [start], None
         for poses in self.legs:
             leg = follower.leg(poses, path[-1])
@@ -177,7 +185,10 @@ class _Line:
 
 
 def _along(line: _Line, start: Array) -> PlanResult:
-    path, told = line.proven(*line.follow(start))
+    found = line.follow(start)
+    if line.cancel.is_set():
+        return _refused(ErrorCode.PREEMPTED, "cancelled", {})
+    path, told = line.proven(*found)
     fraction, trajectory = (len(path) - 1) / line.total, None
     if len(path) > 1:
         trajectory = line.timed(path)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armcell.core import SE3, CartesianRequest
+from armcell.core import SE3, CartesianRequest, InputError
 from armcell.planning.placed import Placed
 from armcell.scene import PlanningScene
 
+MOST_STEPS = 100_000  # of one line
 ROTATION_STEP = 0.05  # [rad] between checked poses
 FEWEST = 10  # steps to a waypoint where jumps are told from the mean step; as MoveIt
 
@@ -21,7 +22,12 @@ def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
     for waypoint in request.waypoints:
         metres, radians = at.distance_to(waypoint)
         count = max(int(np.ceil(max(metres / request.max_step, radians / ROTATION_STEP))), least)
-        legs.append([at.interpolate(waypoint, (k + 1) / count) for k in range(count)])
+        if count > MOST_STEPS:
+            raise InputError(
+                f"max_step of {request.max_step:g} m divides a line of {metres:.3g} m into {count} steps",
+                cure=f"at most {MOST_STEPS} are allowed; 0.005 m is usual",
+            )
+        legs.append(at.interpolated(waypoint, ((k + 1) / count for k in range(count))))
         at = waypoint
     return legs
 

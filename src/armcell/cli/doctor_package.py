@@ -1,0 +1,100 @@
+"""What `armcell doctor` says of a MoveIt configuration package: its files and controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from armcell.cli.doctor_line import NO, OK, Line
+from armcell.core import InputError, UnknownNameError
+from armcell.model import MoveItConfig
+
+DRIVER_FILES = (
+    "ros2_controllers.yaml",
+    "ros_controllers.yaml",
+)  # of the controller manager
+
+
+def of_package(folder: Path) -> Iterator[Line]:
+    """Whether it can be read, each joint has one controller, and the drivers know the names."""
+    try:
+        config = MoveItConfig.load(folder)
+    except InputError as error:
+        yield Line(NO, "MoveIt package", str(error))
+        return
+    files = ", ".join(config.names[key] for key in config.files)
+    yield Line(OK, "MoveIt package", f"{folder}: {config.names['srdf']}, {files}")
+    yield from moved_joints(config)
+    yield from driver_names(config)
+
+
+def moved_joints(config: MoveItConfig) -> Iterator[Line]:
+    """MoveIt executes a motion only if controllers of the file name every joint of the group, each once."""
+    of_joint: dict[str, list[str]] = {}
+    for name, entry in config.controllers.items():
+        joints = entry.get("joints") or []
+        yield Line(OK, f"controller {name}", f"{entry.get('type')} of {', '.join(joints) or 'no joints'}")
+        if entry.get("default"):
+            for joint in joints:
+                of_joint.setdefault(joint, []).append(name)
+    every = {joint for entry in config.controllers.values() for joint in entry.get("joints") or []}
+    for group in config.model.groups.values():
+        missing = [joint for joint in group.joint_names if joint not in every]
+        if group.tip_link is not None and missing:
+            cure = "MoveIt would plan and then refuse to execute; add them to a controller's joints"
+            yield Line(NO, f"group {group.name}", f"no controller moves {', '.join(missing)}: {cure}")
+    for joint, names in of_joint.items():
+        if len(names) > 1:
+            cure = "which one executes is chance; take `default: true` from all but one"
+            yield Line(NO, f"joint {joint}", f"is in {' and '.join(names)}: {cure}")
+
+
+def driver_names(config: MoveItConfig) -> Iterator[Line]:
+    """Whether the controller manager's file, where there is one, has the same names with the same joints."""
+    for file in (config.folder / "config" / name for name in DRIVER_FILES):
+        if file.is_file() and file.name != config.names.get("controllers"):
+            yield from _compared(config, file)
+
+
+def _compared(config: MoveItConfig, file: Path) -> Iterator[Line]:
+    try:
+        started = _joints_of(yaml.safe_load(file.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        yield Line(NO, file.name, f"cannot be read: {str(error).splitlines()[0]}")
+        return
+    wrong = False
+    for name, entry in config.controllers.items():
+        if name not in started:
+            why = UnknownNameError("controller", name, started)
+            yield Line(NO, file.name, f"{_named(config)} names a controller that it does not start: {why}")
+            wrong = True
+        elif started[name] and set(started[name]) != set(entry.get("joints") or []):
+            only = ", ".join(sorted(set(started[name]) ^ set(entry.get("joints") or [])))
+            yield Line(NO, file.name, f"{name} has other joints than in {_named(config)}: {only} in one only")
+            wrong = True
+    if not wrong:
+        yield Line(OK, file.name, f"has the controllers that {_named(config)} names")
+
+
+def _named(config: MoveItConfig) -> str:
+    return config.names.get("controllers", "no file")
+
+
+def _joints_of(data: Any) -> dict[str, list[str]]:
+    """Joints by controller: ROS 2's `name: {ros__parameters: {joints: []}}`, or ROS 1's without that key."""
+    found: dict[str, list[str]] = {}
+    for name, entry in data.items() if isinstance(data, dict) else ():
+        if not isinstance(entry, dict):
+            continue
+        inner = entry.get("ros__parameters", entry)
+        if name == "controller_manager":
+            for other, settings in inner.items() if isinstance(inner, dict) else ():
+                if isinstance(settings, dict) and "type" in settings:
+                    found.setdefault(other, [])
+        elif isinstance(inner, dict):
+            joints = inner.get("joints") or ([inner["joint"]] if isinstance(inner.get("joint"), str) else [])
+            found[name] = [str(joint) for joint in joints] if isinstance(joints, list) else []
+    return found
