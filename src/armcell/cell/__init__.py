@@ -4,12 +4,15 @@ from armcell.cell.cell import Cell, built_in_cells, cell_names, load
 from armcell.cell.live import Arm, LiveCell
 from armcell.cell.objects_file import load_objects, save_objects
 from armcell.cell.run import run_task
+from armcell.cell.seeing import CameraWatch, LiveCamera
 from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
 from armcell.cell.values import parsed, with_values
 
 __all__ = [
     "Arm",
+    "CameraWatch",
     "Cell",
+    "LiveCamera",
     "LiveCell",
     "Proposal",
     "built_in_cells",

@@ -12,6 +12,7 @@ import numpy as np
 from armcell.cell.cameras import camera_of, decal_of
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of
+from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
 from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
@@ -117,7 +118,22 @@ class Cell:
                 raise UnknownNameError(
                     error.kind, error.name, error.known, file=where, element="start"
                 ) from None
+        seen = spec.perception
+        if seen is not None:
+            if seen.camera not in spec.cameras:
+                raise UnknownNameError("camera", seen.camera, spec.cameras, file=where, element="perception")
+            if not spec.cameras[seen.camera].depth:
+                cure = "take 'depth: false' away, or name another camera"
+                raise self._fail("perception", f"camera {seen.camera!r} has no depth", cure)
+            for name in (*seen.objects, *([seen.surface] if seen.surface else [])):
+                if name not in spec.objects:
+                    raise UnknownNameError("object", name, spec.objects, file=where, element="perception")
+            for name in seen.objects:
+                if not spec.objects[name].movable:
+                    raise self._fail("perception", f"object {name!r} is fixed", "give it 'movable: true'")
         for i, step in enumerate(spec.task):
+            if step.look is not None and step.look not in spec.cameras:
+                raise UnknownNameError("camera", step.look, spec.cameras, file=where, element=f"task/{i}")
             names = [step.pick] if step.pick else [step.place.object, step.place.on] if step.place else []
             for name in names:
                 if name not in spec.objects:
@@ -174,9 +190,16 @@ class Cell:
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
         options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras, self.decals)
+        driver, seen = factory(scene, options), None
+        shown: Any = driver
+        if self.spec.perception is not None:
+            names, surface = self.spec.perception.objects, self.spec.perception.surface
+            # where they are is not told: as if they stood at the origin of the world
+            seen = Seen({n: scene.object(n).at(SE3.identity()) for n in names}, surface)
+            shown = PerceivingDriver(driver, scene.model, seen)
         return LiveCell(
-            self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0,
-            self.cameras, self.decals,
+            self.name, scene, shown, settings or self.settings, observers, seed or 0, self.cameras,
+            self.decals, seen,
         )  # fmt: skip
 
 

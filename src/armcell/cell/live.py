@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 
+from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.control import Driver
 from armcell.core import InputError, JointGoal, Observer, Outcome, UnknownNameError
-from armcell.perception import MapSettings
+from armcell.perception import LookSettings, MapSettings, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal
@@ -100,6 +101,7 @@ class LiveCell:
         scene_at_start: the planning scene before anything has moved.
         ctx: the running task: scene, reports, events.
         cameras: by name.
+        seen: the objects that only cameras tell of, if there are such.
     """
 
     def __init__(
@@ -112,10 +114,13 @@ class LiveCell:
         seed: int,
         cameras: Sequence[Camera] = (),
         decals: Sequence[Decal] = (),
+        seen: Seen | None = None,
     ):
         self.name, self.driver, self.scene_at_start = name, driver, scene
+        self.seen = seen
         self.cameras = live_cameras(cameras, driver, scene, decals)
-        self.ctx = TaskContext(driver, scene, settings, observers, seed)
+        known = scene if seen is None else seen.taken_from(scene)
+        self.ctx = TaskContext(driver, known, settings, observers, seed)
         self.model, self.seed = scene.model, seed
 
     def __enter__(self) -> LiveCell:
@@ -224,6 +229,16 @@ class LiveCell:
         if name not in self.cameras:
             raise UnknownNameError("camera", name, self.cameras)
         return self.cameras[name]
+
+    def look(self, camera: str | None = None, settings: LookSettings | None = None) -> Sight:
+        """Look for the movable objects with a camera. Those whose poses come from cameras only are put into
+        the planning scene where they are seen; an outcome without them says why.
+
+        Args:
+            settings: by default those of `perception` in the cell file.
+        """
+        eye = self.camera(camera)
+        return look_with(eye, self.ctx, self.seen, settings)
 
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0

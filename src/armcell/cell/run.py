@@ -73,6 +73,8 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
         return live.arm.place(step.place.object, on=step.place.on, at=step.place.at)
     if step.hold is not None:
         return live.arm.hold(step.hold)
+    if step.look is not None:
+        return live.look(step.look)
     return live.arm.move_to(step.move or "home")
 
 

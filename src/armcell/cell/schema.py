@@ -207,6 +207,14 @@ class MarkerSpec(Strict):
     pose: Any = (0.0, 0.0, 0.0)  # in that frame
 
 
+class PerceptionSpec(Strict):
+    """Objects whose poses come from a camera only: the planner does not know of them before a `look`."""
+
+    camera: str
+    objects: list[str] = Field(min_length=1)
+    surface: str | None = None  # fixed object that they stand on
+
+
 class PlaceSpec(Strict):
     object: str
     on: str
@@ -220,12 +228,13 @@ class StepSpec(Strict):
     place: PlaceSpec | None = None
     hold: float | None = Field(None, ge=0)  # [s]
     move: str | None = None  # named state of the arm
+    look: str | None = None  # camera
 
     @model_validator(mode="after")
     def _one(self):
-        given = [k for k in ("pick", "place", "hold", "move") if getattr(self, k) is not None]
+        given = [k for k in ("pick", "place", "hold", "move", "look") if getattr(self, k) is not None]
         if len(given) != 1:
-            raise ValueError("needs exactly one of pick, place, hold, move")
+            raise ValueError("needs exactly one of pick, place, hold, move, look")
         return self
 
 
@@ -240,6 +249,7 @@ class CellSpec(Strict):
     randomize: dict[str, RandomSpec] = {}
     cameras: dict[str, CameraSpec] = {}
     markers: dict[str, MarkerSpec] = {}
+    perception: PerceptionSpec | None = None
     task: list[StepSpec] = []
     script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
@@ -291,6 +301,8 @@ def _known_keys(location: tuple) -> list[str]:
         return list(CellSpec.model_fields)
     if "shapes" in location:
         return list(ShapeSpec.model_fields)
+    if location[0] == "perception":
+        return list(PerceptionSpec.model_fields)
     if "place" in location:
         return list(PlaceSpec.model_fields)
     model = tables.get(str(location[0]))

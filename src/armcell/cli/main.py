@@ -16,6 +16,7 @@ from armcell.cli import (
     doctor,
     explain,
     ik,
+    look,
     msg,
     plan,
     run,
@@ -55,6 +56,8 @@ Examples:
 
   armcell view panda_pick                     plan in the browser: drag the goal, plan, preview, execute
 
+  armcell look six_axis_camera                what a depth camera sees: objects with poses and sizes
+
   armcell campaign panda_pick --trials 200    how often does it work, and why not
 
   armcell doctor panda_pick                   what this machine lacks, and the cure
@@ -80,6 +83,7 @@ app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("ik")(ik.ik)
 app.command("fk")(ik.fk)
 app.command("check-state")(check_state.check_state)
+app.command("look", epilog=look.EXAMPLES)(look.look)
 app.command("step-response")(step_response.step_response)
 app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)

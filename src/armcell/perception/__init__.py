@@ -1,7 +1,10 @@
 """What cameras see: clouds, planes, objects with poses, occupancy, markers. Knows no tasks and no physics."""
 
+from armcell.perception.bag import CameraRecord, cloud_points, load_record
 from armcell.perception.camera_info import CameraInfo, load_camera_info, rectified, save_camera_info
 from armcell.perception.cloud import organised
+from armcell.perception.draw import drawn
+from armcell.perception.files import cloud_image, load_image, save_image
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
 from armcell.perception.known import closest_equivalent, pose_error
 from armcell.perception.look import LookSettings, SeenObject, Sight, look
@@ -20,6 +23,7 @@ __all__ = [
     "FAMILIES",
     "CameraInfo",
     "CameraMap",
+    "CameraRecord",
     "HandEye",
     "LookSettings",
     "MapSettings",
@@ -31,9 +35,14 @@ __all__ = [
     "SupportPlane",
     "calibrate_hand_eye",
     "closest_equivalent",
+    "cloud_image",
+    "cloud_points",
+    "drawn",
     "find_markers",
     "find_plane",
     "load_camera_info",
+    "load_image",
+    "load_record",
     "look",
     "marker_picture",
     "organised",
@@ -41,4 +50,5 @@ __all__ = [
     "pose_error",
     "rectified",
     "save_camera_info",
+    "save_image",
 ]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import SE3, InputError, JointState, JointTrajectory, UnknownNameError
+from armcell.core import SE3, InputError, JointState, JointTrajectory, Pinhole, UnknownNameError
 from armcell.model import RobotModel
 from armcell.ros.schema import Schema
 
@@ -63,6 +63,50 @@ def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
         header,
         child,
         schema.new("geometry_msgs/Transform", vector, rotation),
+    )
+
+
+def image_message(schema: Schema, header: Any, picture: np.ndarray) -> Any:
+    """A sensor_msgs/Image of colours (h, w, 3) uint8 (rgb8) or of depth (h, w) float32 [m] (32FC1)."""
+    rows = np.ascontiguousarray(picture)
+    encoding = "rgb8" if rows.ndim == 3 else "32FC1"
+    height, width = rows.shape[:2]
+    data = np.frombuffer(rows.tobytes(), np.uint8)
+    return schema.new("sensor_msgs/Image", header, height, width, encoding, 0, rows.strides[0], data)
+
+
+def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
+    """A sensor_msgs/CameraInfo of a camera whose pictures are rectified, or with its distortion."""
+    p, K = pinhole, pinhole.matrix
+    d = np.zeros(5)
+    d[: len(p.distortion)] = p.distortion
+    P = np.column_stack([K, np.zeros(3)])
+    fields = {"height": p.height, "width": p.width, "distortion_model": "plumb_bob"}
+    message = schema.message("sensor_msgs/CameraInfo")(header=header, **fields)  # type: ignore[call-arg]
+    for name, value in (("D", d), ("K", K.ravel()), ("R", np.eye(3).ravel()), ("P", P.ravel())):
+        setattr(message, name, value)
+    return message
+
+
+def cloud_message(schema: Schema, header: Any, points: np.ndarray, rgb: np.ndarray | None = None) -> Any:
+    """A sensor_msgs/PointCloud2 of points (h, w, 3) float32 [m], NaN where nothing was seen.
+
+    With colours (h, w, 3) each point has a field rgb as PCL packs it: 0x00rrggbb in a float's bits.
+    """
+    height, width = points.shape[:2]
+    names = ["x", "y", "z"] + (["rgb"] if rgb is not None else [])
+    table = np.zeros((height, width, len(names)), "<f4")
+    table[..., :3] = points
+    if rgb is not None:
+        packed = rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+        table[..., 3] = packed.astype("<u4").view("<f4")
+    FLOAT32 = 7
+    fields = [schema.new("sensor_msgs/PointField", n, 4 * i, FLOAT32, 1) for i, n in enumerate(names)]
+    step = 4 * len(names)
+    dense = bool(np.isfinite(points).all())
+    data = np.frombuffer(table.tobytes(), np.uint8)
+    return schema.new(
+        "sensor_msgs/PointCloud2", header, height, width, fields, False, step, step * width, data, dense
     )
 
 

@@ -1,6 +1,7 @@
 """What is served on the bus, written once for every wire."""
 
 from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cameras import CameraPublisher
 from armcell.ros.nodes.cell_node import CellNode
 from armcell.ros.nodes.grasp_server import GraspServer, GraspServerSettings
 from armcell.ros.nodes.local_cell import LocalCell
@@ -11,6 +12,7 @@ from armcell.ros.nodes.served import ServedCell, ServedPlanner
 from armcell.ros.nodes.states import StatePublisher
 
 __all__ = [
+    "CameraPublisher",
     "CellAccess",
     "CellNode",
     "GraspServer",

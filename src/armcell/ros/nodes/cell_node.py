@@ -19,6 +19,7 @@ from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, J
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
+from armcell.ros.nodes.cameras import CameraPublisher
 from armcell.ros.nodes.conductor import Conductor, Work, remaining
 from armcell.ros.nodes.gripping import GripperNode, gripping
 from armcell.ros.nodes.states import RATE, StatePublisher
@@ -40,7 +41,8 @@ class CellNode:
     over, an empty one stops), /gripper_command (std_msgs/Float64: 0 or more is a width [m], 0 grasps; below
     0 closes with that force [N per finger]); with several grippers /<gripper>/gripper_command. Actions:
     /<group>_controller/follow_joint_trajectory for each arm, /<gripper>_controller/gripper_cmd for each
-    gripper. Topic out beside the states: /trajectory_status (std_msgs/String).
+    gripper. Topics out beside the states: /trajectory_status (std_msgs/String) and those of the cell's
+    cameras (`CameraPublisher`).
 
     Motions of different arms run at the same time where they are proven not to meet; else one waits.
 
@@ -53,6 +55,7 @@ class CellNode:
     def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE, auto_grip: bool = False):
         self.live, self.bus = live, bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)
+        self._cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
         live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
         self._stop = threading.Event()
@@ -78,12 +81,20 @@ class CellNode:
                     self.conductor.turn()
         finally:
             self.conductor.close()
-            for member in (*self._actions, *self._subs, self.grippers, self._status, self._states):
+            for member in (
+                *self._actions,
+                *self._subs,
+                self.grippers,
+                self._status,
+                self._states,
+                self._cameras,
+            ):
                 member.close()
 
     def _after_step(self) -> None:
         if self._states.due(self.live.driver.now):
             self._states.publish(self.live.driver)
+            self._cameras.publish(self._states.tf)
         self.grippers.look()
         self.live.ctx.observe()
 

@@ -34,14 +34,14 @@ class StatePublisher:
         self._next = 0.0
         advertise = bus.advertise
         self._joints = advertise("/joint_states", "sensor_msgs/JointState")
-        self._tf = advertise("/tf", "tf2_msgs/TFMessage")
+        self.tf = advertise("/tf", "tf2_msgs/TFMessage")
         self._clock = advertise("/clock", "rosgraph_msgs/Clock")
         movable = [n for n, o in scene.objects.items() if o.movable]
         self._objects = {
             n: advertise(f"/object_pose/{ros_name(n)}", "geometry_msgs/PoseStamped") for n in movable
         }
         self._only = advertise("/object_pose", "geometry_msgs/PoseStamped") if len(movable) == 1 else None
-        self._members = [self._joints, self._tf, self._clock, *self._objects.values()]
+        self._members = [self._joints, self.tf, self._clock, *self._objects.values()]
         self._members += [self._only] if self._only is not None else []
         urdf = urdf_text(scene)
         if urdf is not None:
@@ -63,8 +63,8 @@ class StatePublisher:
         self._clock.publish(schema.new("rosgraph_msgs/Clock", self._bus.stamp()))
         self._joints.publish(joint_state_message(schema, self._bus.header(), state))
         poses = driver.object_poses()
-        if self._tf.subscribers:
-            self._tf.publish(schema.new("tf2_msgs/TFMessage", self._transforms(state.positions, poses)))
+        if self.tf.subscribers:
+            self.tf.publish(schema.new("tf2_msgs/TFMessage", self._transforms(state.positions, poses)))
         for name, publisher in self._objects.items():
             if name in poses:
                 stamped = schema.new(

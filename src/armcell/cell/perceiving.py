@@ -1,0 +1,133 @@
+"""Object poses from cameras only: a driver that does not know where they are until somebody has looked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from armcell.cell.seeing import LiveCamera
+from armcell.control import Driver, GripperReading
+from armcell.core import SE3
+from armcell.kinematics import kinematic_tree
+from armcell.model import Gripper, RobotModel
+from armcell.perception import LookSettings, Sight, look
+from armcell.scene import OCTOMAP, CollisionObject, PlanningScene
+from armcell.tasks import StageReport, TaskContext
+
+_REACH = 0.03  # [m] a closed gripper's tcp is within so much of the object that it holds
+
+
+@dataclass
+class Seen:
+    """What cameras have told: poses of the objects that are looked for. `known` has their shapes."""
+
+    known: dict[str, CollisionObject]
+    surface: str | None = None
+    poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object, of those that were seen
+
+    def taken_from(self, scene: PlanningScene) -> PlanningScene:
+        """A scene without the objects that nobody has seen yet."""
+        for name in self.known:
+            if name in scene.objects and name not in self.poses:
+                scene = scene.without_object(name)
+        return scene
+
+
+class PerceivingDriver:
+    """A driver whose objects are where cameras saw them last, or in the gripper that closed around them.
+
+    What a gripper holds is taken from its width and from where the object was seen, as with a real one.
+    """
+
+    def __init__(self, driver: Driver, model: RobotModel, seen: Seen):
+        self._driver, self._model, self._seen = driver, model, seen
+        self._tree = kinematic_tree(model)
+        self._held: dict[str, tuple[str, SE3]] = {}  # gripper -> object, T_tcp_object
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._driver, name)
+
+    def __enter__(self) -> PerceivingDriver:
+        self._driver.__enter__()
+        self._seen.poses.clear()
+        self._held.clear()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._driver.__exit__(*exc)
+
+    def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        if width > self._driver.gripper(gripper).width + 1e-4:
+            self._follow()
+            self._held.pop(gripper, None)
+        self._driver.command_gripper(gripper, width, force)
+
+    def gripper(self, gripper: str) -> GripperReading:
+        reading = self._driver.gripper(gripper)
+        blocked = reading.force_per_finger > 1.0 and reading.width > 1e-3
+        if gripper not in self._held and blocked:
+            near = self._near(gripper)
+            if near is not None:
+                self._held[gripper] = (near, self._tcp(gripper).inv() @ self._seen.poses[near])
+        if gripper in self._held and not blocked:  # closed on nothing: it has been lost
+            self._follow()
+            self._held.pop(gripper)
+        held = self._held.get(gripper)
+        return replace(reading, held=held[0] if held else None)
+
+    def object_poses(self) -> dict[str, SE3]:
+        """T_world_object of what was seen; other movable objects as the driver has them."""
+        self._follow()
+        others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
+        return {**others, **self._seen.poses}
+
+    def _follow(self) -> None:
+        for gripper, (name, T_tcp_object) in self._held.items():
+            self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
+
+    def _near(self, gripper: str) -> str | None:
+        """The object that the tcp is in, or next to."""
+        tcp, best, found = self._tcp(gripper).translation, _REACH, None
+        for name, T in self._seen.poses.items():
+            low, high = self._seen.known[name].bounds()
+            local = T.inv().apply(tcp)
+            away = float(np.linalg.norm(np.maximum(np.maximum(low - local, local - high), 0.0)))
+            if away < best:
+                best, found = away, name
+        return found
+
+    def _tcp(self, gripper: str) -> SE3:
+        g: Gripper = self._model.gripper(gripper)
+        return self._tree.link_pose(self._driver.joint_state().positions, g.tcp_link)
+
+
+def look_with(
+    camera: LiveCamera, ctx: TaskContext, seen: Seen | None, settings: LookSettings | None
+) -> Sight:
+    """Look and tell the planning scene; what is held is where the gripper is and is not looked for."""
+    scene = ctx.scene()
+    settings = settings or LookSettings(surface=seen.surface if seen is not None else None)
+    known = {n: o for n, o in scene.objects.items() if o.movable and n != OCTOMAP}
+    if seen is not None:
+        known = {n: o.at(seen.poses.get(n, SE3.identity())) for n, o in seen.known.items()}
+    wanted = tuple(o for n, o in known.items() if n not in scene.attached)
+    report = StageReport(f"look with {camera.name}", started_s=ctx.driver.now)
+    ctx.emit("stage", report.name, phase="begin")
+    sight = look(camera.image(), scene, wanted, settings, ctx.driver.now)
+    report.ok, report.error = not sight.missing, sight.message if sight.missing else ""
+    report.planning_time_s = sight.cpu_time
+    ctx.reports.append(report)
+    if seen is not None:
+        for item in sight.objects:
+            if item.known and item.T_world_object is not None:
+                seen.poses[item.name] = item.T_world_object
+        base = scene
+        for name in tuple(base.attached):
+            base = base.with_detached(name)
+        for name, T in seen.poses.items():
+            base = base.with_object(seen.known[name].at(T))
+        ctx.change_scene(base)
+    ctx.emit("stage", report.name, phase="end")
+    return sight

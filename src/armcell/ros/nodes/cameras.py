@@ -1,0 +1,110 @@
+"""A cell's cameras on the bus: pictures, depth, camera info and clouds, at each camera's rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armcell.cell import LiveCamera
+from armcell.core import SE3, CameraImage
+from armcell.perception import organised
+from armcell.records.mcap_writer import ros_name
+from armcell.ros.bus import Bus, Publisher
+from armcell.ros.convert import camera_info_message, cloud_message, image_message, transform_message
+from armcell.scene import WORLD
+
+LINK, OPTICAL = "{}_link", "{}_optical_frame"
+# ROS's camera frame (x forward, z up) to its optical one (z forward, y down), REP-103
+T_LINK_OPTICAL = SE3.from_quat_xyzw([0, 0, 0], [-0.5, 0.5, -0.5, 0.5])
+
+
+class CameraPublisher:
+    """Publishes what a live cell's cameras give. Called from the thread that steps the driver.
+
+    Topics of a camera NAME, named as image_pipeline has them:
+    /NAME/color/image_raw (rgb8), /NAME/color/camera_info, /NAME/depth/image_rect_raw (32FC1, metres, NaN
+    where nothing is seen), /NAME/depth/camera_info, /NAME/depth/points (organised PointCloud2 with x, y, z
+    and rgb). On /tf NAME_link and NAME_optical_frame, below the link that carries it or the world.
+
+    Nothing is drawn that nobody has subscribed to. A picture that is late is left out, and each subscriber's
+    queue drops its oldest: a camera never makes the cell wait.
+    """
+
+    def __init__(self, bus: Bus, cameras: dict[str, LiveCamera]):
+        self._bus = bus
+        self._cameras = [_Topics(bus, camera) for camera in cameras.values()]
+
+    def publish(self, tf: Publisher | None = None) -> None:
+        """Publish what is due; the frames too, onto a publisher of /tf that is there already."""
+        for topics in self._cameras:
+            topics.publish(tf)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        for topics in self._cameras:
+            topics.close()
+
+
+class _Topics:
+    def __init__(self, bus: Bus, camera: LiveCamera):
+        self._bus, self._camera = bus, camera
+        self._next = 0.0
+        name = ros_name(camera.name)
+        self._link, self._optical = LINK.format(name), OPTICAL.format(name)
+        self._color = bus.advertise(f"/{name}/color/image_raw", "sensor_msgs/Image")
+        self._infos = [bus.advertise(f"/{name}/color/camera_info", "sensor_msgs/CameraInfo")]
+        self._depth = self._points = None
+        if camera.camera.has_depth:
+            self._depth = bus.advertise(f"/{name}/depth/image_rect_raw", "sensor_msgs/Image")
+            self._infos.append(bus.advertise(f"/{name}/depth/camera_info", "sensor_msgs/CameraInfo"))
+            self._points = bus.advertise(f"/{name}/depth/points", "sensor_msgs/PointCloud2")
+        self._members = [p for p in (self._color, self._depth, self._points, *self._infos) if p is not None]
+
+    def publish(self, tf: Publisher | None) -> None:
+        now, period = self._bus.clock.now(), 1.0 / self._camera.camera.rate
+        if now < self._next - 1e-9:
+            return
+        self._next = max(self._next, now - period / 2) + period  # no burst after a pause
+        wanted = [p for p in self._members if p.subscribers]
+        if not wanted and (tf is None or not tf.subscribers):
+            return
+        schema = self._bus.schema
+        if tf is not None and tf.subscribers:
+            tf.publish(schema.new("tf2_msgs/TFMessage", self._frames()))
+        if not wanted:
+            return
+        color = self._color.subscribers or (self._points is not None and self._points.subscribers)
+        image = self._camera.image(rgb=bool(color))
+        header = self._bus.header(self._optical)
+        header.stamp = schema.message("builtin_interfaces/Time").from_sec(image.time)  # type: ignore[attr-defined]
+        for publisher in self._infos:
+            if publisher.subscribers:
+                publisher.publish(camera_info_message(schema, header, image.pinhole))
+        if self._color.subscribers and image.rgb is not None:
+            self._color.publish(image_message(schema, header, image.rgb))
+        if self._depth is not None and self._depth.subscribers and image.depth is not None:
+            self._depth.publish(image_message(schema, header, _with_nan(image)))
+        if self._points is not None and self._points.subscribers and image.depth is not None:
+            points = organised(image.depth, image.pinhole).astype(np.float32)
+            self._points.publish(cloud_message(schema, header, points, image.rgb))
+
+    def _frames(self) -> list[Any]:
+        """The camera's frames below what carries it."""
+        camera, bus = self._camera.camera, self._bus
+        parent = WORLD if camera.link is None else camera.link
+        T = camera.T_world_camera if camera.T_link_camera is None else camera.T_link_camera
+        return [
+            transform_message(bus.schema, bus.header(parent), self._link, T @ T_LINK_OPTICAL.inv()),
+            transform_message(bus.schema, bus.header(self._link), self._optical, T_LINK_OPTICAL),
+        ]
+
+    def close(self) -> None:
+        for member in self._members:
+            member.close()
+
+
+def _with_nan(image: CameraImage) -> np.ndarray:
+    """Depth with NaN where nothing was seen (REP-118)."""
+    assert image.depth is not None
+    return np.where(image.depth > 0, image.depth, np.float32(np.nan)).astype(np.float32)
