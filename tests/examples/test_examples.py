@@ -243,6 +243,15 @@ def test_24_two_programs_over_ros_tcp(printed):
 
 
 @pytest.mark.slow
+def test_29_campaign(printed):
+    said = printed("29_campaign.py")
+    assert number(r"(\d+) of 40 succeed", said) < 40
+    assert (
+        "GOAL_IN_COLLISION" in said and "--set objects.lamp.pose.y=" in said and "report: report.html" in said
+    )
+
+
+@pytest.mark.slow
 def test_25_moveit_commander_script(tmp_path):
     command = [sys.executable, "-m", "armcell", "run", str(EXAMPLES / "25_moveit_commander_script.py")]
     process = subprocess.run(

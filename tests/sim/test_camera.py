@@ -36,7 +36,7 @@ def test_depth_of_a_slanted_plane_and_of_nothing():
     camera = Camera.looking_at("far", [0, -3.0, 0.0], [0, -4.0, -1.0], width=40, height=30)
     depth = render_depth(_world(), camera)
     v, u = np.mgrid[0:30, 0:40]
-    x, y = ((p - c) / camera.focal for p, c in ((u, 19.5), (v, 14.5)))
+    x, y = ((p - c) / camera.model.fx for p, c in ((u, 19.5), (v, 14.5)))
     points = camera.T_world_camera.apply(np.stack([x * depth, y * depth, depth], axis=-1))
     assert points[..., 2] == pytest.approx(np.full((30, 40), -0.5), abs=1e-4)
     sky = Camera.looking_at("sky", [0, -3.0, 0.0], [0, -4.0, 5.0], width=40, height=30)

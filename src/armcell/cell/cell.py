@@ -9,16 +9,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from armcell.cell.cameras import camera_of, decal_of
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of
-from armcell.cell.schema import CameraSpec, CellSpec, validated
+from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
 from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.model import Part, RobotModel, compose, load_robot
 from armcell.model.files import read_yaml
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.sim import Camera, PhysicsSettings
+from armcell.sim import Camera, Decal, PhysicsSettings
 from armcell.tasks import TaskSettings
 
 LIBRARY = Path(__file__).parent / "library"
@@ -56,9 +57,10 @@ class Cell:
         self.model: RobotModel = self._robot()
         self.settings: TaskSettings = self._settings(TaskSettings, spec.settings, "settings")
         self.physics: PhysicsSettings = self._settings(PhysicsSettings, spec.physics, "physics")
-        self.cameras = tuple(_camera(n, c) for n, c in spec.cameras.items())
         self._check_names()
         self.scene()  # whatever is wrong with the objects is said now
+        self.cameras = tuple(self._camera(n, c) for n, c in spec.cameras.items())
+        self.decals = tuple(self._decal(n, m) for n, m in spec.markers.items())
 
     def _fail(self, element: str, reason: str, cure: str | None = None) -> InputError:
         return InputError(reason, file=self.file, element=element, cure=cure)
@@ -81,6 +83,24 @@ class Cell:
             return settings_from(cls, values, element)
         except InputError as error:
             raise self._fail(element, error.reason, error.cure) from None
+
+    def _camera(self, name: str, spec: CameraSpec) -> Camera:
+        try:
+            return camera_of(name, spec, self.model, self.scene().state.positions, self.file.parent)
+        except UnknownNameError as error:
+            raise UnknownNameError(
+                error.kind, error.name, error.known, file=self.file, element=f"cameras/{name}"
+            ) from None
+        except InputError as error:
+            if error.file is not None:
+                raise
+            raise self._fail(f"cameras/{name}", error.reason, error.cure) from None
+
+    def _decal(self, name: str, spec: MarkerSpec) -> Decal:
+        try:
+            return decal_of(name, spec, [*self.model.links, *self.spec.objects])
+        except InputError as error:
+            raise self._fail(f"markers/{name}", error.reason, error.cure) from None
 
     def _check_names(self) -> None:
         """Names in randomize, start and task that do not exist."""
@@ -124,8 +144,8 @@ class Cell:
             scene = scene.with_state(self.model.named_state(group, state))
         for name, spec in self.spec.objects.items():
             try:
-                item = object_of(name, spec, self.file.parent)
-                scene = scene.with_object(_varied(item, draw.get(name, {})))
+                item = _varied(object_of(name, spec, self.file.parent), draw.get(name, {}))
+                scene = _with_screwed(scene, item) if item.thread is not None else scene.with_object(item)
             except InputError as error:
                 if error.file is not None:
                     raise
@@ -153,10 +173,24 @@ class Cell:
         """
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
-        options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras)
+        options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras, self.decals)
         return LiveCell(
-            self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
+            self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0,
+            self.cameras, self.decals,
+        )  # fmt: skip
+
+
+def _with_screwed(scene: PlanningScene, item: CollisionObject) -> PlanningScene:
+    """A scene with an object that is screwed into one that is there; its pose is in that one's frame."""
+    assert item.thread is not None
+    into = item.thread.into
+    if into not in scene.objects or not item.movable:
+        raise InputError(
+            f"is screwed into {into!r}: that has to stand before it in the file, and it has to be movable",
+            cure=f"before it: {', '.join(scene.objects) or 'nothing'}",
         )
+    item = item.at(scene.object(into).T_world_object @ item.T_world_object)
+    return scene.with_object(item).with_allowed(item.name, into)
 
 
 def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
@@ -170,12 +204,6 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
         T_world_object=SE3(yaw @ T.rotation, moved),
         mass=values.get("mass", item.mass),
         material=replace(item.material, friction=values.get("friction", item.material.friction)),
-    )
-
-
-def _camera(name: str, spec: CameraSpec) -> Camera:
-    return Camera.looking_at(
-        name, spec.eye, spec.target, width=spec.width, height=spec.height, fovy_deg=spec.fovy_deg
     )
 
 

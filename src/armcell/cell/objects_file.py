@@ -27,7 +27,7 @@ from armcell.core import (
 )
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import read_yaml
-from armcell.scene import CollisionObject, Material, ObjectType, load_obstacle
+from armcell.scene import CollisionObject, Material, ObjectType, Thread, load_obstacle
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
@@ -43,6 +43,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         Material() if spec.friction is None else Material(spec.friction),
         {n: SE3.from_mapping(pose, f"subframes/{n}") for n, pose in spec.subframes.items()},
         ObjectType(spec.type.key, spec.type.db),
+        None if spec.thread is None else Thread(**spec.thread.model_dump()),
     )
 
 

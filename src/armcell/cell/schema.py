@@ -51,6 +51,15 @@ class TypeSpec(Strict):
     db: str = ""
 
 
+class ThreadSpec(Strict):
+    """A thread: the object turns about its z axis and goes in by `pitch` per turn."""
+
+    into: str  # an object that stands before it in the file
+    pitch: float = Field(gt=0)  # [m]
+    travel: float = Field(gt=0)  # [m]
+    torque: float = Field(0.2, ge=0)  # [Nm] of friction
+
+
 class ObjectSpec(Strict):
     """An object: one shape given directly, or several under `shapes`."""
 
@@ -67,6 +76,7 @@ class ObjectSpec(Strict):
     shapes: list[ShapeSpec] = []
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
+    thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] = (0.6, 0.6, 0.6)
     movable: bool = False
@@ -111,20 +121,69 @@ class RobotSpec(Strict):
     pose: Any = None
 
 
-class CameraSpec(Strict):
-    """A camera that looks from `eye` at `target` [m]."""
+class IntrinsicsSpec(Strict):
+    """Focal lengths and principal point [px]; pixels have whole numbers at their centres."""
 
-    eye: tuple[float, float, float]
-    target: tuple[float, float, float]
+    fx: float = Field(gt=0)
+    fy: float = Field(gt=0)
+    cx: float
+    cy: float
+
+
+class NoiseSpec(Strict):
+    """Fields of sim.DepthNoise."""
+
+    floor: float = Field(0.0, ge=0)  # [m]
+    growth: float = Field(0.0, ge=0)  # [1/m]
+    step: float = Field(0.0, ge=0)  # [m]
+    step_growth: float = Field(0.0, ge=0)  # [1/m]
+    dropout: float = Field(0.0, ge=0, le=1)
+    edge_dropout: float = Field(0.0, ge=0, le=1)
+    nearest: float = Field(0.0, ge=0)  # [m]
+    farthest: float = Field(1e6, gt=0)  # [m]
+
+
+class CameraSpec(Strict):
+    """A camera that looks from `eye` at `target` [m], or has a `pose` (optical frame: z forward, y down).
+
+    With `on`, these are in that link's frame and the camera moves with it.
+    """
+
+    eye: tuple[float, float, float] | None = None
+    target: tuple[float, float, float] | None = None
+    pose: Any = None
+    on: str | None = None  # link
     width: int = Field(640, ge=16, le=4096)
     height: int = Field(480, ge=16, le=4096)
     fovy_deg: float = Field(45.0, gt=1, lt=170)
+    intrinsics: IntrinsicsSpec | None = None  # instead of fovy_deg
+    info: str | None = None  # file of ROS's camera_calibration, instead of size and fovy_deg
+    rate: float = Field(30.0, gt=0, le=1000)  # [Hz]
+    depth: bool = True
+    noise: Literal["none", "stereo"] | NoiseSpec = "none"
 
     @model_validator(mode="after")
     def _looks_somewhere(self):
-        if self.eye == self.target:
+        if (self.eye is None) != (self.target is None) or (self.eye is None) == (self.pose is None):
+            raise ValueError("needs eye and target, or a pose")
+        if self.eye is not None and self.eye == self.target:
             raise ValueError("eye and target are the same point")
+        given = self.model_fields_set
+        if self.info is not None and given & {"width", "height", "fovy_deg", "intrinsics"}:
+            raise ValueError("has info and also width, height, fovy_deg or intrinsics: give one or the other")
+        if self.intrinsics is not None and "fovy_deg" in given:
+            raise ValueError("has intrinsics and fovy_deg: give one or the other")
         return self
+
+
+class MarkerSpec(Strict):
+    """An ArUco marker or AprilTag, for cameras. Its frame: x right, y up in its picture, z out of it."""
+
+    family: str
+    id: int = Field(ge=0)
+    size: float = Field(gt=0, le=2.0)  # [m] edge of the black square
+    on: str = "world"  # link, object or "world"
+    pose: Any = (0.0, 0.0, 0.0)  # in that frame
 
 
 class PlaceSpec(Strict):
@@ -159,7 +218,9 @@ class CellSpec(Strict):
     objects: dict[str, ObjectSpec] = {}
     randomize: dict[str, RandomSpec] = {}
     cameras: dict[str, CameraSpec] = {}
+    markers: dict[str, MarkerSpec] = {}
     task: list[StepSpec] = []
+    script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
 
@@ -167,6 +228,12 @@ class CellSpec(Strict):
     @classmethod
     def _robot(cls, value):
         return {"model": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_task(self):
+        if self.task and self.script is not None:
+            raise ValueError("has a task and a script: give one or the other")
+        return self
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:
@@ -195,6 +262,7 @@ def _known_keys(location: tuple) -> list[str]:
         "objects": ObjectSpec,
         "randomize": RandomSpec,
         "cameras": CameraSpec,
+        "markers": MarkerSpec,
         "robot": RobotSpec,
         "task": StepSpec,
     }

@@ -44,6 +44,7 @@ def findings(name: str) -> Iterator[Finding]:
     yield from _limits(model)
     yield from _start(scene)
     yield from _objects(scene)
+    yield from _cameras(cell, scene)
     yield from _task(cell, scene)
 
 
@@ -75,6 +76,21 @@ def _objects(scene) -> Iterator[Finding]:
         inside = overlaps(scene, name)
         text = ", ".join(f"{depth * 1000:.1f} mm inside {other}" for other, depth in inside)
         yield not inside, f"object {name}", f"{text}: raise or move it" if inside else "overlaps nothing"
+
+
+def _cameras(cell, scene) -> Iterator[Finding]:
+    from armcell.cell.cameras import in_view
+
+    for camera in cell.cameras:
+        parts = [f"{camera.width} x {camera.height} at {camera.rate:g} Hz"]
+        parts += [f"on {camera.link}"] if camera.link else []
+        if not camera.has_depth:
+            parts.append("no depth: pictures and markers only")
+        else:
+            parts.append("depth without noise" if camera.noise.is_none else "depth with noise")
+        seen = in_view(camera, scene)
+        parts.append(f"sees {', '.join(seen)}" if seen else "no object is in its view: turn it to one")
+        yield bool(seen), f"camera {camera.name}", "; ".join(parts)
 
 
 def _task(cell, scene) -> Iterator[Finding]:

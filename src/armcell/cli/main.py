@@ -10,6 +10,7 @@ import typer
 from armcell import __version__
 from armcell.cli import (
     bench,
+    campaign,
     check,
     check_state,
     doctor,
@@ -54,6 +55,8 @@ Examples:
 
   armcell view panda_pick                     plan in the browser: drag the goal, plan, preview, execute
 
+  armcell campaign panda_pick --trials 200    how often does it work, and why not
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -67,6 +70,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("run")(run.run)
+app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
 app.command("lint")(script.lint)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)

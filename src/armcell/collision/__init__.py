@@ -5,7 +5,7 @@ from armcell.collision.certify import MotionBound, certify_path
 from armcell.collision.certify_timed import TimedCertificate, certify_timed
 from armcell.collision.exact import ExactChecker, neighbours
 from armcell.collision.self_collision import disabled_collision_pairs
-from armcell.collision.self_filter import robot_mask, without_robot
+from armcell.collision.self_filter import object_mask, robot_mask, without_robot
 from armcell.collision.touch_links import attached_by_contact, touching_links
 from armcell.collision.view import cone, links_within
 
@@ -21,6 +21,7 @@ __all__ = [
     "disabled_collision_pairs",
     "links_within",
     "neighbours",
+    "object_mask",
     "robot_mask",
     "touching_links",
     "without_robot",

@@ -53,10 +53,22 @@ def robot_mask(
     """
     if not np.isfinite(padding) or padding < 0:
         raise InputError(f"padding is {padding:g}, it must be a number of metres >= 0")
+    return _mask(_placed(scene, objects), points, padding)
+
+
+def object_mask(
+    scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
+) -> NDArray[np.bool_]:
+    """Which points (n, 3) [m, world frame] are inside objects of the scene, or within the padding of them."""
+    every = ((s, scene.object(n).T_world_object @ T, 1.0) for n in objects for s, T in scene.object(n).shapes)
+    return _mask(every, points, padding)
+
+
+def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding: float) -> NDArray[np.bool_]:
     cloud = np.asarray(points, dtype=float).reshape(-1, 3)
     mask = np.zeros(len(cloud), bool)
     columns = np.ascontiguousarray(cloud.T)
-    for shape, T, scale in _placed(scene, objects):
+    for shape, T, scale in placed:
         near = np.flatnonzero(_in_box(columns, shape, T, scale, padding))
         local = (cloud[near] - T.translation) @ (T.rotation.matrix / scale)
         for part in convex_parts(shape):

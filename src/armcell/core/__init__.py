@@ -14,6 +14,7 @@ from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtr
 from armcell.core.events import Event, Observer, StateSample
 from armcell.core.explanation import Explanation, Suggestion
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core.images import CameraImage, Pinhole
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
 from armcell.core.requests import (
@@ -37,6 +38,7 @@ __all__ = [
     "WORLD",
     "ArmcellError",
     "Box",
+    "CameraImage",
     "Capsule",
     "CartesianRequest",
     "Cone",
@@ -63,6 +65,7 @@ __all__ = [
     "Octree",
     "OrientationConstraint",
     "Outcome",
+    "Pinhole",
     "PlanRequest",
     "PlanResult",
     "Plane",

@@ -25,7 +25,14 @@ from armcell.scene.diff import (
 from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
 from armcell.scene.moving import MovingObject
-from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, ObjectType, shape_volume
+from armcell.scene.objects import (
+    DEFAULT_DENSITY,
+    CollisionObject,
+    Material,
+    ObjectType,
+    Thread,
+    shape_volume,
+)
 from armcell.scene.octomap import OccupancyMap, SensorModel
 from armcell.scene.octree_file import load_octree, octree_from_bytes
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
@@ -58,6 +65,7 @@ __all__ = [
     "SetPadding",
     "SetState",
     "SetType",
+    "Thread",
     "depth_points",
     "load_obstacle",
     "load_octree",

@@ -63,13 +63,20 @@ class OccupancyMap:
         if not (np.isfinite(self.resolution) and self.resolution > 0):
             raise InputError(f"resolution is {self.resolution:g}, it must be a positive number of metres")
 
-    def updated(self, points: ArrayLike, origin: ArrayLike, max_range: float = np.inf) -> OccupancyMap:
+    def updated(
+        self,
+        points: ArrayLike,
+        origin: ArrayLike,
+        max_range: float = np.inf,
+        only_free: ArrayLike | None = None,
+    ) -> OccupancyMap:
         """The map after one more cloud. A voxel counts once per cloud, as occupied if any point is in it.
 
         Args:
             points: (n, 3) [m] in the map's frame; those that are not finite are left out.
             origin: (3,) [m] of the sensor.
             max_range: points farther off [m] only say what is free up to there.
+            only_free: (m, 3) points that do so too: what is seen there is no obstacle of this map.
         Raises:
             InputError: a point or the origin is outside the map, or the cloud's box has too many voxels.
         """
@@ -79,11 +86,15 @@ class OccupancyMap:
         if np.isnan(max_range) or max_range <= 0:
             raise InputError(f"max_range is {max_range:g} m, it must be positive")
         ends, _ = finite_points(points)
+        hits = len(ends)
+        if only_free is not None:
+            ends = np.vstack([ends, finite_points(only_free)[0]])
         if len(ends) == 0:
             return self
         reach = np.linalg.norm(ends - eye, axis=1)
-        far = reach > max_range
-        ends[far] = eye + (ends[far] - eye) * (max_range / reach[far])[:, None]
+        beyond = reach > max_range
+        ends[beyond] = eye + (ends[beyond] - eye) * (max_range / reach[beyond])[:, None]
+        far = beyond | (np.arange(len(ends)) >= hits)
         size = self.resolution
         low = np.floor(np.minimum(ends.min(axis=0), eye) / size).astype(np.int64) - 1
         shape = np.floor(np.maximum(ends.max(axis=0), eye) / size).astype(np.int64) - low + 2

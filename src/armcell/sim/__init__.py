@@ -2,11 +2,12 @@
 
 from armcell.collision.convex import convex_pieces
 from armcell.sim.build import BuiltModel, GripperIndex, build
-from armcell.sim.camera import Camera
+from armcell.sim.camera import Camera, DepthNoise, look_at
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
+from armcell.sim.decals import Decal
 from armcell.sim.grip import GripperState, WeldEvent
 from armcell.sim.pace import Pacer
-from armcell.sim.render import has_gl, render_depth, render_rgb
+from armcell.sim.render import has_gl, render_depth, render_rgb, take_image
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.world import SimWorld, WorldSnapshot
 
@@ -14,6 +15,8 @@ __all__ = [
     "BuiltModel",
     "Camera",
     "ContactMonitor",
+    "Decal",
+    "DepthNoise",
     "GripperIndex",
     "GripperState",
     "Pacer",
@@ -26,6 +29,8 @@ __all__ = [
     "build",
     "convex_pieces",
     "has_gl",
+    "look_at",
     "render_depth",
     "render_rgb",
+    "take_image",
 ]

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import zlib
 from functools import lru_cache
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3, InputError
+from armcell.core import SE3, SO3, CameraImage, InputError
+from armcell.scene import WORLD
 from armcell.sim.build import COLLISION_GROUP, OBJECT_GROUP, RENDER_CAMERA, VISUAL_GROUP, BuiltModel, build
 from armcell.sim.camera import Camera
+from armcell.sim.decals import geom_name
 from armcell.sim.gl import GLRenderer, gl_backend
+from armcell.sim.grip import body_pose
 from armcell.sim.world import SimWorld
 
 _MAX_DEPTH = 50.0  # [m], nothing further is seen
@@ -19,6 +23,7 @@ _SKY_TOP, _SKY_LOW = np.array([[0.62, 0.74, 0.88], [0.93, 0.95, 0.98]], dtype=np
 _SUN = (np.array([0.3, -0.45, 0.85]) / np.linalg.norm([0.3, -0.45, 0.85])).astype(np.float32)  # towards it
 _AMBIENT, _HEAD, _SUNLIGHT = 0.38, 0.32, 0.38
 _TILE = 160  # [px]
+_MAX_RENDERERS = 4
 _CHECKER = 0.5  # [m] squares on an infinite plane
 
 
@@ -38,6 +43,36 @@ def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
     return depth.astype(np.float32).reshape(camera.height, camera.width)
 
 
+def take_image(
+    world: SimWorld, camera: Camera, gl: bool | None = None, rgb: bool = True, depth: bool | None = None
+) -> CameraImage:
+    """What a camera gives: picture and depth of the visual meshes, with its noise, where it now is.
+
+    The noise is drawn from the world's seed, the camera's name and the time: the same moment looks the same.
+
+    Args:
+        gl: True uses OpenGL, False casts rays; by default OpenGL if it works here.
+        depth: whether with depth; by default if the camera has it.
+    """
+    placed = camera if camera.link is None else camera.at(world.link_pose(camera.link) @ _mount(camera))
+    with_depth = camera.has_depth if depth is None else depth
+    scene = _drawn(world)
+    draw = scene.gl if (has_gl() if gl is None else gl) else scene.rays
+    picture, far = draw(placed, rgb, with_depth)
+    if with_depth and not camera.noise.is_none:
+        moment = (world.seed, zlib.crc32(camera.name.encode()), round(world.time / world.timestep))
+        far = camera.noise.applied(far, np.random.default_rng(moment))
+    return CameraImage(
+        camera.name, camera.model, placed.T_world_camera, world.time, picture if rgb else None,
+        far if with_depth else None,
+    )  # fmt: skip
+
+
+def _mount(camera: Camera) -> SE3:
+    assert camera.T_link_camera is not None  # a camera with a link has one
+    return camera.T_link_camera
+
+
 def render_rgb(world: SimWorld, camera: Camera, gl: bool | None = None) -> NDArray[np.uint8]:
     """A picture (height, width, 3).
 
@@ -46,8 +81,12 @@ def render_rgb(world: SimWorld, camera: Camera, gl: bool | None = None) -> NDArr
     """
     scene = _drawn(world)
     if has_gl() if gl is None else gl:
-        return scene.render_gl(camera)
-    return scene.render_rays(camera)
+        return scene.gl(camera, True, False)[0]
+    return scene.rays(camera, True, False)[0]
+
+
+Drawing = tuple[NDArray[np.uint8], NDArray[np.float32]]
+"""A picture and depth; empty is what was not asked for."""
 
 
 # --- the drawn twin of a world ---
@@ -56,11 +95,12 @@ class _DrawnScene:
 
     def __init__(self, world: SimWorld):
         self.source = world.built.mj
-        self.built: BuiltModel = build(world.built.scene, world.settings, visuals=True)
+        self.decals = world.decals
+        self.built: BuiltModel = build(world.built.scene, world.settings, visuals=True, decals=self.decals)
         self.data = mujoco.MjData(self.built.mj)
         model = self.built.mj
         self._camera = model.camera(RENDER_CAMERA).id
-        self._renderer: GLRenderer | None = None
+        self._renderers: dict[tuple[int, int, bool], GLRenderer] = {}  # by size and kind
 
     def follow(self, world: SimWorld) -> None:
         self.data.qpos[:] = world.mj_data.qpos
@@ -68,26 +108,47 @@ class _DrawnScene:
         mujoco.mj_comPos(self.built.mj, self.data)
         mujoco.mj_camlight(self.built.mj, self.data)
 
-    def render_gl(self, camera: Camera) -> NDArray[np.uint8]:
+    def gl(self, camera: Camera, rgb: bool, depth: bool) -> Drawing:
         model, backend = self.built.mj, gl_backend()
         if backend is None:
             raise InputError("OpenGL does not work here", cure="leave gl to its default, or cast rays")
-        if self._renderer is None or self._renderer.size != (camera.width, camera.height):
-            if self._renderer is not None:
-                self._renderer.close()
-            self._renderer = GLRenderer(model, camera.width, camera.height, backend)
         # MuJoCo's camera looks along its -z with y up
         T = camera.T_world_camera @ SE3(SO3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
         model.cam_pos[self._camera], model.cam_quat[self._camera] = T.translation, T.quat_wxyz
         model.cam_fovy[self._camera] = camera.fovy_deg
         mujoco.mj_kinematics(model, self.data)
         mujoco.mj_camlight(model, self.data)
-        return self._renderer.render(self.data, self._camera)
+        m = camera.model
+        sides = (
+            -(m.cx + 0.5) / m.fx, (m.width - 0.5 - m.cx) / m.fx,
+            -(m.height - 0.5 - m.cy) / m.fy, (m.cy + 0.5) / m.fy,
+        )  # fmt: skip
+        picture, far = np.empty((0, 0, 3), np.uint8), np.empty((0, 0), np.float32)
+        if rgb:
+            renderer = self._renderer(camera, backend, smooth=True)
+            picture = renderer.render(self.data, self._camera, sides)
+        if depth:
+            renderer = self._renderer(camera, backend, smooth=False)
+            far = renderer.depth(self.data, self._camera, sides)
+            far[far > _MAX_DEPTH] = 0.0
+        return picture, far
 
-    def render_rays(self, camera: Camera) -> NDArray[np.uint8]:
+    def _renderer(self, camera: Camera, backend: str, smooth: bool) -> GLRenderer:
+        key = (camera.width, camera.height, smooth)
+        if key not in self._renderers:
+            if len(self._renderers) >= _MAX_RENDERERS:
+                self._renderers.pop(next(iter(self._renderers))).close()
+            self._renderers[key] = GLRenderer(self.built.mj, camera.width, camera.height, backend, smooth)
+        return self._renderers[key]
+
+    def rays(self, camera: Camera, rgb: bool, depth: bool) -> Drawing:
         model = self.built.mj
         rays = _rays(camera)
         distance, geom, normal = _cast(model, self.data, camera, rays, (OBJECT_GROUP, VISUAL_GROUP))
+        far = np.where(distance >= 0, distance * rays[:, 2], 0.0).astype(np.float32)
+        far = far.reshape(camera.height, camera.width)
+        if not rgb:
+            return np.empty((0, 0, 3), np.uint8), far
         R = camera.T_world_camera.rotation.matrix.astype(np.float32)
         seen, n = rays.astype(np.float32) @ R.T, normal.astype(np.float32)
         facing = seen[:, 0] * n[:, 0] + seen[:, 1] * n[:, 1] + seen[:, 2] * n[:, 2]
@@ -97,13 +158,23 @@ class _DrawnScene:
         for plane in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
             rows = np.flatnonzero(geom == plane)
             light[rows] *= self._checker(camera, distance[rows], seen[rows], int(plane))
+        for decal in self.decals:
+            number = model.geom(geom_name(decal)).id
+            rows = np.flatnonzero(geom == number)
+            points = camera.T_world_camera.translation + distance[rows, None] * seen[rows]
+            # not the geom's own frame: MuJoCo turns that to a mesh's principal axes
+            T = self._frame(decal.frame) @ decal.T_frame_decal
+            light[rows] *= decal.brightness(T.inv().apply(points))
         palette = np.vstack([model.geom_rgba[:, :3], [0.0, 0.0, 0.0]]).astype(np.float32)
         color = palette[geom] * light[:, None]  # geom -1, nothing hit, takes the last row
         sky = np.flatnonzero(geom < 0)
         height = np.clip(seen[sky, 2:3] * 1.5 + 0.2, 0.0, 1.0)
         color[sky] = _SKY_LOW + height * (_SKY_TOP - _SKY_LOW)
         np.clip(color, 0.0, 1.0, out=color)
-        return (color * 255).astype(np.uint8).reshape(camera.height, camera.width, 3)
+        return (color * 255).astype(np.uint8).reshape(camera.height, camera.width, 3), far
+
+    def _frame(self, name: str) -> SE3:
+        return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
         """Brightness of points on an infinite plane: squares that fade out in the distance."""
@@ -126,8 +197,9 @@ def _drawn(world: SimWorld) -> _DrawnScene:
 # --- rays ---
 def _rays(camera: Camera) -> NDArray[np.float64]:
     """Unit directions (height * width, 3) through the pixel centres, camera frame."""
-    x = (np.arange(camera.width) - (camera.width - 1) / 2) / camera.focal
-    y = (np.arange(camera.height) - (camera.height - 1) / 2) / camera.focal
+    m = camera.model
+    x = (np.arange(camera.width) - m.cx) / m.fx
+    y = (np.arange(camera.height) - m.cy) / m.fy
     rays = np.empty((camera.height, camera.width, 3))
     rays[..., 0], rays[..., 1], rays[..., 2] = x[None, :], y[:, None], 1.0
     rays = rays.reshape(-1, 3)

@@ -18,6 +18,7 @@ from armcell.scene import PlanningScene
 from armcell.sim.build import BuiltModel, build, scene_objects
 from armcell.sim.camera import Camera
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
+from armcell.sim.decals import Decal
 from armcell.sim.grip import (
     GripperDrive,
     GripperState,
@@ -29,6 +30,7 @@ from armcell.sim.grip import (
 )
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
 
@@ -64,6 +66,7 @@ class SimWorld:
         robot: the scene's `RobotModel`.
         monitor: unwanted contacts, looked for at every physics step. A reset makes a new one.
         cameras: by name.
+        decals: pictures on links and objects, seen by cameras only.
         rng: for whatever wants seeded noise on this world's sensors; physics itself has none.
         mj_model, mj_data: MuJoCo's own, for viewers; do not step them.
     """
@@ -74,8 +77,10 @@ class SimWorld:
         settings: PhysicsSettings | None = None,
         cameras: Iterable[Camera] = (),
         seed: int = 0,
+        decals: Iterable[Decal] = (),
     ):
         self.settings = settings or PhysicsSettings()
+        self.decals = tuple(decals)
         self.cameras = {camera.name: camera for camera in cameras}
         self.seed = seed
         self._build(scene)
@@ -212,6 +217,11 @@ class SimWorld:
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
 
+    def wrench(self, gripper: str) -> Array:
+        """Force [N] over torque [Nm] (6,) on a hand by what touches it, about its tcp, in world axes."""
+        self._gripper(gripper)
+        return hand_wrench(self.built, self.mj_data, gripper)
+
     def _gripper(self, name: str):
         if name not in self.built.grippers:
             raise UnknownNameError("gripper", name, self.built.grippers)
@@ -283,7 +293,7 @@ class SimWorld:
         scene = self.built.scene
         q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
         objects = {
-            name: item.at(self.object_pose(name)) if name in self.built.object_qpos else item
+            name: item.at(self.object_pose(name)) if name in self.built.moving else item
             for name, item in self.built.objects.items()
         }
         return replace(scene, positions=q, objects=objects, attached={})
@@ -294,7 +304,7 @@ class SimWorld:
         return StateSample(
             time=self.time,
             joints=self.joint_state(),
-            object_poses={name: self.object_pose(name) for name in self.built.object_qpos},
+            object_poses={name: self.object_pose(name) for name in self.built.moving},
             gripper_width={name: state.width for name, state in grippers.items()},
             gripper_force={name: state.force_per_finger for name, state in grippers.items()},
         )
@@ -388,6 +398,13 @@ def _same_build(a: PlanningScene, b: PlanningScene) -> bool:
             new.mass, new.material, new.movable, new.color
         ):  # fmt: skip
             return False
+        if new.thread is not None:
+            into = new.thread.into
+            was = olds[into].T_world_object.inv() @ old.T_world_object
+            if new.thread != old.thread or not was.isclose(
+                news[into].T_world_object.inv() @ new.T_world_object
+            ):
+                return False
         if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):
             return False
     return True

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.core import SE3, JointState
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer, PhysicsSettings, SimWorld
@@ -27,7 +27,8 @@ class SimDriver:
         self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
 
     def __enter__(self) -> SimDriver:
-        self.world = SimWorld(self._scene, self._settings, self._options.cameras, self._options.seed)
+        o = self._options
+        self.world = SimWorld(self._scene, self._settings, o.cameras, o.seed, o.decals)
         self._pacer.reset()
         return self
 
@@ -53,6 +54,9 @@ class SimDriver:
     def gripper(self, gripper: str) -> GripperReading:
         state = self.world.gripper_state(gripper)
         return GripperReading(state.width, state.force_per_finger, state.held)
+
+    def wrench(self, gripper: str) -> Array:
+        return self.world.wrench(gripper)
 
     def advance(self, duration: float) -> None:
         self.world.step(max(round(duration / self._settings.timestep), 1))

@@ -41,7 +41,7 @@ class LocalCell:
         return ctx.scene()
 
     def _look_at_grippers(self, ctx: TaskContext) -> None:
-        world = ctx.world()
+        world = ctx.base
         for gripper in self.model.grippers.values():
             reading = ctx.driver.gripper(gripper.name)
             mine = [h for h in ctx.holding.values() if h.gripper.name == gripper.name]

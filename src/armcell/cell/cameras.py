@@ -1,0 +1,82 @@
+"""Cameras from a cell file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.cell.schema import CameraSpec, MarkerSpec, NoiseSpec
+from armcell.core import SE3, Pinhole, UnknownNameError
+from armcell.kinematics import kinematic_tree
+from armcell.model import RobotModel
+from armcell.model.assets import resolve_uri
+from armcell.perception import load_camera_info, marker_picture, picture_size
+from armcell.scene import WORLD, PlanningScene
+from armcell.sim import Camera, Decal, DepthNoise, look_at
+
+
+def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLike, folder: Path) -> Camera:
+    """The camera that a checked entry describes; a link's camera stands where it is at `positions`.
+
+    Raises:
+        UnknownNameError: no such link.
+        InputError: numbers that no camera has, or a broken file.
+    """
+    if spec.eye is not None and spec.target is not None:
+        T = look_at(spec.eye, spec.target)
+    else:
+        T = SE3.from_mapping(spec.pose, "pose")
+    mount = None
+    if spec.on is not None:
+        model.link(spec.on)
+        mount, T = T, kinematic_tree(model).link_pose(positions, spec.on) @ T
+    return Camera(
+        name, T, spec.width, spec.height, spec.fovy_deg, pinhole_of(spec, folder), spec.on, mount, spec.rate,
+        spec.depth, noise_of(spec.noise),
+    )  # fmt: skip
+
+
+def pinhole_of(spec: CameraSpec, folder: Path) -> Pinhole | None:
+    """Intrinsics that are given outright; None where width, height and field of view say it all."""
+    if spec.info is not None:
+        return load_camera_info(resolve_uri(spec.info, folder)).rectified()
+    if spec.intrinsics is not None:
+        i = spec.intrinsics
+        return Pinhole(spec.width, spec.height, i.fx, i.fy, i.cx, i.cy)
+    return None
+
+
+def noise_of(spec: str | NoiseSpec) -> DepthNoise:
+    if isinstance(spec, NoiseSpec):
+        return DepthNoise(**spec.model_dump())
+    return DepthNoise.for_stereo() if spec == "stereo" else DepthNoise()
+
+
+def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
+    """What a marker looks like to the simulated cameras.
+
+    Raises:
+        UnknownNameError: no such frame or family.
+        MissingExtraError: OpenCV is not installed.
+    """
+    frames = [WORLD, *known]
+    if spec.on not in frames:
+        raise UnknownNameError("frame", spec.on, frames)
+    picture = marker_picture(spec.family, spec.id)
+    size = picture_size(spec.family, spec.size)
+    return Decal(name, spec.on, SE3.from_mapping(spec.pose, "pose"), size, picture)
+
+
+def in_view(camera: Camera, scene: PlanningScene) -> list[str]:
+    """The objects whose middle is in a camera's picture, whatever may stand before them."""
+    found = []
+    for name, item in scene.objects.items():
+        low, high = item.bounds()
+        middle = item.T_world_object.apply((low + high) / 2)
+        pixel = camera.model.project(camera.T_world_camera.inv().apply(middle))[0]
+        if np.all((pixel >= 0) & (pixel <= [camera.width - 1, camera.height - 1])):
+            found.append(name)
+    return found

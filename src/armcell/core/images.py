@@ -1,0 +1,98 @@
+"""What cameras give: how pixels look out, and one picture with its depth, place and time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core.errors import InputError
+from armcell.core.transforms import SE3
+
+Array = NDArray[np.float64]
+MAX_PIXELS = 8192
+"""Per side."""
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A pinhole camera's intrinsics. Pixels have whole numbers at their centres; x is right, y down.
+
+    `distortion` is ROS's and OpenCV's "plumb_bob": k1, k2, p1, p2, k3; none for an image that is rectified.
+    """
+
+    width: int  # [px]
+    height: int  # [px]
+    fx: float  # [px]
+    fy: float  # [px]
+    cx: float  # [px]
+    cy: float  # [px]
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.width <= MAX_PIXELS and 1 <= self.height <= MAX_PIXELS):
+            raise InputError(f"a camera has {self.width} x {self.height} pixels", cure="1 to 8192 each")
+        for name in ("fx", "fy"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"focal length {name} is {getattr(self, name):g} px, it must be positive")
+        if not np.all(np.isfinite([self.cx, self.cy, *self.distortion])):
+            raise InputError("a camera's principal point and distortion need finite numbers")
+        if len(self.distortion) not in (0, 4, 5):
+            raise InputError(
+                f"a camera has {len(self.distortion)} distortion coefficients",
+                cure="none, or plumb_bob's k1, k2, p1, p2, k3",
+            )
+
+    @staticmethod
+    def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
+        """Square pixels, centred, with a vertical field of view."""
+        if not 1.0 <= fovy_deg <= 170.0:
+            raise InputError(f"a camera has a field of view of {fovy_deg} deg", cure="use 1 to 170")
+        f = height / 2 / float(np.tan(np.deg2rad(fovy_deg) / 2))
+        return Pinhole(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
+
+    @property
+    def matrix(self) -> Array:
+        """K (3, 3) [px]."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def fovy_deg(self) -> float:
+        """Vertical field of view of a camera that is centred."""
+        return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
+
+    def project(self, points: ArrayLike) -> Array:
+        """Pixels (n, 2) of points (n, 3) [m, camera frame], without distortion; NaN behind the camera."""
+        p = np.asarray(points, dtype=float).reshape(-1, 3)
+        z = np.where(p[:, 2] > 0, p[:, 2], np.nan)
+        return np.column_stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy])
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImage:
+    """One picture: colour (h, w, 3) uint8, depth (h, w) [m] along the optical axis, either or both.
+
+    Where nothing was seen depth is 0 (NaN and negative numbers mean the same). The camera's frame is
+    optical: z forward, x right, y down.
+    """
+
+    camera: str
+    pinhole: Pinhole
+    T_world_camera: SE3
+    time: float = 0.0  # [s] of the cell's clock, when it was taken
+    rgb: NDArray[np.uint8] | None = None
+    depth: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        size = (self.pinhole.height, self.pinhole.width)
+        if self.rgb is not None and self.rgb.shape != (*size, 3):
+            raise InputError(
+                f"the picture of camera {self.camera!r} is of shape {self.rgb.shape}, not {(*size, 3)}",
+                cure="use the camera info of this picture's size",
+            )
+        if self.depth is not None and self.depth.shape != size:
+            raise InputError(
+                f"the depth of camera {self.camera!r} is of shape {self.depth.shape}, not {size}",
+                cure="use the camera info of this picture's size",
+            )

@@ -1,0 +1,327 @@
+"""Fitting a solid to what a camera saw of it: points on its surface, and rays that do not go through it.
+
+The surface alone says nothing about where a face ends that is seen from straight above; the rays that pass
+beside it do. Levenberg and Marquardt's method (Marquardt, SIAM J. 11(2), 1963), with residuals weighted by
+Geman and McClure so that what does not belong to the object hardly counts.
+
+Everything here is in the support's frame: z = 0 is the plane that things stand on, z points away from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.core import SE3
+from armcell.perception.solids import Solid, solid_distance
+
+F64 = NDArray[np.float64]
+
+FREE, SLIDING, BOX_STANDS, CYLINDER_STANDS, CYLINDER_LIES, BALL_LIES = range(6)
+"""What may vary: a whole pose; x, y and yaw; x, y, yaw and sizes of a box that stands on the plane, ..."""
+_LEAST = 0.002  # [m] no solid is smaller
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What was seen of one thing: points (n, 3) on it; rays from `eye` along unit directions (m, 3) that are
+    free up to `free_to` (m,) [m]."""
+
+    points: F64
+    eye: F64  # (3,)
+    rays: F64
+    free_to: F64
+    scale: float  # [m] residuals beyond this count less and less
+
+    def thinned(self, points: int, rays: int) -> Evidence:
+        """About so many of each, evenly taken."""
+        i = _every(len(self.points), points)
+        k = _every(len(self.rays), rays)
+        return Evidence(self.points[i], self.eye, self.rays[k], self.free_to[k], self.scale)
+
+
+def _every(count: int, wanted: int) -> NDArray[np.int64]:
+    if count <= wanted:
+        return np.arange(count)
+    return np.linspace(0, count - 1, wanted).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A solid's pose T_support_solid and parameters, and how well they explain the evidence."""
+
+    mode: int
+    parameters: F64
+    T: SE3
+    size: F64  # (3,) of a primitive, as solids.Solid has it
+    cost: float  # mean weighted square over scale squared: 0 perfect, towards 1 hopeless
+    rms: float  # [m] of the points that are within three scales
+
+
+def fit(evidence: Evidence, solid: Solid, mode: int, start: F64, T0: SE3, iterations: int = 25) -> Fit:
+    """The best fit near a start.
+
+    Args:
+        start: parameters of the mode. FREE: rotation vector and translation from T0. SLIDING: x, y, yaw from
+            T0. BOX_STANDS: x, y, yaw and full sizes. CYLINDER_STANDS: x, y, radius, length.
+            CYLINDER_LIES: x, y, yaw, radius, length. BALL_LIES: x, y, radius.
+        T0: T_support_solid that FREE and SLIDING start from.
+    """
+    base = T0.matrix[:3].ravel()
+    e, s = evidence, solid
+    parameters, cost = _solve(
+        np.array(start, float), mode, base, e.points, e.eye, e.rays, e.free_to, e.scale, s.kinds, s.sizes,
+        s.poses, s.grid, s.origin, s.step, s.radius, iterations,
+    )  # fmt: skip
+    return judged(evidence, solid, mode, parameters, T0, cost)
+
+
+def judged(e: Evidence, solid: Solid, mode: int, parameters: F64, T0: SE3, cost: float) -> Fit:
+    R, t, size = np.empty((3, 3)), np.empty(3), np.empty(3)
+    _place(mode, parameters, T0.matrix[:3].ravel(), R, t, size)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    sizes = solid.sizes if mode in (FREE, SLIDING) else size[None]
+    r = _point_residuals(
+        e.points, R, t, solid.kinds, sizes, solid.poses, solid.grid, solid.origin, solid.step
+    )
+    near = r[np.abs(r) <= 3 * e.scale]
+    rms = float(np.sqrt(np.mean(near**2))) if len(near) else np.inf
+    return Fit(mode, parameters, SE3.from_matrix(T), size, cost, rms)
+
+
+def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
+    """How well a solid explains the evidence where it is."""
+    e, s = evidence, solid
+    zero = np.zeros(3)
+    return float(
+        _cost_of(
+            zero, SLIDING, T.matrix[:3].ravel(), e.points, e.eye, e.rays, e.free_to, e.scale, s.kinds,
+            s.sizes, s.poses, s.grid, s.origin, s.step, s.radius,
+        )
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _place(mode, p, base, R, t, size):
+    """Pose and size of parameters."""
+    size[:] = 0.0
+    if mode == FREE:
+        w = p[:3]
+        angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+        a = np.sin(angle) / angle if angle > 1e-9 else 1.0
+        b = (1 - np.cos(angle)) / angle**2 if angle > 1e-6 else 0.5
+        x, y, z = w
+        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn = np.eye(3) + a * K + b * (K @ K)
+        for i in range(3):
+            t[i] = base[4 * i + 3] + p[3 + i]
+            for k in range(3):
+                R[i, k] = turn[i, 0] * base[k] + turn[i, 1] * base[4 + k] + turn[i, 2] * base[8 + k]
+        return
+    yaw = 0.0
+    if mode in (SLIDING, BOX_STANDS, CYLINDER_LIES):
+        yaw = p[2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    if mode == SLIDING:
+        for k in range(3):
+            R[0, k] = c * base[k] - s * base[4 + k]
+            R[1, k] = s * base[k] + c * base[4 + k]
+            R[2, k] = base[8 + k]
+        t[0], t[1], t[2] = base[3] + p[0], base[7] + p[1], base[11]
+        return
+    R[:, :] = 0.0
+    t[0], t[1] = p[0], p[1]
+    if mode == CYLINDER_LIES:  # its x is up, its z along (c, s, 0)
+        R[2, 0] = 1.0
+        R[0, 1], R[1, 1] = s, -c
+        R[0, 2], R[1, 2] = c, s
+        size[0], size[1] = p[3], p[4] / 2
+        t[2] = p[3]
+        return
+    R[0, 0], R[0, 1], R[1, 0], R[1, 1], R[2, 2] = c, -s, s, c, 1.0
+    if mode == BOX_STANDS:
+        size[0], size[1], size[2] = p[3] / 2, p[4] / 2, p[5] / 2
+        t[2] = p[5] / 2
+    elif mode == CYLINDER_STANDS:
+        size[0], size[1] = p[2], p[3] / 2
+        t[2] = p[3] / 2
+    else:
+        size[0] = p[2]
+        t[2] = p[2]
+
+
+@njit(cache=True)
+def _at(R, t, x, y, z, kinds, sizes, poses, grid, origin, step):
+    a, b, c = x - t[0], y - t[1], z - t[2]
+    return solid_distance(
+        R[0, 0] * a + R[1, 0] * b + R[2, 0] * c, R[0, 1] * a + R[1, 1] * b + R[2, 1] * c,
+        R[0, 2] * a + R[1, 2] * b + R[2, 2] * c, kinds, sizes, poses, grid, origin, step,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _point_residuals(points, R, t, kinds, sizes, poses, grid, origin, step):
+    out = np.empty(len(points))
+    for i in range(len(points)):
+        out[i] = _at(R, t, points[i, 0], points[i, 1], points[i, 2], kinds, sizes, poses, grid, origin, step)
+    return out
+
+
+@njit(cache=True)
+def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, origin, step, convex):
+    """How deep [m] the free part of a ray is in a solid, 0 if it passes beside it.
+
+    The distance to a convex solid is convex along a line: its least value is found by golden section.
+    """
+    middle = 0.0
+    off = 0.0
+    for d in range(3):
+        middle += (t[d] - eye[d]) * ray[d]
+    for d in range(3):
+        off += (eye[d] + middle * ray[d] - t[d]) ** 2
+    if off >= reach * reach:
+        return 0.0
+    half = np.sqrt(reach * reach - off)
+    a, b = max(middle - half, 0.0), min(middle + half, free_to)
+    if b <= a:
+        return 0.0
+    least = np.inf
+    if convex:
+        g = 0.6180339887498949
+        c, d = b - g * (b - a), a + g * (b - a)
+        fc = _at(R, t, eye[0] + c * ray[0], eye[1] + c * ray[1], eye[2] + c * ray[2], kinds, sizes, poses,
+                 grid, origin, step)  # fmt: skip
+        fd = _at(R, t, eye[0] + d * ray[0], eye[1] + d * ray[1], eye[2] + d * ray[2], kinds, sizes, poses,
+                 grid, origin, step)  # fmt: skip
+        for _ in range(11):
+            if fc < fd:
+                b, d, fd = d, c, fc
+                c = b - g * (b - a)
+                fc = _at(R, t, eye[0] + c * ray[0], eye[1] + c * ray[1], eye[2] + c * ray[2], kinds, sizes,
+                         poses, grid, origin, step)  # fmt: skip
+            else:
+                a, c, fc = c, d, fd
+                d = a + g * (b - a)
+                fd = _at(R, t, eye[0] + d * ray[0], eye[1] + d * ray[1], eye[2] + d * ray[2], kinds, sizes,
+                         poses, grid, origin, step)  # fmt: skip
+            if min(fc, fd) > b - a:  # distances change by at most a metre per metre
+                break
+        least = min(fc, fd)
+    else:
+        for k in range(16):
+            s = a + (b - a) * k / 15.0
+            f = _at(R, t, eye[0] + s * ray[0], eye[1] + s * ray[1], eye[2] + s * ray[2], kinds, sizes, poses,
+                    grid, origin, step)  # fmt: skip
+            least = min(least, f)
+    return max(-least, 0.0)
+
+
+@njit(cache=True)
+def _residuals(
+    p, mode, base, points, eye, rays, free_to, kinds, sizes0, poses, grid, origin, step, radius, out
+):
+    R, t, size = np.empty((3, 3)), np.empty(3), np.empty(3)
+    _place(mode, p, base, R, t, size)
+    sizes, reach = sizes0, radius
+    if mode >= BOX_STANDS:
+        sizes = size.reshape(1, 3)
+        if mode == BOX_STANDS:
+            reach = np.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
+        else:
+            reach = np.sqrt(size[0] ** 2 + size[1] ** 2)
+    convex = len(kinds) == 1 and kinds[0] != 3
+    n = len(points)
+    for i in range(n):
+        out[i] = _at(R, t, points[i, 0], points[i, 1], points[i, 2], kinds, sizes, poses, grid, origin, step)
+    for i in range(len(rays)):
+        out[n + i] = _depth_of_ray(
+            R, t, eye, rays[i], free_to[i], reach, kinds, sizes, poses, grid, origin, step, convex
+        )
+
+
+@njit(cache=True)
+def _robust(r, scale):
+    """Mean of Geman and McClure's function of residuals, 0 to 1."""
+    total = 0.0
+    for x in r:
+        q = (x / scale) ** 2
+        total += q / (1 + q)
+    return total / max(len(r), 1)
+
+
+@njit(cache=True)
+def _cost_of(
+    p, mode, base, points, eye, rays, free_to, scale, kinds, sizes, poses, grid, origin, step, radius
+):
+    r = np.empty(len(points) + len(rays))
+    _residuals(p, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r)
+    return _robust(r, scale)
+
+
+@njit(cache=True)
+def _bounded(p, mode):
+    first = 3
+    if mode in (FREE, SLIDING):
+        return
+    if mode in (CYLINDER_STANDS, BALL_LIES):
+        first = 2
+    for k in range(first, len(p)):
+        p[k] = max(p[k], _LEAST)
+
+
+@njit(cache=True)
+def _solve(
+    p, mode, base, points, eye, rays, free_to, scale, kinds, sizes, poses, grid, origin, step, radius,
+    iterations,
+):  # fmt: skip
+    m, n = len(points) + len(rays), len(p)
+    r, r2 = np.empty(m), np.empty(m)
+    J = np.empty((m, n))
+    _residuals(p, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r)
+    cost = _robust(r, scale)
+    damping = 1e-3
+    for _ in range(iterations):
+        h = 1e-5
+        for k in range(n):
+            q = p.copy()
+            q[k] += h
+            _residuals(
+                q, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r2
+            )
+            for i in range(m):
+                J[i, k] = (r2[i] - r[i]) / h
+        A, g = np.zeros((n, n)), np.zeros(n)
+        for i in range(m):
+            w = 1.0 / (1.0 + (r[i] / scale) ** 2) ** 2
+            for a in range(n):
+                g[a] += w * J[i, a] * r[i]
+                for b in range(a + 1):
+                    A[a, b] += w * J[i, a] * J[i, b]
+        for a in range(n):
+            for b in range(a):
+                A[b, a] = A[a, b]
+        better = False
+        for _ in range(6):
+            D = A.copy()
+            for a in range(n):
+                D[a, a] += damping * A[a, a] + 1e-9
+            step_ = np.linalg.solve(D, -g)
+            q = p + step_
+            _bounded(q, mode)
+            _residuals(
+                q, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r2
+            )
+            new = _robust(r2, scale)
+            if new < cost:
+                better = cost - new > 1e-5 * cost
+                p, cost, damping = q, new, max(damping / 5, 1e-9)
+                r[:] = r2
+                break
+            damping *= 6
+        if not better:
+            break
+    return p, cost

@@ -1,0 +1,152 @@
+"""Where a camera is on the robot, or beside it, from poses of a marker seen in several robot poses.
+
+Eye in hand: the camera is on the hand, the marker stands still. Eye to hand: the camera stands still, the
+marker is on the hand. First in closed form (Park and Martin, IEEE Transactions on Robotics and Automation
+10(5), 1994), then least squares over both unknown poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, ErrorCode, InputError, Outcome
+
+F64 = NDArray[np.float64]
+
+IN_HAND, TO_HAND = "in_hand", "to_hand"
+LEAST_POSES = 4
+LEAST_TURN = np.deg2rad(15.0)  # [rad] that some pair of poses must be turned by
+LEAST_SPREAD = 0.1  # of the axes of turning: 0 all parallel, 1/3 evenly in space
+LEVER = 0.3  # [m] a radian of error weighs as much as so many metres
+
+
+@dataclass(frozen=True)
+class HandEye(Outcome):
+    """The camera's pose: T_hand_camera (eye in hand) or T_base_camera (eye to hand), and how well it fits.
+
+    Residuals say by how much each view puts the marker elsewhere than the mean of all.
+    """
+
+    mount: str = IN_HAND
+    T_mount_camera: SE3 | None = None
+    T_other_marker: SE3 | None = None  # base (in hand) or hand (to hand) to marker
+    position_residuals: tuple[float, ...] = ()  # [m] by view
+    rotation_residuals: tuple[float, ...] = ()  # [rad] by view
+    outliers: tuple[int, ...] = ()  # views that fit much worse than the others
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean squares of the residuals [m], [rad]."""
+        p, r = np.array(self.position_residuals), np.array(self.rotation_residuals)
+        return float(np.sqrt(np.mean(p**2))), float(np.sqrt(np.mean(r**2)))
+
+
+def calibrate_hand_eye(
+    hands: Sequence[SE3],
+    markers: Sequence[SE3],
+    mount: str = IN_HAND,
+    most_position: float = 0.005,
+    most_rotation: float = 0.02,
+) -> HandEye:
+    """Calibrate from views.
+
+    Args:
+        hands: T_base_hand of each view.
+        markers: T_camera_marker of the same.
+        mount: "in_hand" or "to_hand".
+        most_position, most_rotation: [m], [rad] residuals (rms) beyond which the result is refused.
+    Returns:
+        SUCCESS; or FAILURE with the reason (too few views, too much alike, they contradict each other) and
+        what to do about it. A result that contradicts itself is given with its pose, to be looked at.
+    Raises:
+        InputError: lists of different lengths, or an unknown mount.
+    """
+    if mount not in (IN_HAND, TO_HAND):
+        raise InputError(f"mount is {mount!r}", cure=f"{IN_HAND!r} or {TO_HAND!r}")
+    if len(hands) != len(markers):
+        raise InputError(f"{len(hands)} poses of the hand, but {len(markers)} of the marker")
+    refused = _refused(hands)
+    if refused:
+        return HandEye(ErrorCode.FAILURE, refused, {"views": len(hands)}, mount=mount)
+    # in hand: base_hand X = base_marker; to hand: hand_base X camera_marker = hand_marker
+    A = list(hands) if mount == IN_HAND else [T.inv() for T in hands]
+    X = _park_martin(A, list(markers))
+    X, Y = _refined(A, list(markers), X)
+    errors = [(Y.inv() @ a @ X @ b) for a, b in zip(A, markers, strict=True)]
+    p = tuple(float(np.linalg.norm(e.translation)) for e in errors)
+    r = tuple(float(np.linalg.norm(e.rotation.log())) for e in errors)
+    score = np.array(p) + LEVER * np.array(r)
+    outliers = tuple(int(i) for i in np.flatnonzero(score > 4 * np.median(score) + 1e-4))
+    rms = float(np.sqrt(np.mean(np.square(p)))), float(np.sqrt(np.mean(np.square(r))))
+    code, message = ErrorCode.SUCCESS, ""
+    if rms[0] > most_position or rms[1] > most_rotation:
+        code = ErrorCode.FAILURE
+        named = f"; view {', '.join(map(str, outliers))} worst: take it out" if outliers else ""
+        message = (
+            f"the views contradict each other by {rms[0] * 1000:.1f} mm and {np.rad2deg(rms[1]):.2f} deg"
+            f"{named} (is the marker's size right, did it move, is the mount right, is the robot at rest?)"
+        )
+    return HandEye(
+        code, message, {"rms_m": rms[0], "rms_rad": rms[1]}, mount=mount, T_mount_camera=X, T_other_marker=Y,
+        position_residuals=p, rotation_residuals=r, outliers=outliers,
+    )  # fmt: skip
+
+
+def _refused(hands: Sequence[SE3]) -> str:
+    """Why views are not enough; empty if they are."""
+    if len(hands) < LEAST_POSES:
+        return f"{len(hands)} views are too few (take {LEAST_POSES} or more, better 10 to 15)"
+    turns = [(a.rotation.inv() @ b.rotation).log() for a, b in combinations(hands, 2)]
+    angles = np.linalg.norm(turns, axis=1)
+    if angles.max() < LEAST_TURN:
+        return (
+            f"the poses are too much alike: turned by at most {np.rad2deg(angles.max()):.1f} deg "
+            f"(turn the hand by {np.rad2deg(LEAST_TURN):.0f} deg and more between views, about two axes)"
+        )
+    axes = np.array(
+        [turn / angle for turn, angle in zip(turns, angles, strict=True) if angle > LEAST_TURN / 3]
+    )
+    spread = np.linalg.eigvalsh(axes.T @ axes / len(axes))
+    if spread[1] < LEAST_SPREAD:
+        return (
+            "the hand was turned about one axis only, so that the camera's place along it cannot be told "
+            "(turn it about another axis as well: tilt it forward and to the side)"
+        )
+    return ""
+
+
+def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
+    """X of A_i^-1 A_k X = X B_i B_k^-1 in closed form: rotation by the axes of turning, then translation."""
+    pairs = [(A[i].inv() @ A[k], B[i] @ B[k].inv()) for i, k in combinations(range(len(A)), 2)]
+    M = np.zeros((3, 3))
+    for a, b in pairs:
+        M += np.outer(b.rotation.log(), a.rotation.log())
+    U, _, Vt = np.linalg.svd(M.T)  # the rotation that takes the b onto the a (Kabsch)
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    rows = np.vstack([a.rotation.matrix - np.eye(3) for a, _ in pairs])
+    right = np.concatenate([R @ b.translation - a.translation for a, b in pairs])
+    t = np.linalg.lstsq(rows, right, rcond=None)[0]
+    return SE3(SO3(R), np.asarray(t, dtype=float))
+
+
+def _refined(A: list[SE3], B: list[SE3], X: SE3) -> tuple[SE3, SE3]:
+    """X and Y that make A_i X B_i = Y least wrong."""
+    from scipy.optimize import least_squares
+
+    Y = A[0] @ X @ B[0]
+
+    def moved(T: SE3, by: F64) -> SE3:
+        return SE3(T.rotation @ SO3.exp(by[:3]), T.translation + by[3:])
+
+    def residuals(p: F64) -> F64:
+        x, y = moved(X, p[:6]), moved(Y, p[6:]).inv()
+        errors = [y @ a @ x @ b for a, b in zip(A, B, strict=True)]
+        return np.concatenate([np.r_[LEVER * e.rotation.log(), e.translation] for e in errors])
+
+    best = least_squares(residuals, np.zeros(12), loss="soft_l1", f_scale=0.005, x_scale="jac").x
+    return moved(X, best[:6]), moved(Y, best[6:])

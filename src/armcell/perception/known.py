@@ -1,0 +1,163 @@
+"""Where a known object is: its shape is laid onto what was seen, from every way it could lie there.
+
+A kind of iterated closest point (Besl and McKay, IEEE PAMI 14(2), 1992): the closest point is the distance
+field's, and rays that pass beside the object count too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, Box, Cylinder, Shape, Sphere
+from armcell.perception import fit as F
+from armcell.perception.fit import Evidence, cost_at, fit
+from armcell.perception.primitives import POINTS, RAYS, footprint
+from armcell.perception.solids import Solid, solid_of, surface_mesh
+
+F64 = NDArray[np.float64]
+
+_STARTS_POINTS, _STARTS_RAYS = 100, 60
+_TRIED = 5  # starts that are fitted
+_QUARTER = 4  # turns between quarter turns that are tried of an object that is no primitive
+_GOOD = 0.08  # a pose that costs less needs no other
+_TILTED = 0.7  # a fit that does not lie as it could must cost less than this share of the one that does
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A known object's pose in the support's frame."""
+
+    T: SE3
+    cost: float
+    rms: float  # [m]
+
+
+@lru_cache(maxsize=1)
+def cube_turns() -> tuple[SO3, ...]:
+    """The 24 rotations that map the axes onto each other."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            R = np.zeros((3, 3))
+            for i, (k, sign) in enumerate(zip(order, signs, strict=True)):
+                R[i, k] = sign
+            if np.linalg.det(R) > 0:
+                found.append(SO3(R))
+    return tuple(found)
+
+
+def rough_match(
+    evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
+) -> Match | None:
+    """Where an object could be, from little of the evidence; None where its size cannot be what was seen.
+
+    Args:
+        stands: whether it stands or lies on z = 0.
+    """
+    solid = solid_of(shapes)
+    around = footprint(evidence.points)
+    seen = np.linalg.norm([around.a, around.b, around.height])
+    if float(seen) > float(np.linalg.norm(solid.high - solid.low)) + 4 * evidence.scale:
+        return None
+    rough = evidence.thinned(_STARTS_POINTS, _STARTS_RAYS)
+    starts = [
+        (cost_at(rough, solid, T), i, T) for i, T in enumerate(_starts(evidence, shapes, solid, stands))
+    ]
+    starts.sort(key=lambda start: start[:2])
+    tried = (fit(rough, solid, F.SLIDING, np.zeros(3), T, 12) for _, _, T in starts[:_TRIED])
+    best = min(tried, key=lambda found: found.cost)
+    return Match(best.T, best.cost, best.rms)
+
+
+def match_known(
+    evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, stands: bool = True
+) -> Match:
+    """An object's pose as well as the evidence gives it, from a rough one. Tilted poses are tried too, and
+    taken where they explain a lot more."""
+    solid, fine = solid_of(shapes), evidence.thinned(POINTS, RAYS)
+    best = fit(fine, solid, F.SLIDING, np.zeros(3), start.T, 20)
+    if stands and best.cost < _GOOD:
+        return Match(best.T, best.cost, best.rms)
+    free = fit(fine, solid, F.FREE, np.zeros(6), best.T, 25)
+    chosen = free if not stands or free.cost < _TILTED * best.cost else best
+    return Match(chosen.T, chosen.cost, chosen.rms)
+
+
+def _starts(
+    evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
+) -> list[SE3]:
+    """Poses with each side down and turned like what was seen, above the middle of it."""
+    points = _outline(shapes)
+    around = footprint(evidence.points)
+    primitive = len(shapes) == 1 and isinstance(shapes[0][0], Box | Cylinder | Sphere)
+    angles = np.arange(1 if primitive else _QUARTER) * (np.pi / 2 / _QUARTER)
+    middle = evidence.points.mean(axis=0)
+    found = []
+    for turn in cube_turns():
+        for angle in angles:
+            R = SO3.exp([0, 0, around.yaw + angle]) @ turn
+            turned = points @ R.matrix.T
+            low, high = turned.min(axis=0), turned.max(axis=0)
+            z = -low[2] if stands else middle[2] - (low[2] + high[2]) / 2
+            xy = np.array([around.x, around.y]) - (low[:2] + high[:2]) / 2
+            found.append(SE3(R, np.array([xy[0], xy[1], z])))
+    return found
+
+
+def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
+    return _outline_of(shapes)
+
+
+@lru_cache(maxsize=64)
+def _outline_of(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
+    """Corners (n, 3) of the hull of an object."""
+    from scipy.spatial import ConvexHull
+
+    vertices = surface_mesh(shapes).vertices
+    return vertices[ConvexHull(vertices).vertices]
+
+
+# --- symmetry ---
+def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
+    """Of the poses that look like T, the one nearest to another pose: of a ball, a cylinder or a box alone.
+
+    Others are taken to look different from every side.
+    """
+    if len(shapes) != 1:
+        return T
+    shape, T_object_shape = shapes[0]
+    wanted, here = prior @ T_object_shape, T @ T_object_shape
+    match shape:
+        case Sphere():
+            R = wanted.rotation
+        case Cylinder():
+            R = _spun(here.rotation, wanted.rotation)
+        case Box():
+            half = shape.half_extents
+            same = (t for t in cube_turns() if np.allclose(np.abs(t.matrix) @ half, half, atol=1e-6))
+            R = min((here.rotation @ t for t in same), key=lambda r: _angle(r, wanted.rotation))
+        case _:
+            return T
+    return SE3(R, here.translation) @ T_object_shape.inv()
+
+
+def _angle(a: SO3, b: SO3) -> float:
+    return float(np.linalg.norm((a.inv() @ b).log()))
+
+
+def _spun(here: SO3, wanted: SO3) -> SO3:
+    """`wanted` turned so that its axis is that of `here`, whichever end is nearer."""
+    axis = here.matrix[:, 2]
+    if axis @ wanted.matrix[:, 2] < 0:
+        axis = -axis
+    return SO3.between(wanted.matrix[:, 2], axis) @ wanted
+
+
+def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:
+    """How far off a pose is [m], [rad], where poses that look alike are the same."""
+    return closest_equivalent(shapes, T, T_true).distance_to(T_true)

@@ -1,0 +1,405 @@
+"""What stands there: from a picture with depth to objects with poses, each with how well it fits and why not.
+
+The way of it: points; the robot and what is known to be fixed taken out; the plane that things stand on;
+clusters above it; each cluster a known object of the scene or a box, cylinder or ball.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import object_mask, robot_mask
+from armcell.core import (
+    SE3,
+    CameraImage,
+    ErrorCode,
+    InputError,
+    Outcome,
+    Plane,
+    PointCloud,
+    Shape,
+    UnknownNameError,
+)
+from armcell.core.geometry import local_bounds
+from armcell.perception.cloud import organised
+from armcell.perception.fit import Evidence
+from armcell.perception.known import Match, closest_equivalent, match_known, rough_match
+from armcell.perception.plane import SupportPlane, find_plane
+from armcell.perception.primitives import fit_primitives
+from armcell.perception.segment import clusters
+from armcell.perception.solids import solid_of
+from armcell.scene import CollisionObject, PlanningScene
+
+F64 = NDArray[np.float64]
+_HOPELESS = 0.6  # a rough match that costs more is not looked at again
+_JOINED = 0.5  # what two clusters are explained by may cost twice as much
+_MOST_JOINED = 12  # clusters of a picture in which pairs are looked at
+_RIVAL = 3.0  # nor one that costs so many times another of the same thing or object
+
+
+@dataclass(frozen=True)
+class LookSettings:
+    """Lengths in metres."""
+
+    surface: str | None = None  # fixed object on whose top things stand; None: the largest level plane seen
+    max_tilt_deg: float = 15.0  # of that plane from level
+    thickness: float = 0.006  # of the plane, as noisy as it is seen
+    least_height: float = 0.008  # what rises less above the plane is part of it
+    most_height: float = 0.5  # what is higher is not looked at
+    gap: float = 0.015  # points of one object are not farther apart
+    smallest: int = 40  # [px] clusters of fewer are noise
+    robot_padding: float = 0.02  # around the robot
+    fixed_padding: float = 0.006  # around fixed objects of the scene, which are taken out too
+    most_cost: float = 0.35  # a fit that costs more explains nothing (0 perfect, 1 hopeless)
+    ring: int = 5  # [px] around a cluster where rays count that pass beside it
+    max_age: float = 0.5  # [s] an older picture is stale
+    seed: int = 0  # of the plane's random trials
+
+    def __post_init__(self) -> None:
+        for name in ("thickness", "least_height", "most_height", "gap", "max_age"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} is {getattr(self, name):g}, it must be positive")
+        if self.smallest < 10:
+            raise InputError(f"smallest is {self.smallest} px", cure="10 or more: fewer cannot be fitted")
+
+
+@dataclass(frozen=True)
+class SeenObject(Outcome):
+    """One thing that was seen. Without a pose the code and message say why; the points are there anyway."""
+
+    name: str = ""  # of the known object, or kind and number
+    known: bool = False  # whether it is an object of the scene
+    shapes: tuple[tuple[Shape, SE3], ...] = ()
+    T_world_object: SE3 | None = None
+    rms: float = np.inf  # [m] of its points from its surface
+    cost: float = 1.0  # 0: explains all that was seen
+    occluded: float = 0.0  # share of its outline that something nearer, or the picture's edge, cuts off
+    points: F64 = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) [m, world]
+    color: tuple[float, float, float, float] = (0.6, 0.6, 0.6, 1.0)
+
+    @property
+    def kind(self) -> str:
+        return type(self.shapes[0][0]).__name__.lower() if len(self.shapes) == 1 else "compound"
+
+    def as_object(self, name: str | None = None, movable: bool = True) -> CollisionObject:
+        """For the planning scene: its shape where it was seen, or its points where no shape fits."""
+        if self.T_world_object is None or not self.shapes:
+            cloud = PointCloud(self.points, 0.006)
+            return CollisionObject.single(name or self.name, cloud, color=self.color)
+        return CollisionObject(name or self.name, self.shapes, self.T_world_object, self.color, movable)
+
+
+@dataclass(frozen=True)
+class Sight(Outcome):
+    """What a look found. `objects` are largest first; those without a pose are among them."""
+
+    objects: tuple[SeenObject, ...] = ()
+    missing: tuple[str, ...] = ()  # known objects that were looked for and not found
+    plane: SupportPlane | None = None  # world frame
+    time: float = 0.0  # [s] of the picture
+    cpu_time: float = 0.0  # [s] that the look took
+
+    def __getitem__(self, name: str) -> SeenObject:
+        for item in self.objects:
+            if item.name == name:
+                return item
+        raise UnknownNameError("seen object", name, [item.name for item in self.objects])
+
+
+def look(
+    image: CameraImage,
+    scene: PlanningScene | None = None,
+    known: Sequence[CollisionObject] = (),
+    settings: LookSettings = LookSettings(),
+    now: float | None = None,
+) -> Sight:
+    """Find the objects in a picture with depth.
+
+    Args:
+        scene: what is taken out of the cloud: the robot as it stands, what it holds, fixed objects.
+        known: objects to be recognised by their shape; their poses only break ties of symmetry.
+        now: [s] of the picture's clock; a picture older than `max_age` is refused.
+    Returns:
+        A `Sight`. Its code is SUCCESS when every known object was found and everything seen has a pose;
+        UNABLE_TO_AQUIRE_SENSOR_DATA without usable depth, SENSOR_INFO_STALE for an old picture.
+    """
+    started = time.thread_time()
+
+    def ended(sight: Sight) -> Sight:
+        return replace(sight, time=image.time, cpu_time=time.thread_time() - started)
+
+    trouble = unusable(image, settings.max_age, now)
+    if trouble is not None:
+        return ended(Sight(trouble.code, trouble.message, trouble.evidence, missing=_names(known)))
+    assert image.depth is not None
+    seen = organised(image.depth, image.pinhole)
+    T = image.T_world_camera
+    flat = seen.reshape(-1, 3) @ T.rotation.matrix.T + T.translation
+    points = flat.reshape(seen.shape)
+    valid = np.isfinite(flat[:, 0])
+    others, region = _without(flat, valid, scene, settings)
+    plane = _plane(flat[others & region], settings)
+    if plane is None:
+        reason = "no level plane is seen that things could stand on"
+        if settings.surface is not None:
+            reason = f"the top of {settings.surface!r} is not seen"
+        return ended(
+            Sight(
+                ErrorCode.FAILURE, f"{reason} (turn the camera to it, or widen max_tilt_deg)",
+                missing=_names(known),
+            )
+        )  # fmt: skip
+    height = np.where(valid, plane.heights(np.where(valid[:, None], flat, 0.0)), 0.0)
+    least = max(settings.least_height, 3 * plane.rms)
+    wanted = others & region & (height > least) & (height < settings.most_height)
+    found = clusters(points, wanted.reshape(points.shape[:2]), settings.gap, settings.smallest)
+    scale = max(0.003, 2.5 * plane.rms)
+
+    def thing(pixels: NDArray[np.int64]) -> _Thing:
+        return _Thing.of(pixels, points, T.translation, plane, scale, settings, image)
+
+    parts = {frozenset({i}): thing(pixels) for i, pixels in enumerate(found)}
+    if known and len(found) <= _MOST_JOINED:
+        reach = max(solid_of(item.shapes).diameter for item in known)
+        for i, k in combinations(range(len(found)), 2):
+            if _span(points, np.concatenate([found[i], found[k]])) <= reach + 4 * scale:
+                parts[frozenset({i, k})] = thing(np.concatenate([found[i], found[k]]))
+    objects = _named(parts, known, settings)
+    missing = tuple(n for n in _names(known) if n not in {o.name for o in objects})
+    return ended(_summary(objects, missing, plane))
+
+
+def unusable(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
+    """Why a picture's depth cannot be used; None if it can."""
+    name = f"camera {image.camera!r}"
+    if now is not None and now - image.time > max_age:
+        return Outcome(
+            ErrorCode.SENSOR_INFO_STALE,
+            f"{name}: the newest picture is {now - image.time:.2f} s old, more than {max_age:g} s "
+            "(is the camera frozen? restart it, or raise max_age)",
+            {"age_s": now - image.time},
+        )
+    if image.depth is None:
+        return Outcome(
+            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
+            f"{name} has no depth (use an RGB-D camera: 'depth: true' in the cell file)",
+        )
+    with np.errstate(invalid="ignore"):
+        share = float(np.mean(np.isfinite(image.depth) & (image.depth > 0)))
+    if share < 0.01:
+        what = "no pixel" if share == 0 else f"only {share:.1%} of the pixels"
+        return Outcome(
+            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
+            f"{name}: {what} has a depth (is the lens covered, or everything nearer or farther than it "
+            "measures?)",
+            {"share": share},
+        )
+    return None
+
+
+def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
+    return tuple(item.name for item in known)
+
+
+def _without(
+    flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which points are neither robot nor fixed object; which are above the surface that was named."""
+    others, region = valid.copy(), np.ones(len(flat), bool)
+    if scene is None:
+        if settings.surface is not None:
+            raise InputError(f"surface is {settings.surface!r}, but there is no scene to have it")
+        return others, region
+    index = np.flatnonzero(valid)
+    others[index] = ~robot_mask(scene, flat[index], settings.robot_padding)
+    surface = settings.surface
+    if surface is not None:
+        region = _above(scene.object(surface), flat, valid)
+    fixed = [
+        n for n, o in scene.objects.items() if not o.movable and n != surface and not o.has_cloud
+        and not (surface is None and _is_level(o))
+    ]  # fmt: skip
+    if fixed:
+        index = np.flatnonzero(others)
+        others[index] = ~object_mask(scene, flat[index], settings.fixed_padding, fixed)
+    return others, region
+
+
+def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Points above (or at the height of) an object's top, within its bounds seen from above."""
+    low, high = item.bounds()
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    top = float(item.T_world_object.apply(corners)[:, 2].max())
+    found = np.zeros(len(flat), bool)
+    index = np.flatnonzero(valid)
+    local = item.T_world_object.inv().apply(np.column_stack([flat[index, :2], np.full(len(index), top)]))
+    margin = 0.003  # [m] the outermost points mix edge and floor
+    inside = np.all((local[:, :2] > low[:2] + margin) & (local[:, :2] < high[:2] - margin), axis=1)
+    found[index] = inside & (flat[index, 2] > top - 0.03)
+    return found
+
+
+def _is_level(item: CollisionObject) -> bool:
+    """Whether it could be what things stand on: flat and wide."""
+    if any(isinstance(shape, Plane) for shape, _ in item.shapes):
+        return True
+    sizes = [2 * local_bounds(shape)[1] for shape, _ in item.shapes]
+    return len(sizes) == 1 and sizes[0][2] < 0.3 * min(sizes[0][0], sizes[0][1])
+
+
+def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
+    plane = find_plane(
+        points,
+        np.array([0.0, 0.0, 1.0]),
+        np.deg2rad(settings.max_tilt_deg),
+        settings.thickness,
+        settings.seed,
+    )
+    return plane if plane is not None and plane.inliers >= 100 else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Thing:
+    """A cluster as evidence in the frame of its support."""
+
+    T_world_support: SE3
+    evidence: Evidence
+    points: F64  # (n, 3) world
+    occluded: float
+    color: tuple[float, float, float, float]
+
+    @staticmethod
+    def of(
+        pixels: NDArray[np.int64], points: F64, eye: F64, plane: SupportPlane, scale: float,
+        settings: LookSettings, image: CameraImage,
+    ) -> _Thing:  # fmt: skip
+        h, w = points.shape[:2]
+        own = points.reshape(-1, 3)[pixels]
+        T = plane.frame(own.mean(axis=0))
+        inverse = T.inv()
+        rays, free_to, cut = _beside(pixels, points, eye, settings.ring, 2 * scale, (h, w))
+        evidence = Evidence(inverse.apply(own), inverse.apply(eye), rays @ T.rotation.matrix, free_to, scale)
+        color = (0.6, 0.6, 0.6, 1.0)
+        if image.rgb is not None:
+            r, g, b = np.median(image.rgb.reshape(-1, 3)[pixels], axis=0) / 255
+            color = (float(r), float(g), float(b), 1.0)
+        return _Thing(T, evidence, own, cut, color)
+
+
+def _beside(
+    pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
+) -> tuple[F64, F64, float]:
+    """Rays (m, 3) through the pixels around a cluster, how far (m,) they are free, and the share of its
+    outline that is cut off."""
+    from scipy.ndimage import binary_dilation
+
+    h, w = size
+    v, u = np.divmod(pixels, w)
+    v0, v1 = max(v.min() - ring, 0), min(v.max() + ring + 1, h)
+    u0, u1 = max(u.min() - ring, 0), min(u.max() + ring + 1, w)
+    own = np.zeros((v1 - v0, u1 - u0), bool)
+    own[v - v0, u - u0] = True
+    away = points[v0:v1, u0:u1] - eye
+    far = np.linalg.norm(away, axis=-1)
+    seen = np.isfinite(far)
+    around = binary_dilation(own, iterations=ring) & ~own & seen
+    middle = float(np.median(far[own]))
+    next_to = binary_dilation(own, iterations=2) & ~own
+    nearer = next_to & seen & (far < middle - 0.03)
+    edge = ((v == 0) | (v == h - 1) | (u == 0) | (u == w - 1)).sum()
+    cut = float((nearer.sum() + 2 * edge) / max(next_to.sum() + 2 * edge, 1))
+    return away[around] / far[around][:, None], far[around] - margin, min(cut, 1.0)
+
+
+def _span(points: F64, pixels: NDArray[np.int64]) -> float:
+    """Largest distance [m] between points of a cluster, of some of them."""
+    some = points.reshape(-1, 3)[pixels[:: max(len(pixels) // 150, 1)]]
+    return float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
+
+
+def _named(
+    things: dict[frozenset[int], _Thing], known: Sequence[CollisionObject], settings: LookSettings
+) -> tuple[SeenObject, ...]:
+    """Each thing as the known object that explains it best, or as a primitive.
+
+    A known object may be two clusters, where it hides the middle of itself; what explains two is taken
+    before what explains one of them about as well.
+    """
+    rough = {
+        (part, k): match
+        for part, thing in things.items()
+        for k, item in enumerate(known)
+        if (match := rough_match(thing.evidence, item.shapes)) is not None and match.cost <= _HOPELESS
+    }
+    offers = []
+    for (part, k), start in rough.items():
+        rivals = [match.cost for (other, which), match in rough.items() if other == part or which == k]
+        if start.cost <= _RIVAL * min(rivals) + 0.02:
+            match = match_known(things[part].evidence, known[k].shapes, start)
+            if match.cost <= settings.most_cost:
+                rank = match.cost if len(part) == 1 else match.cost * _JOINED
+                offers.append((rank, sorted(part), k, match))
+    taken: dict[frozenset[int], tuple[int, Match]] = {}
+    used: set[int] = set()
+    for _, part, k, match in sorted(offers, key=lambda offer: offer[:3]):
+        if not used & set(part) and k not in {other for other, _ in taken.values()}:
+            taken[frozenset(part)] = (k, match)
+            used |= set(part)
+    found, counts = [], dict.fromkeys((item.name for item in known), 1)
+    for part, thing in things.items():
+        if part in taken:
+            k, match = taken[part]
+            found.append(_recognised(thing, known[k], match))
+        elif len(part) == 1 and not part & used:
+            found.append(_unknown(thing, settings, counts))
+    return tuple(sorted(found, key=lambda item: -len(item.points)))
+
+
+def _recognised(thing: _Thing, item: CollisionObject, match: Match) -> SeenObject:
+    T = closest_equivalent(item.shapes, thing.T_world_support @ match.T, item.T_world_object)
+    return SeenObject(
+        ErrorCode.SUCCESS, "", {}, name=item.name, known=True, shapes=item.shapes, T_world_object=T,
+        rms=match.rms, cost=match.cost, occluded=thing.occluded, points=thing.points, color=thing.color,
+    )  # fmt: skip
+
+
+def _unknown(thing: _Thing, settings: LookSettings, counts: dict[str, int]) -> SeenObject:
+    guesses = fit_primitives(thing.evidence)
+    best = guesses[0]
+    fits = best.cost <= settings.most_cost
+    kind = best.kind if fits else "thing"
+    counts[kind] = counts.get(kind, 0) + 1
+    costs = ", ".join(f"{g.kind} {g.cost:.2f}" for g in guesses)
+    return SeenObject(
+        ErrorCode.SUCCESS if fits else ErrorCode.FAILURE,
+        "" if fits else f"no box, cylinder or ball explains it (cost {costs}; at most "
+        f"{settings.most_cost:g}): name its mesh, or part it from what it touches",
+        {"costs": {g.kind: g.cost for g in guesses}},
+        name=f"{kind}_{counts[kind]}",
+        shapes=((best.shape, SE3.identity()),) if fits else (),
+        T_world_object=thing.T_world_support @ best.T if fits else None,
+        rms=best.rms, cost=best.cost, occluded=thing.occluded, points=thing.points, color=thing.color,
+    )  # fmt: skip
+
+
+def _summary(objects: tuple[SeenObject, ...], missing: tuple[str, ...], plane: SupportPlane) -> Sight:
+    without = [item.name for item in objects if item.T_world_object is None]
+    reasons = []
+    if missing:
+        seen = ", ".join(f"{o.name} ({o.cost:.2f})" for o in objects) or "nothing"
+        reasons.append(
+            f"{', '.join(missing)} not found among what is seen: {seen} "
+            "(is it hidden, outside the picture, or of another size than its description?)"
+        )
+    if without:
+        reasons.append(f"{', '.join(without)} without a pose")
+    code = ErrorCode.FAILURE if reasons else ErrorCode.SUCCESS
+    return Sight(code, "; ".join(reasons), {}, objects=objects, missing=missing, plane=plane)

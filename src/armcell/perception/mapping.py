@@ -1,0 +1,103 @@
+"""A map of what a camera sees while the cell runs, without the robot, what it holds and known objects."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from armcell.collision import object_mask, robot_mask
+from armcell.core import CameraImage, ErrorCode, InputError, Outcome
+from armcell.perception.cloud import organised
+from armcell.perception.look import unusable
+from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """How a camera's pictures become obstacles. Lengths in metres."""
+
+    resolution: float = 0.02  # edge of a voxel
+    max_range: float = 2.5  # what is farther off only says what is free up to there
+    robot_padding: float = 0.03  # around the robot and what it holds
+    object_padding: float = 0.02  # around objects of the scene, which stay in it as they are
+    every: int = 2  # every so many pixels of a row and a column count
+    max_age: float = 0.5  # [s] an older picture is stale
+    sensor: SensorModel = SensorModel()
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise InputError(f"every is {self.every}, it must be 1 or more")
+        for name in ("robot_padding", "object_padding"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name} is {getattr(self, name):g}, it must be a number >= 0")
+
+
+@dataclass(frozen=True)
+class MapUpdate(Outcome):
+    """What one picture did to a map."""
+
+    hits: int = 0  # points that are obstacles
+    robot_points: int = 0
+    object_points: int = 0
+    cells: int = 0  # of the octree
+    cpu_time: float = 0.0  # [s]
+
+
+class CameraMap:
+    """An occupancy map that is fed picture by picture. `map` and `octree` are what is known now."""
+
+    def __init__(self, settings: MapSettings = MapSettings()):
+        self.settings = settings
+        self.clear()
+
+    def clear(self) -> None:
+        self.map = OccupancyMap(self.settings.resolution, self.settings.sensor)
+        self.octree = self.map.octree()
+
+    def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
+        """Put a picture into the map.
+
+        Rays clear what they pass through, also those that end on the robot or on an object of the scene,
+        up to the padding around it.
+
+        Args:
+            scene: the robot as it stood when the picture was taken, what it holds, known objects.
+            now: [s] of the picture's clock; an old picture is refused.
+        Returns:
+            SUCCESS, or why the picture was not used (the map stays as it was).
+        """
+        started, s = time.thread_time(), self.settings
+        trouble = unusable(image, s.max_age, now)
+        if trouble is not None:
+            return MapUpdate(trouble.code, trouble.message, trouble.evidence, cells=len(self.octree.sizes))
+        assert image.depth is not None
+        step = slice(s.every // 2, None, s.every)
+        points = organised(image.depth, image.pinhole)[step, step].reshape(-1, 3)
+        points = image.T_world_camera.apply(points[np.isfinite(points[:, 0])])
+        robot = robot_mask(scene, points, s.robot_padding)
+        solid = [n for n, o in scene.objects.items() if n != OCTOMAP and not o.has_cloud]
+        known = object_mask(scene, points, s.object_padding, solid) & ~robot
+        eye = image.T_world_camera.translation
+        hits = points[~robot & ~known]
+        free = _shortened(points[robot | known], eye, max(s.robot_padding, s.object_padding) + s.resolution)
+        self.map = self.map.updated(hits, eye, s.max_range, free)
+        self.octree = self.map.octree()
+        return MapUpdate(
+            ErrorCode.SUCCESS, "", {}, hits=len(hits), robot_points=int(robot.sum()),
+            object_points=int(known.sum()), cells=len(self.octree.sizes),
+            cpu_time=time.thread_time() - started,
+        )  # fmt: skip
+
+    def applied_to(self, scene: PlanningScene) -> PlanningScene:
+        """The scene with this map as its octomap."""
+        return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
+
+
+def _shortened(points: np.ndarray, eye: np.ndarray, by: float) -> np.ndarray:
+    """Points moved towards the eye, so that their rays clear up to just before them."""
+    way = points - eye
+    length = np.linalg.norm(way, axis=1)
+    keep = length > by
+    return eye + way[keep] * (1 - by / length[keep])[:, None]

@@ -1,0 +1,94 @@
+"""The plane that things stand on, found in a cloud.
+
+Fischler and Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981; then least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3
+
+F64 = NDArray[np.float64]
+_SUBSET = 1500  # points that the trials are judged by
+
+
+@dataclass(frozen=True, eq=False)
+class SupportPlane:
+    """A plane n . p = offset, with how well it fits."""
+
+    normal: F64  # (3,) unit, away from what it supports
+    offset: float  # [m]
+    inliers: int
+    rms: float  # [m] of the inliers
+
+    def heights(self, points: F64) -> F64:
+        """Above the plane (...) [m] of points (..., 3)."""
+        return points @ self.normal - self.offset
+
+    def frame(self, point: F64) -> SE3:
+        """z along the normal, the origin on the plane below a point, x as near the world's as may be."""
+        R = SO3.between([0.0, 0.0, 1.0], self.normal)
+        return SE3(R, point - (point @ self.normal - self.offset) * self.normal)
+
+
+def find_plane(
+    points: F64, up: F64, max_tilt: float, thickness: float, seed: int = 0, trials: int = 120
+) -> SupportPlane | None:
+    """The plane with the most points (n, 3), None where no trial finds three that are not on a line.
+
+    Args:
+        up: (3,) the normal is within `max_tilt` [rad] of it.
+        thickness: [m] points nearer than this belong to the plane.
+    """
+    if len(points) < 3:
+        return None
+    rng = np.random.default_rng(seed)
+    some = points[rng.integers(0, len(points), min(_SUBSET, len(points)))]
+    picks = rng.integers(0, len(some), (trials, 3))
+    best = _best_trial(some, picks, up, np.cos(max_tilt), thickness)
+    if best < 0:
+        return None
+    a, b, c = some[picks[best]]
+    n = np.cross(b - a, c - a)
+    n /= np.linalg.norm(n)
+    offset, near = float(n @ a), np.zeros(0, bool)
+    for _ in range(3):
+        near = np.abs(points @ n - offset) <= thickness
+        if near.sum() < 3:
+            return None
+        middle = points[near].mean(axis=0)
+        d = points[near] - middle
+        _, vectors = np.linalg.eigh(d.T @ d)
+        n = vectors[:, 0]
+        offset = float(n @ middle)
+    if n @ up < 0:
+        n, offset = -n, -offset
+    rms = float(np.sqrt(np.mean((points[near] @ n - offset) ** 2)))
+    return SupportPlane(n, offset, int(near.sum()), rms)
+
+
+@njit(cache=True)
+def _best_trial(points, picks, up, least_cosine, thickness):
+    best, most = -1, 0
+    for k in range(len(picks)):
+        a, b, c = points[picks[k, 0]], points[picks[k, 1]], points[picks[k, 2]]
+        n = np.cross(b - a, c - a)
+        length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        if length < 1e-9:
+            continue
+        n /= length
+        if abs(n[0] * up[0] + n[1] * up[1] + n[2] * up[2]) < least_cosine:
+            continue
+        offset = n[0] * a[0] + n[1] * a[1] + n[2] * a[2]
+        count = 0
+        for i in range(len(points)):
+            p = points[i]
+            count += abs(n[0] * p[0] + n[1] * p[1] + n[2] * p[2] - offset) <= thickness
+        if count > most:
+            best, most = k, count
+    return best

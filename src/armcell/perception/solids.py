@@ -1,0 +1,242 @@
+"""Signed distance of the solids that are fitted: below zero inside, exact for box, cylinder and sphere.
+
+A solid is some parts in one frame; its distance is the least of theirs. What is no primitive is a grid of
+distances, interpolated between its nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from armcell.core import SE3, Box, Cylinder, InputError, Mesh, Shape, Sphere
+
+F64 = NDArray[np.float64]
+
+BOX, CYLINDER, SPHERE, GRID = 0, 1, 2, 3
+NODES = 44
+"""Of a grid along the longest side of what it is around."""
+_MARGIN = 4  # nodes of a grid around the object
+_SAMPLES = 40_000  # on the surface
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Parts: kinds (k,), sizes (k, 3), poses (k, 12) as rows of 3x4; a grid (i, j, k) for kind GRID."""
+
+    kinds: NDArray[np.int64]
+    sizes: F64
+    poses: F64
+    grid: F64
+    origin: F64  # (3,) [m] of the grid's first node
+    step: float  # [m] between nodes
+    low: F64  # (3,) [m] corners of the box around it, in its frame
+    high: F64
+
+    @property
+    def radius(self) -> float:
+        """[m] of the ball around its frame's origin that holds it."""
+        return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(self.high))))
+
+    @property
+    def diameter(self) -> float:
+        """[m] of the box around it, from corner to corner."""
+        return float(np.linalg.norm(self.high - self.low))
+
+    def distances(self, points: F64) -> F64:
+        """Signed distances (n,) [m] of points (n, 3) in its frame."""
+        return _distances(points, self.kinds, self.sizes, self.poses, self.grid, self.origin, self.step)
+
+
+NO_GRID = np.zeros((1, 1, 1))
+
+
+def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
+    """One primitive in its own frame. Size: half extents; radius and half length; radius."""
+    half = {
+        BOX: np.array(size),
+        CYLINDER: np.array([size[0], size[0], size[1]]),
+        SPHERE: np.full(3, size[0]),
+    }[kind]
+    pose = np.eye(4)[:3].reshape(1, 12)
+    return Solid(np.array([kind]), np.array([size], float), pose, NO_GRID, np.zeros(3), 1.0, -half, half)
+
+
+def solid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
+    """The solid of an object's shapes (as `CollisionObject.shapes`).
+
+    Raises:
+        InputError: a shape without an end (plane) or of points.
+    """
+    return _solid_of(shapes)
+
+
+@lru_cache(maxsize=64)
+def _solid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
+    parts = [_part(shape) for shape, _ in shapes]
+    if any(part is None for part in parts):
+        return _grid_of(shapes)
+    corners = []
+    for shape, T in shapes:
+        half = shape.half_extents  # type: ignore[union-attr]
+        for signs in np.ndindex(2, 2, 2):
+            corners.append(T.apply(half * (2 * np.array(signs) - 1)))
+    known = [part for part in parts if part is not None]
+    return Solid(
+        np.array([kind for kind, _ in known]),
+        np.array([size for _, size in known], float),
+        np.array([T.matrix[:3].ravel() for _, T in shapes]),
+        NO_GRID, np.zeros(3), 1.0, np.min(corners, axis=0), np.max(corners, axis=0),
+    )  # fmt: skip
+
+
+def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
+    match shape:
+        case Box():
+            return BOX, (shape.x / 2, shape.y / 2, shape.z / 2)
+        case Cylinder():
+            return CYLINDER, (shape.radius, shape.length / 2, 0.0)
+        case Sphere():
+            return SPHERE, (shape.radius, 0.0, 0.0)
+    return None
+
+
+def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
+    """The triangles of an object's shapes in its frame."""
+    import trimesh
+
+    from armcell.core import Capsule, Cone
+
+    vertices, faces, count = [], [], 0
+    for shape, T in shapes:
+        match shape:
+            case Mesh():
+                v, f = shape.vertices, shape.faces
+            case Box():
+                made = trimesh.creation.box((shape.x, shape.y, shape.z))
+                v, f = made.vertices, made.faces
+            case Cylinder():
+                made = trimesh.creation.cylinder(shape.radius, shape.length, sections=48)
+                v, f = made.vertices, made.faces
+            case Sphere():
+                made = trimesh.creation.icosphere(3, shape.radius)
+                v, f = made.vertices, made.faces
+            case Capsule():
+                made = trimesh.creation.capsule(shape.length, shape.radius, count=[32, 32])
+                v, f = np.array(made.vertices), made.faces
+                v[:, 2] -= (v[:, 2].min() + v[:, 2].max()) / 2
+            case Cone():
+                made = trimesh.creation.cone(shape.radius, shape.length, sections=48)
+                v, f = np.array(made.vertices), made.faces
+                v[:, 2] -= shape.length / 2
+            case _:
+                raise InputError(
+                    f"a {type(shape).__name__} has no surface that could be looked for",
+                    cure="look for solids or meshes",
+                )
+        vertices.append(T.apply(v))
+        faces.append(np.asarray(f) + count)
+        count += len(v)
+    return Mesh(np.vstack(vertices), np.vstack(faces).astype(np.int32))
+
+
+def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
+    """Distances at the nodes of a grid: to the plane of the nearest of many samples on the surface; inside
+    is what the outside does not reach, near the surface what is behind the sample's triangle.
+    """
+    import trimesh
+    from scipy.ndimage import label
+    from scipy.spatial import cKDTree
+
+    mesh = surface_mesh(shapes)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    step = float((high - low).max()) / (NODES - 2 * _MARGIN)
+    origin = low - _MARGIN * step
+    shape = np.ceil((high - low) / step).astype(int) + 2 * _MARGIN + 1
+    tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    samples, face = trimesh.sample.sample_surface(tri, _SAMPLES, seed=0)[:2]  # type: ignore[misc]
+    normals = tri.face_normals[face]
+    spacing = float(np.sqrt(tri.area / _SAMPLES))
+    nodes = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1).reshape(-1, 3)
+    points = origin + nodes * step
+    far, nearest = cKDTree(samples).query(points, workers=1)
+    away = points - samples[nearest]
+    above = np.einsum("ij,ij->i", away, normals[nearest])
+    aside = np.sqrt(np.maximum(far**2 - above**2, 0.0))
+    distance = np.where(aside < 2 * spacing, np.abs(above), far)
+    touched = (far <= step).reshape(shape)
+    outside = np.asarray(label(~touched)[0])  # type: ignore[index]
+    reached = (outside == outside[0, 0, 0]).ravel()
+    inside = np.where(touched.ravel(), above < 0, ~reached)
+    grid = np.where(inside, -distance, distance).reshape(shape)
+    pose = np.eye(4)[:3].reshape(1, 12)
+    return Solid(
+        np.array([GRID]), np.zeros((1, 3)), pose, np.ascontiguousarray(grid), origin, step, low, high
+    )
+
+
+@njit(cache=True)
+def part_distance(kind, size, x, y, z, grid, origin, step):
+    """Signed distance of a point in a part's own frame."""
+    if kind == SPHERE:
+        return np.sqrt(x * x + y * y + z * z) - size[0]
+    if kind == BOX:
+        a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+        outside = np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
+        return outside + min(max(a, b, c), 0.0)
+    if kind == CYLINDER:
+        a, b = np.sqrt(x * x + y * y) - size[0], abs(z) - size[1]
+        return np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2) + min(max(a, b), 0.0)
+    return _interpolated(x, y, z, grid, origin, step)
+
+
+@njit(cache=True)
+def _interpolated(x, y, z, grid, origin, step):
+    """From a grid; beyond it the distance to the grid's edge is added."""
+    f = np.empty(3)
+    i = np.empty(3, np.int64)
+    extra = 0.0
+    p = (x, y, z)
+    for d in range(3):
+        g = (p[d] - origin[d]) / step
+        top = grid.shape[d] - 1.0
+        inside = min(max(g, 0.0), top)
+        extra += ((g - inside) * step) ** 2
+        i[d] = min(int(inside), grid.shape[d] - 2)
+        f[d] = inside - i[d]
+    total = 0.0
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                weight = (f[0] if a else 1 - f[0]) * (f[1] if b else 1 - f[1]) * (f[2] if c else 1 - f[2])
+                total += weight * grid[i[0] + a, i[1] + b, i[2] + c]
+    return total + np.sqrt(extra)
+
+
+@njit(cache=True)
+def solid_distance(x, y, z, kinds, sizes, poses, grid, origin, step):
+    """Signed distance of a point in a solid's frame."""
+    least = np.inf
+    for k in range(len(kinds)):
+        P = poses[k]
+        a, b, c = x - P[3], y - P[7], z - P[11]
+        d = part_distance(
+            kinds[k], sizes[k], P[0] * a + P[4] * b + P[8] * c, P[1] * a + P[5] * b + P[9] * c,
+            P[2] * a + P[6] * b + P[10] * c, grid, origin, step,
+        )  # fmt: skip
+        least = min(least, d)
+    return least
+
+
+@njit(cache=True)
+def _distances(points, kinds, sizes, poses, grid, origin, step):
+    out = np.empty(len(points))
+    for i in range(len(points)):
+        out[i] = solid_distance(
+            points[i, 0], points[i, 1], points[i, 2], kinds, sizes, poses, grid, origin, step
+        )
+    return out
