@@ -234,6 +234,33 @@ def test_12_ptp_lin_circ(printed):
 
 
 @pytest.mark.slow
+def test_13_grasp_any_mesh(printed):
+    said = printed("13_grasp_any_mesh.py")
+    assert "90 m large: it is probably in millimetres -> give 'scale: 0.001'" in said
+    area = np.pi * (0.045**2 - 0.030**2)  # of the ring; the bar's ends are in it
+    assert number(r"wheel: (\d+) g", said) == pytest.approx(
+        400e3 * (area * 0.04 + 0.06 * 0.012 * 0.02), abs=10
+    )
+    assert number(r"(\d+) grasps", said) > 10
+    for width, opened in re.findall(r"(\d+) mm between the pads, opened to (\d+) mm", said):
+        assert int(width) < int(opened) <= 80
+    assert "a crate: 200 mm wide, the gripper opens 80 mm" in said
+    assert "pick: SUCCESS" in said and number(r"slipped ([\d.]+) mm", said) < 1.0
+    assert number(r"place: SUCCESS, ([\d.]+) mm off", said) < 5.0
+
+
+@pytest.mark.slow
+def test_14_prove_a_grasp(printed):
+    said = printed("14_prove_a_grasp.py")
+    rows = re.findall(r"(\d\.\d\d) \[(\d\.\d\d), (\d\.\d\d)\]", said)
+    assert len(rows) == 6 and all(float(low) < float(p) <= float(high) for p, low, high in rows)
+    held = [int(n) for n in re.findall(r"N per finger: (\d+) of 12 held", said)]
+    assert held[0] >= 11 and held[2] == 0 and held == sorted(held, reverse=True)
+    known = [int(n) for n in re.findall(r"mm: (\d+) of 12 held", said)]
+    assert len(known) == 3 and known[0] >= known[2]
+
+
+@pytest.mark.slow
 def test_24_two_programs_over_ros_tcp(printed):
     said = printed("24_two_programs_over_ros_tcp.py")
     assert "sensed 8 joints of panda" in said and "simulator: done" in said

@@ -134,8 +134,8 @@ def test_what_a_full_hand_refuses_and_that_it_can_still_place(cell):
         cell.arm.pick("cube")
     with pytest.raises(UnknownNameError, match="'tray'"):
         cell.arm.place("cube", on="trey")
-    with pytest.raises(InputError, match="does not fit on 'post'"):
-        cell.arm.place("cube", on="post")
+    with pytest.raises(InputError, match="does not fit on 'wall'"):
+        cell.arm.place("cube", on="wall")
     with pytest.raises(InputError):
         cell.arm.place("cube", on="cube")
     assert len(cell.ctx.reports) == reports and set(cell.ctx.holding) == {"cube"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,27 +28,43 @@ from armcell.core import (
 )
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import read_yaml
-from armcell.scene import CollisionObject, Material, ObjectType, Thread, load_obstacle
+from armcell.scene import (
+    CollisionObject,
+    Material,
+    ObjectType,
+    Thread,
+    check_mesh,
+    library_object,
+    load_obstacle,
+)
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
     """The object that a checked entry describes; files in it are relative to `folder`."""
-    color = tuple(spec.color) if len(spec.color) == 4 else (*spec.color, 1.0)
-    return CollisionObject(
-        name,
-        tuple((_shape(s, folder), SE3.from_mapping(s.pose, "pose")) for s in spec.shape_specs()),
-        SE3.from_mapping(spec.pose, "pose"),
-        color,  # type: ignore[arg-type]
-        spec.movable,
-        spec.mass,
-        Material() if spec.friction is None else Material(spec.friction),
-        {n: SE3.from_mapping(pose, f"subframes/{n}") for n, pose in spec.subframes.items()},
-        ObjectType(spec.type.key, spec.type.db),
-        None if spec.thread is None else Thread(**spec.thread.model_dump()),
-    )
+    given: dict[str, Any] = {
+        "subframes": {n: SE3.from_mapping(pose, f"subframes/{n}") for n, pose in spec.subframes.items()},
+        "type": ObjectType(spec.type.key, spec.type.db),
+        "movable": spec.movable,
+        "thread": None if spec.thread is None else Thread(**spec.thread.model_dump()),
+    }
+    if spec.color is not None:
+        given["color"] = tuple(spec.color) if len(spec.color) == 4 else (*spec.color, 1.0)
+    if spec.mass is not None:
+        given["mass"] = spec.mass
+    if spec.friction is not None:
+        given["material"] = Material(spec.friction)
+    pose = SE3.from_mapping(spec.pose, "pose")
+    if spec.model is not None:
+        item = library_object(spec.model, name, pose, scale=spec.mesh_scale, sizes=spec.sizes, **given)
+    else:
+        shapes = (
+            (_shape(s, folder, spec.movable), SE3.from_mapping(s.pose, "pose")) for s in spec.shape_specs()
+        )
+        item = CollisionObject(name, tuple(shapes), pose, **given)
+    return item if spec.density is None else replace(item, mass=spec.density * item.volume)
 
 
-def _shape(spec: ShapeSpec, folder: Path) -> Shape:
+def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
     if spec.box is not None:
         return Box(*spec.box)
     if spec.sphere is not None:
@@ -57,7 +74,9 @@ def _shape(spec: ShapeSpec, folder: Path) -> Shape:
             return cls(*value)
     if spec.mesh is not None:
         s = spec.mesh_scale
-        return load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
+        mesh = load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
+        check_mesh(mesh, movable)
+        return mesh
     if spec.cloud is not None:
         return load_obstacle(resolve_uri(spec.cloud, folder), spec.radius)
     return Plane()

@@ -5,7 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from armcell.core import InputError, UnknownNameError
 
@@ -14,6 +22,9 @@ Range = tuple[float, float]
 
 class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+SCALE = Field(1.0, gt=0, validation_alias=AliasChoices("mesh_scale", "scale"))
 
 
 class ShapeSpec(Strict):
@@ -26,7 +37,7 @@ class ShapeSpec(Strict):
     cone: tuple[float, float] | None = None  # radius, length
     plane: Literal[True] | None = None
     mesh: str | None = None  # file, relative to the cell folder, or package://
-    mesh_scale: float = Field(1.0, gt=0)
+    mesh_scale: float = SCALE
     cloud: str | None = None  # file of points (.ply, .pcd, .xyz, .npy) or an octomap (.bt, .ot)
     radius: float | None = Field(None, gt=0)  # [m] of a cloud's points
     pose: Any = (0.0, 0.0, 0.0)
@@ -61,7 +72,7 @@ class ThreadSpec(Strict):
 
 
 class ObjectSpec(Strict):
-    """An object: one shape given directly, or several under `shapes`."""
+    """An object: one shape given directly, several under `shapes`, or one of the library's by `model`."""
 
     box: tuple[float, float, float] | None = None
     sphere: float | None = None
@@ -70,17 +81,20 @@ class ObjectSpec(Strict):
     cone: tuple[float, float] | None = None
     plane: Literal[True] | None = None
     mesh: str | None = None
-    mesh_scale: float = Field(1.0, gt=0)
+    mesh_scale: float = SCALE  # of a mesh or of a library object
     cloud: str | None = None
     radius: float | None = Field(None, gt=0)
     shapes: list[ShapeSpec] = []
+    model: str | None = None  # name of a library object
+    sizes: dict[str, float] = {}  # [m] of the library object
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
     thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
     pose: Any = (0.0, 0.0, 0.0)
-    color: tuple[float, float, float, float] | tuple[float, float, float] = (0.6, 0.6, 0.6)
+    color: tuple[float, float, float, float] | tuple[float, float, float] | None = None
     movable: bool = False
     mass: float | None = None  # [kg]
+    density: float | None = Field(None, gt=0)  # [kg/m^3], where no mass is given
     friction: float | None = None
 
     def shape_specs(self) -> list[ShapeSpec]:
@@ -91,7 +105,14 @@ class ObjectSpec(Strict):
 
     @model_validator(mode="after")
     def _shaped(self):
-        self.shape_specs()
+        if self.model is None:
+            self.shape_specs()
+            if self.sizes:
+                raise ValueError("'sizes' are of a library object: it needs 'model'")
+        elif self.shapes or any(getattr(self, k) is not None for k in SHAPE_KEYS):
+            raise ValueError("has a shape of its own and 'model': give one or the other")
+        if self.mass is not None and self.density is not None:
+            raise ValueError("has a mass and a density: give one or the other")
         return self
 
 

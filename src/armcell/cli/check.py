@@ -103,7 +103,7 @@ def _task(cell, scene) -> Iterator[Finding]:
 
 def _pick(cell, scene, name: str) -> Finding:
     from armcell.core import InputError
-    from armcell.grasping import grasp_candidates
+    from armcell.grasping import grasp_candidates, hand_of, nearest_miss
 
     item, what = scene.object(name), f"pick {name}"
     if not item.movable:
@@ -112,9 +112,10 @@ def _pick(cell, scene, name: str) -> Finding:
         gripper = cell.model.gripper()
     except InputError as error:
         return False, what, str(error)
-    grasps, rejected = grasp_candidates(item, gripper)
+    grasps, rejected = grasp_candidates(item, hand_of(cell.model, gripper))
     if not grasps:
-        return False, what, f"no grasp: {rejected[0].reason if rejected else 'no candidates'}"
+        miss = nearest_miss(rejected)
+        return False, what, f"no grasp: {miss.reason if miss else 'no candidates'}"
     return _reach(cell, scene, name, gripper)
 
 

@@ -127,14 +127,14 @@ def _joint_solutions(scene: Any, request: Any, link: str | None) -> dict[str, An
 
 def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     from armcell.core import InputError
-    from armcell.grasping import grasp_candidates
+    from armcell.grasping import grasp_candidates, hand_of
     from armcell.tasks import Draft, Planning
     from armcell.tasks.stages import ChooseGrasp
 
     if not scene.object(item).movable:
         raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
     gripper = loaded.model.gripper(arm_group=goals.arm_group(loaded.model))
-    grasps, rejected = grasp_candidates(scene.object(item), gripper)
+    grasps, rejected = grasp_candidates(scene.object(item), hand_of(scene.model, gripper))
     planning = Planning(loaded.settings)
     stage = ChooseGrasp(item, gripper, loaded.settings.near, loaded.settings.approach_distance)
     works = {draft.data["candidate"] for draft in stage.drafts(Draft(scene), planning)}

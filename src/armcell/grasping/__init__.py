@@ -1,16 +1,60 @@
 """Where to hold an object and where to put it."""
 
-from armcell.grasping.candidates import Grasp, Rejection, generators, grasp_candidates, grip_force
+import armcell.grasping.generators  # noqa: F401  registers them
+from armcell.grasping.candidates import (
+    Grasp,
+    Proposals,
+    Rejection,
+    generator_for,
+    generators,
+    grasp_candidates,
+    how_near,
+    nearest_miss,
+)
+from armcell.grasping.contact import PadContact
+from armcell.grasping.force import grip_force, needed_force
+from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placing import RELEASE_GAP, Placement, place_candidates, support_surface
+from armcell.grasping.quality import (
+    Noise,
+    Quality,
+    contact_wrenches,
+    grasp_quality,
+    hull_quality,
+    robustness,
+)
+from armcell.grasping.stability import Rest, resting_now, rests
+from armcell.grasping.surface import Surface, cloud_surface, surface_of
 
 __all__ = [
     "RELEASE_GAP",
     "Grasp",
+    "Hand",
+    "Noise",
+    "PadContact",
     "Placement",
+    "Proposals",
+    "Quality",
     "Rejection",
+    "Rest",
+    "Surface",
+    "cloud_surface",
+    "contact_wrenches",
+    "generator_for",
     "generators",
     "grasp_candidates",
+    "grasp_quality",
     "grip_force",
+    "hand_of",
+    "how_near",
+    "hull_quality",
+    "nearest_miss",
+    "needed_force",
     "place_candidates",
+    "pre_opening",
+    "resting_now",
+    "rests",
+    "robustness",
     "support_surface",
+    "surface_of",
 ]

@@ -1,31 +1,43 @@
-"""Where to hold an object: grasp candidates for a parallel gripper, best first, and why others are out."""
+"""Where to hold an object: grasp candidates for a parallel gripper, best first, and why others are out.
+
+A generator proposes poses of the tcp; all of them are then looked at in the same way, cheap things first:
+do the pads meet the object, is it narrow enough, is the hand clear of the object and of what that stands on
+(`kernel.fit`), do the contacts press against each other, is the gripper strong enough. What the arm can reach
+and what else is in the way is asked afterwards, candidate by candidate (`tasks.stages.ChooseGrasp`).
+"""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3, Cylinder, Registry, Sphere
-from armcell.model import Gripper
+from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
+from armcell.grasping import kernel
+from armcell.grasping.contact import PadContact
+from armcell.grasping.force import SAFETY, grip_force, holding_factor, needed_force
+from armcell.grasping.hand import Hand
+from armcell.grasping.surface import Surface, surface_of
 from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
-MIN_DEPTH = 0.002  # [m] that the tcp is inside the object at least
-BOTTOM_CLEARANCE = 0.006  # [m] between the finger tips and what the object stands on
-OPENING_FACTOR = 1.125  # pre-opening relative to the object: 10-15 % wider
-OPENING_MARGIN = 0.010  # [m] wider at least: half of it is what a finger may be off by
-FORCE_SAFETY = 3.0
-MIN_FORCE = 10.0  # [N] per finger
-LIFT_ACCELERATION = 3.0  # [m/s^2] the held object must stand besides gravity
+APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and least
+KEPT = 64  # sets of fitted candidates remembered
+SOFT_PATCH = 1.5e-3  # [m] radius of a contact patch that is worth half of a large one
+FAR_LEVER = 0.04  # [m] of the weight, at which a grasp is worth half
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A way to hold an object. The tcp's z axis is the approach direction, y the closing direction."""
+    """A way to hold an object. The tcp's z axis is the approach direction, y the closing direction.
+
+    The hand comes along +z of the tcp, `approach` [m] if there is room and not less than `shortest_approach`,
+    and leaves the same way.
+    """
 
     name: str
     T_object_tcp: SE3
@@ -33,6 +45,9 @@ class Grasp:
     opening: float  # [m] before the approach
     force: float  # [N] per finger
     score: float = 0.0  # higher is tried first
+    approach: float = APPROACH
+    shortest_approach: float = SHORTEST_APPROACH
+    contacts: tuple[PadContact, ...] = ()  # what the pads meet at +y and -y, in the tcp frame
 
 
 @dataclass(frozen=True)
@@ -41,119 +56,175 @@ class Rejection:
 
     name: str
     reason: str
+    passed: int = 0  # how many checks it came through
+    excess: float = np.inf  # by how much it failed the next one
 
 
-Generator = Callable[[CollisionObject, Gripper], tuple[list[Grasp], list[Rejection]]]
+@dataclass
+class Proposals:
+    """What a generator hands on: names, no two alike, and tcp poses in the object's frame."""
+
+    names: list[str] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)  # (4, 4)
+    taken: dict[str, int] = field(default_factory=dict)  # how often a name was used
+
+    def add(self, name: str, T_object_tcp: Array) -> None:
+        """One more; a name that was there gets a number."""
+        count = self.taken[name] = self.taken.get(name, 0) + 1
+        self.names.append(name if count == 1 else f"{name} ({count})")
+        self.poses.append(T_object_tcp)
+
+
+Generator = Callable[[CollisionObject, Surface, Hand, Array], Proposals]
+"""(object, its surface, the hand, direction (3,) that is up in the object's frame) -> proposals."""
+
 generators: Registry[Generator] = Registry("grasp generator")
 
 
-def needed_force(item: CollisionObject) -> float:
-    """Force per finger [N] that just holds the object: m (g + a) / (2 mu) by Coulomb."""
-    return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))
-
-
-def grip_force(item: CollisionObject, gripper: Gripper) -> float:
-    """Force per finger [N] to grip with: `needed_force` with a safety factor, if the gripper has it."""
-    return float(np.clip(needed_force(item) * FORCE_SAFETY, MIN_FORCE, gripper.max_force))
-
-
-@generators.register("bounding_box")
-def bounding_box_grasps(item: CollisionObject, gripper: Gripper) -> tuple[list[Grasp], list[Rejection]]:
-    """Grasps across the faces of the object's bounding box: six approach directions, two closing axes, both
-    hand orientations. Round shapes are also gripped at angles in between.
-    """
-    low, high = item.bounds()
-    centre, size = (low + high) / 2, high - low
-    found, rejected = [], []
-    up = item.T_world_object.rotation.matrix.T @ np.array([0.0, 0.0, 1.0])  # in the object's frame
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            approach = np.zeros(3)
-            approach[axis] = sign
-            for closing, turn in _closings(item, axis):
-                width = item.extent(closing)
-                label = f"{_direction(approach, axis, up)} {turn}"
-                opening = min(max(width * OPENING_FACTOR, width + OPENING_MARGIN), gripper.max_width)
-                if width > gripper.max_width - OPENING_MARGIN / 2:
-                    reason = (
-                        f"{width * 1000:.0f} mm wide, the gripper opens {gripper.max_width * 1000:.0f} mm"
-                    )
-                    rejected.append(Rejection(label, reason))
-                    continue
-                if needed_force(item) > gripper.max_force:
-                    force = needed_force(item)
-                    text = f"needs {force:.0f} N per finger, the gripper has {gripper.max_force:.0f} N"
-                    rejected.append(Rejection(label, text))
-                    continue
-                position = _tcp_position(centre, size, approach, axis, up, gripper)
-                if position is None:
-                    rejected.append(
-                        Rejection(label, f"{size[axis] * 1000:.0f} mm is too flat for the finger tips")
-                    )
-                    continue
-                for flip in (1.0, -1.0):
-                    y = flip * closing
-                    R = SO3(np.column_stack([np.cross(y, approach), y, approach]))
-                    down = float(-approach @ up)  # 1: from above
-                    # From above first, then the narrower side, then the hand the usual way round.
-                    score = down - 0.2 * width / gripper.max_width - (0.01 if flip < 0 else 0.0)
-                    found.append(
-                        Grasp(
-                            f"{label}{'' if flip > 0 else ' flipped'}", SE3(R, position), width, opening,
-                            grip_force(item, gripper), score,
-                        )
-                    )  # fmt: skip
-    found.sort(key=lambda g: -g.score)
-    return found, rejected
-
-
-def _closings(item: CollisionObject, axis: int) -> list[tuple[Array, str]]:
-    """Closing directions across an approach axis, in the object's frame."""
-    others = [k for k in range(3) if k != axis]
-    basis = [np.eye(3)[k] for k in others]
-    shape, T_object_shape = item.shapes[0] if len(item.shapes) == 1 else (None, None)
-    lies_along = T_object_shape is not None and abs(T_object_shape.rotation.matrix[axis, 2]) > 0.999
-    if isinstance(shape, Sphere) or (isinstance(shape, Cylinder) and lies_along):
-        angles = np.deg2rad([0, 30, 60, 90, 120, 150])
-        return [(np.cos(a) * basis[0] + np.sin(a) * basis[1], f"at {np.rad2deg(a):.0f} deg") for a in angles]
-    return [(b, f"across {'xyz'[k]}") for b, k in zip(basis, others, strict=True)]
-
-
-def _direction(approach: Array, axis: int, up: Array) -> str:
-    down = float(-approach @ up)
-    face = f"{'-' if approach[axis] > 0 else '+'}{'xyz'[axis]}"
-    if down > 0.9:
-        return "top"
-    if down < -0.9:
-        return "from below"
-    if abs(down) > 0.1:
-        return f"slanting {face}"
-    return f"side {'-' if approach[axis] > 0 else '+'}{'xyz'[axis]}"
-
-
-def _tcp_position(
-    centre: Array, size: Array, approach: Array, axis: int, up: Array, gripper: Gripper
-) -> Array | None:
-    """The tcp at the object's centre, or as deep as the fingers allow, and high enough above the support."""
-    position = centre.copy()
-    half = size[axis] / 2
-    # Distance from the near face to the tcp along the approach: not deeper than the fingers are long, and
-    # (from above) the tips not lower than the bottom.
-    depth = min(half, gripper.finger_depth)
-    if float(-approach @ up) > 0.7:
-        depth = min(depth, size[axis] - gripper.pad_depth - BOTTOM_CLEARANCE)
-    if depth < MIN_DEPTH:
-        return None
-    position += approach * (depth - half)
-    return position
+def generator_for(item: CollisionObject) -> str:
+    """The generator that suits an object: by its shape, from its mesh, or from its points."""
+    if item.has_cloud:
+        return "cloud"
+    if len(item.shapes) == 1 and isinstance(item.shapes[0][0], Box | Cylinder | Capsule | Sphere):
+        return "primitive"
+    return "antipodal"
 
 
 def grasp_candidates(
-    item: CollisionObject, gripper: Gripper, generator: str = "bounding_box"
+    item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
 ) -> tuple[list[Grasp], list[Rejection]]:
     """Candidates, best first, and the rejected ones with their reasons.
 
+    Args:
+        generator: by name; by default the one that suits the object.
+        on_support: the object stands on something at its lowest point, which the hand may not touch.
     Raises:
         UnknownNameError: no such generator.
+        InputError: the object has no surface that can be gripped.
     """
-    return generators[generator](item, gripper)
+    up = item.T_world_object.rotation.matrix[2]  # world z in the object's frame
+    fitted = _fitted(item, hand, generator or generator_for(item), up, on_support)
+    return _judged(item, hand, fitted, up)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """What does not depend on mass and friction: kept per object, gripper and direction of up."""
+
+    names: tuple[str, ...]
+    poses: Array  # (k, 4, 4)
+    verdict: NDArray[np.int64]
+    measures: Array  # (k, 3): see kernel.fit
+    contacts: Array  # (k, 2, 8)
+    surface: Surface
+
+
+_kept: OrderedDict[tuple, _Fitted] = OrderedDict()
+
+
+def _fitted(item: CollisionObject, hand: Hand, generator: str, up: Array, on_support: bool) -> _Fitted:
+    make = generators[generator]
+    surface = surface_of(item)
+    key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support)
+    if key not in _kept:
+        proposals = make(item, surface, hand, up)
+        _kept[key] = _fit(proposals, surface, hand, up, on_support)
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    _kept.move_to_end(key)
+    return _kept[key]
+
+
+def _fit(proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool) -> _Fitted:
+    poses = np.array(proposals.poses, dtype=float).reshape(-1, 4, 4)
+    floor = float((surface.points @ up).min()) if on_support else -np.inf
+    found = kernel.fit(
+        poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
+        hand.gripper.max_width, np.ascontiguousarray(up), floor, APPROACH,
+    )  # fmt: skip
+    verdict, measures, contacts = found
+    return _Fitted(tuple(proposals.names), poses, verdict, measures, contacts, surface)
+
+
+def _judged(
+    item: CollisionObject, hand: Hand, fitted: _Fitted, up: Array
+) -> tuple[list[Grasp], list[Rejection]]:
+    friction, gripper = max(item.material.friction, 1e-3), hand.gripper
+    force = needed_force(item)
+    good = np.flatnonzero(fitted.verdict == kernel.FREE)
+    rejected = [
+        Rejection(fitted.names[i], *_why(int(fitted.verdict[i]), fitted.measures[i], hand))
+        for i in np.flatnonzero(fitted.verdict != kernel.FREE)
+    ]
+    R, at = fitted.poses[good, :3, :3], fitted.poses[good, :3, 3]
+    contacts, width = fitted.contacts[good], fitted.measures[good, 0]
+    # Angle between each pad's push and the surface: within the friction cone, or the object is squeezed out.
+    inwards = np.stack([contacts[:, 0, 4], -contacts[:, 1, 4]], 1).clip(-1.0, 1.0)
+    slope = (np.sqrt(1 - inwards**2) / np.maximum(inwards, 1e-6)).max(1)
+    # The line through both contacts, and how far beside it the weight pulls: the pads' torsion holds that.
+    a = contacts[:, 0, :3]
+    axis = contacts[:, 1, :3] - a
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    twist = np.sqrt(1 - axis[:, 1] ** 2) / np.maximum(np.abs(axis[:, 1]), 1e-6)
+    arm = np.cross(np.einsum("kji,kj->ki", R, fitted.surface.centre_of_mass - at) - a, axis)
+    tilting = np.abs(np.einsum("ki,ki->k", arm, R.transpose(0, 2, 1) @ up))  # standing still
+    lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # and on the way, however the hand is turned
+    patch = contacts[:, :, 7].min(1)
+    needed = force * holding_factor(friction, item.material.torsional_friction, lever, patch)
+    slanted = np.maximum(slope, twist)
+    quality = (
+        np.clip(1 - (slanted / friction) ** 2, 0, 1)
+        * np.clip(gripper.max_force / np.maximum(SAFETY * needed, 1e-9), 0.05, 1)
+        * (0.3 + 0.7 * patch / (patch + SOFT_PATCH))
+        / (1 + (lever / FAR_LEVER) ** 2)
+    )
+    down = -(R[:, :, 2] @ up)
+    from_above = np.where(down > 0.95, 1.0, 0.5 + 0.4 * down.clip(-1, 1))
+    score = quality * from_above - 0.1 * width / gripper.max_width - 1e-3 * (R[:, 0, 1] < -1e-6)
+    found: list[Grasp] = []
+    for i in np.argsort(-score, kind="stable"):
+        name = fitted.names[good[i]]
+        if force > gripper.max_force:
+            text = f"needs {force:.0f} N per finger, the gripper has {gripper.max_force:.0f} N"
+            rejected.append(Rejection(name, text, 4, force / gripper.max_force))
+        elif slanted[i] > friction:
+            has, holds = np.degrees(np.arctan((float(slanted[i]), friction)))
+            text = f"slips off: the surface is {has:.0f} deg slanted, friction holds {holds:.0f} deg"
+            rejected.append(Rejection(name, text, 3, float(np.radians(has - holds))))
+        elif needed[i] > gripper.max_force:
+            beside = 1000 * float(lever[i])
+            text = f"needs {needed[i]:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"
+            excess = float(needed[i]) / gripper.max_force
+            rejected.append(Rejection(name, f"{text} {gripper.max_force:.0f} N", 4, excess))
+        else:
+            pose, opening = SE3(SO3(R[i]), at[i]), float(fitted.measures[good[i], 1])
+            pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))
+            hold = grip_force(float(needed[i]), gripper)
+            found.append(Grasp(name, pose, float(width[i]), opening, hold, float(score[i]), contacts=pads))
+    return found, rejected
+
+
+def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
+    """Reason, checks passed and excess of a candidate that does not fit."""
+    by, opens = float(measures[2]), hand.gripper.max_width
+    mm = 1000 * by
+    match verdict:
+        case kernel.TOO_WIDE:
+            return f"{mm:.0f} mm wide, the gripper opens {opens * 1000:.0f} mm", 1, by - opens
+        case kernel.HAND_HITS:
+            return f"the hand would be {mm:.0f} mm inside the object", 2, by
+        case kernel.SUPPORT_HIT:
+            return f"the hand would be {mm:.0f} mm inside what the object stands on", 2, by
+        case kernel.TOO_FLAT:
+            return f"too flat: {mm:.0f} mm off, to keep the hand clear, the pads miss it", 2, by
+    return "nothing is between the pads", 0, np.inf
+
+
+def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
+    """The rejected candidate that came farthest and then failed by least, or None."""
+    return min(rejected, key=how_near, default=None)
+
+
+def how_near(rejection: Rejection) -> tuple[int, float]:
+    """A key to sort rejected candidates by: the nearest miss first."""
+    return -rejection.passed, rejection.excess

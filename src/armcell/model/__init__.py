@@ -2,6 +2,7 @@
 
 from armcell.model.assets import find_file
 from armcell.model.compose import Part, compose, prefixed
+from armcell.model.hand import hand_alone
 from armcell.model.loader import load_robot, robot_names
 from armcell.model.robot import (
     Collision,
@@ -36,6 +37,7 @@ __all__ = [
     "Visual",
     "compose",
     "find_file",
+    "hand_alone",
     "load_robot",
     "load_urdf",
     "parse_urdf",

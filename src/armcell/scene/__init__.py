@@ -24,6 +24,8 @@ from armcell.scene.diff import (
 )
 from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
+from armcell.scene.library import Kind, library, library_object, object_names
+from armcell.scene.mesh_object import MeshFacts, check_mesh, mesh_facts, mesh_object
 from armcell.scene.moving import MovingObject
 from armcell.scene.objects import (
     DEFAULT_DENSITY,
@@ -49,7 +51,9 @@ __all__ = [
     "AttachedBody",
     "CollisionObject",
     "DetachObject",
+    "Kind",
     "Material",
+    "MeshFacts",
     "MoveObject",
     "MovingObject",
     "ObjectType",
@@ -66,11 +70,17 @@ __all__ = [
     "SetState",
     "SetType",
     "Thread",
+    "check_mesh",
     "depth_points",
+    "library",
+    "library_object",
     "load_obstacle",
     "load_octree",
     "load_points",
     "load_scene_file",
+    "mesh_facts",
+    "mesh_object",
+    "object_names",
     "octree_from_bytes",
     "save_scene_file",
     "shape_volume",

@@ -6,6 +6,7 @@ from armcell.sim.camera import Camera, DepthNoise, look_at
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.decals import Decal
 from armcell.sim.grip import GripperState, WeldEvent
+from armcell.sim.hand_trials import Trial, TrialResult, TrialSettings, run_trials
 from armcell.sim.pace import Pacer
 from armcell.sim.render import has_gl, render_depth, render_rgb, take_image
 from armcell.sim.settings import PhysicsSettings
@@ -23,6 +24,9 @@ __all__ = [
     "PhysicsContact",
     "PhysicsSettings",
     "SimWorld",
+    "Trial",
+    "TrialResult",
+    "TrialSettings",
     "UnwantedContact",
     "WeldEvent",
     "WorldSnapshot",
@@ -32,5 +36,6 @@ __all__ = [
     "look_at",
     "render_depth",
     "render_rgb",
+    "run_trials",
     "take_image",
 ]

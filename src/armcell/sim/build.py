@@ -15,6 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.convex import convex_pieces
+from armcell.collision.decompose import object_pieces
 from armcell.core import SE3, InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
@@ -360,7 +362,8 @@ def _add_object(
         "density": 0.0,
         "friction": [material.friction, material.torsional_friction, material.rolling_friction],
     }
-    if item.movable or attached:
+    free = item.movable or attached
+    if free:
         if item.thread is None:
             body.add_freejoint(name=f"{item.name}:free")
         else:
@@ -375,7 +378,8 @@ def _add_object(
             "solimp": settings.object_solimp,
         }
     for i, (shape, T_object_shape) in enumerate(item.shapes):
-        adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", **values)
+        split = object_pieces if free else convex_pieces
+        adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", split, **values)
     return body
 
 

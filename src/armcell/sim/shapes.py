@@ -15,6 +15,7 @@ from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane,
 logger = logging.getLogger(__name__)
 
 GEOM = mujoco.mjtGeom
+Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 _CONE_EDGES = 48
 
 _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
@@ -34,8 +35,16 @@ class GeomAdder:
         self._assets: dict[int, str] = {}
         self._kept: list[Mesh] = []  # ids stay valid while the meshes live
 
-    def add_solid(self, body: Any, shape: Shape, T_body_shape: SE3, name: str, **values: Any) -> list[Any]:
-        """Colliding geoms of one shape: a primitive stays one, a mesh becomes its convex pieces.
+    def add_solid(
+        self,
+        body: Any,
+        shape: Shape,
+        T_body_shape: SE3,
+        name: str,
+        split: Splitter = convex_pieces,
+        **values: Any,
+    ) -> list[Any]:
+        """Colliding geoms of one shape: a primitive stays one, a mesh becomes its convex pieces by `split`.
 
         Point clouds and octrees have none: physics takes no part in them.
         """
@@ -49,7 +58,7 @@ class GeomAdder:
         assert isinstance(mesh, Mesh)
         return [
             self.add_mesh(body, piece, T_body_shape, f"{name}.{i}", convex=True, **values)
-            for i, piece in enumerate(convex_pieces(mesh))
+            for i, piece in enumerate(split(mesh))
         ]
 
     def add_mesh(

@@ -26,16 +26,19 @@ from armcell.tasks.stages import (
 from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, Grip, perform_all
 
 
-def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
+def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = ()) -> Outcome:
     """Grasp an object and lift it; the next grasp is tried when one fails.
 
+    Args:
+        excluded: names of grasps that are not to be used.
     Returns:
-        SUCCESS, or the last failure with the reasons per candidate in the evidence ("rejections").
+        SUCCESS with the grasp in the evidence ("grasp", and "proof" where `prove_grasps` is set), or the last
+        failure with the reasons per candidate ("rejections").
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
     """
     _check_free(ctx, item, gripper)
-    s, excluded, outcome = ctx.settings, (), DONE
+    s, outcome = ctx.settings, DONE
     for _ in range(s.attempts):
         scene = ctx.scene()
         supports = tuple(neighbours(scene, item))
@@ -53,6 +56,8 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         if draft is None:
             return outcome
         outcome = perform_all(ctx, draft.steps + after)
+        chosen = {"grasp": draft.data["grasp"], "proof": draft.data["proof"]}
+        outcome = replace(outcome, evidence={**outcome.evidence, **chosen})
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return outcome
         excluded = (*excluded, draft.data["grasp"].name)
@@ -122,10 +127,11 @@ def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None =
     """Put a held object down on another object; the outcome's evidence has the target pose ("placement").
 
     Raises:
-        InputError: the object is not held, or it does not fit on the support.
+        InputError: the object is not held, it does not fit on the support, or it is its own.
     """
     if item not in ctx.holding:
         raise InputError(f"the robot does not hold {item!r}", cure="pick it first")
+    require(item != on, f"{item!r} cannot be put on itself")
     s, gripper = ctx.settings, ctx.holding[item].gripper
     stages: list[Stage] = [
         ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at),

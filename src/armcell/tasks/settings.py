@@ -10,6 +10,7 @@ from armcell.planning import find_planner
 
 _POSITIVE = (
     "approach_distance",
+    "least_approach",
     "lift_distance",
     "lower_distance",
     "retreat_distance",
@@ -49,6 +50,9 @@ class TaskSettings:
     gripper_timeout: float = 3.0  # [s] of simulated time for a gripper motion
     attempts: int = 3  # of a whole pick, with another grasp each time
     max_candidates: int = 40  # of grasps or placements looked at per attempt
+    prove_grasps: int = 0  # reachable grasps that physics tries before one is chosen; 0: the best looking one
+    proof_trials: int = 8  # of each
+    least_approach: float = 0.03  # [m] where there is no room for the whole approach_distance
     planning_time: float = 5.0  # [s] per motion
     planner_id: str = "RRTConnect"
     planning_budget: float = 20.0  # [s] for all motions of one pick or place together
@@ -59,6 +63,7 @@ class TaskSettings:
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
         for name in ("release_margin", "grasp_settle", "release_settle"):
             require(getattr(self, name) >= 0, f"{name} is {getattr(self, name):g}, it must not be negative")
-        for name in ("attempts", "max_candidates"):
+        require(self.prove_grasps >= 0, f"prove_grasps is {self.prove_grasps}, it must not be negative")
+        for name in ("attempts", "max_candidates", "proof_trials"):
             require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")
         find_planner("", self.planner_id)

@@ -12,8 +12,15 @@ import numpy as np
 
 from armcell.collision import neighbours
 from armcell.core import SE3, ErrorCode, InputError, Outcome, UnknownNameError
-from armcell.grasping import Placement, grasp_candidates, place_candidates
-from armcell.grasping.candidates import OPENING_FACTOR, OPENING_MARGIN, grip_force
+from armcell.grasping import (
+    Placement,
+    grasp_candidates,
+    grip_force,
+    hand_of,
+    needed_force,
+    place_candidates,
+    pre_opening,
+)
 from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal
 from armcell.ros.convert import pose_from_message
@@ -145,16 +152,13 @@ class PickPlaceNode:
         item = scene.objects[asked.target_name]
         lift = Way((0.0, 0.0, self._settings.lift_distance))
         if not asked.possible_grasps:
-            found, _ = grasp_candidates(item, gripper)
+            found, _ = grasp_candidates(item, hand_of(scene.model, gripper))
             grasps = []
             for g in found:
                 axis = (item.T_world_object @ g.T_object_tcp).rotation.matrix[:, 2]
                 x, y, z = (axis * self._settings.approach_distance).tolist()
-                grasps.append(
-                    GivenGrasp(
-                        g.name, g.T_object_tcp, g.width, g.opening, g.force, g.score, Way((x, y, z)), lift
-                    )
-                )
+                known = (g.name, g.T_object_tcp, g.width, g.opening, g.force, g.score)
+                grasps.append(GivenGrasp(*known, way_in=Way((x, y, z)), way_out=lift))
             return grasps
         order = sorted(enumerate(asked.possible_grasps), key=lambda kv: -float(kv[1].grasp_quality))
         return [self._grasp(scene, str(i), message, gripper, item.name) for i, message in order]
@@ -171,16 +175,16 @@ class PickPlaceNode:
         width = body.extent(T_object_tcp.rotation.matrix[:, 1])
         opening = _posture(message.pre_grasp_posture, gripper)
         if opening is None:
-            opening = min(max(width * OPENING_FACTOR, width + OPENING_MARGIN), gripper.max_width)
-        force = grip_force(body, gripper)
+            opening = pre_opening(width, gripper)
+        force = grip_force(needed_force(body), gripper)
         if message.max_contact_force > 0:
             force = min(force, float(message.max_contact_force))
         ahead = T_world_tcp.rotation.matrix[:, 2] * self._settings.approach_distance
         up = np.array([0.0, 0.0, self._settings.lift_distance])
         return GivenGrasp(
             name, T_object_tcp, width, opening, force, float(message.grasp_quality),
-            _way(scene, message.pre_grasp_approach, T_world_tip, tip) or Way(tuple(ahead.tolist())),
-            _way(scene, message.post_grasp_retreat, T_world_tip, tip) or Way(tuple(up.tolist())),
+            way_in=_way(scene, message.pre_grasp_approach, T_world_tip, tip) or Way(tuple(ahead.tolist())),
+            way_out=_way(scene, message.post_grasp_retreat, T_world_tip, tip) or Way(tuple(up.tolist())),
         )  # fmt: skip
 
     # --- place ---

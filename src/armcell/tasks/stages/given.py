@@ -43,8 +43,8 @@ class Way:
 class GivenGrasp(Grasp):
     """A grasp with its own approach and lift, both in the world."""
 
-    approach: Way = Way((0.0, 0.0, -0.1))
-    lift: Way = Way((0.0, 0.0, 0.1))
+    way_in: Way = Way((0.0, 0.0, -0.1))
+    way_out: Way = Way((0.0, 0.0, 0.1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +69,9 @@ class ChooseGivenGrasp:
         found = False
         for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
             at_grasp = scene.with_state(arm)
-            back = _moved_by(T_world_tcp, grasp.approach.offset, -1.0)
+            back = _moved_by(T_world_tcp, grasp.way_in.offset, -1.0)
             result = straight(at_grasp, gripper.arm_group, gripper.tcp_link, back, self.speed)
-            if not grasp.approach.taken(result) or result.trajectory is None:
+            if not grasp.way_in.taken(result) or result.trajectory is None:
                 planning.reject("approach", grasp.name, result.message)
                 continue
             found = True
@@ -106,9 +106,9 @@ class Lift:
         grasp: GivenGrasp = draft.data["grasp"]
         gripper = self.gripper
         scene = with_contacts(draft.scene, ((self.object, self.supports),))
-        target = _moved_by(scene.frame_pose(gripper.tcp_link), grasp.lift.offset)
+        target = _moved_by(scene.frame_pose(gripper.tcp_link), grasp.way_out.offset)
         result = straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
-        if not grasp.lift.taken(result) or result.trajectory is None:
+        if not grasp.way_out.taken(result) or result.trajectory is None:
             planning.reject(self.name, grasp.name, result.message)
             return
         yield moved(draft, self.name, result)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from armcell.collision import ExactChecker
-from armcell.core import SE3, JointState
-from armcell.grasping import Grasp, grasp_candidates
+from armcell.core import SE3, JointState, PlanResult
+from armcell.grasping import Grasp, grasp_candidates, hand_of, how_near
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper
-from armcell.scene import PlanningScene
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.tasks.proof import Proof, prove, varied
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.moves import shifted, straight
@@ -20,6 +21,7 @@ from armcell.tasks.steps import Expect, Grip, Hold, Motion, Watch
 from armcell.timing import reversed_in_time
 
 SOLUTIONS_PER_POSE = 3  # arm configurations tried for one pose
+SECONDS_BESIDES = 3.0  # [s] of a pick that are the same for every grasp: so long is approaching and closing
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +36,42 @@ class ChooseGrasp:
     name: str = "grasp"
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        item = draft.scene.object(self.object)
-        grasps, rejected = grasp_candidates(item, self.gripper)
-        for rejection in rejected:
+        item, s = draft.scene.object(self.object), planning.settings
+        grasps, rejected = grasp_candidates(item, hand_of(draft.scene.model, self.gripper))
+        grasps = [g for g in grasps if g.name not in self.excluded]
+        proofs: dict[str, Proof] = {}
+        if s.prove_grasps and grasps:
+            grasps, proofs = self._proven(draft, planning, item, grasps)
+        for grasp in grasps[: s.max_candidates]:
+            yield from self._approaches(draft, planning, grasp, proofs.get(grasp.name))
+        for rejection in sorted(rejected, key=how_near):  # after those that came farther
             planning.reject(self.name, rejection.name, rejection.reason)
-        tried = [g for g in grasps if g.name not in self.excluded][: planning.settings.max_candidates]
-        for grasp in tried:
-            yield from self._approaches(draft, planning, grasp)
 
-    def _approaches(self, draft: Draft, planning: Planning, grasp: Grasp) -> Iterator[Draft]:
+    def _proven(
+        self, draft: Draft, planning: Planning, item: CollisionObject, grasps: list[Grasp]
+    ) -> tuple[list[Grasp], dict[str, Proof]]:
+        """Reachable grasps, the greatest P(success) x reachability / time first, and their proofs."""
+        s, model, gripper = planning.settings, draft.scene.model, self.gripper
+        worth: dict[str, float] = {}
+        reached = []
+        for grasp in varied(grasps, 3 * s.prove_grasps):
+            opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
+            scene = opened.with_allowed(self.object, gripper.hand_links)
+            T_world_tcp = item.T_world_object @ grasp.T_object_tcp
+            arms = list(reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name))
+            if arms:
+                seconds = min(_seconds(scene, arm) / self.speed.velocity for arm in arms)
+                worth[grasp.name] = len(arms) / SOLUTIONS_PER_POSE / (SECONDS_BESIDES + seconds)
+                reached.append(grasp)
+            if len(reached) == s.prove_grasps:
+                break
+        proofs = {p.grasp.name: p for p in prove(model, gripper, item, reached, s.proof_trials)}
+        reached.sort(key=lambda g: -proofs[g.name].probability * worth[g.name])
+        return reached, proofs
+
+    def _approaches(
+        self, draft: Draft, planning: Planning, grasp: Grasp, proof: Proof | None
+    ) -> Iterator[Draft]:
         gripper = self.gripper
         opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
         scene = opened.with_allowed(self.object, gripper.hand_links)
@@ -50,8 +79,10 @@ class ChooseGrasp:
         found = False
         for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
             at_grasp = scene.with_state(arm)
-            back = shifted(T_world_tcp, (0.0, 0.0, -self.distance), in_own_frame=True)
-            result = straight(at_grasp, gripper.arm_group, gripper.tcp_link, back, self.speed)
+            result = self._backwards(at_grasp, T_world_tcp, self.distance)
+            least = planning.settings.least_approach
+            if not result.ok and self.distance > least:
+                result = self._backwards(at_grasp, T_world_tcp, least)
             if not result.ok or result.trajectory is None:
                 planning.reject("approach", grasp.name, result.message)
                 continue
@@ -62,6 +93,7 @@ class ChooseGrasp:
                 Expect(self.object, gripper.finger_links),
                 scene=opened,
                 grasp=grasp,
+                proof=proof,
                 candidate=grasp.name,
                 pre_grasp=approach.positions[0],
                 approach=Motion(
@@ -71,6 +103,10 @@ class ChooseGrasp:
             )
         if found:
             planning.reject(self.name, grasp.name, "no complete plan with this grasp")
+
+    def _backwards(self, at_grasp: PlanningScene, T_world_tcp: SE3, distance: float) -> PlanResult:
+        back = shifted(T_world_tcp, (0.0, 0.0, -distance), in_own_frame=True)
+        return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +141,13 @@ class Close:
             Watch(self.object, self.supports),
             scene=scene,
         )
+
+
+def _seconds(scene: PlanningScene, arm: JointState) -> float:
+    """Least time [s] to move there at full speed, straight through whatever is in between."""
+    columns = scene.model.columns(arm.joint_names)
+    way = np.abs(arm.positions - scene.positions[columns])
+    return float(np.max(way / scene.model.limits(arm.joint_names, "velocity")))
 
 
 def finger_state(gripper: Gripper, width: float) -> JointState:

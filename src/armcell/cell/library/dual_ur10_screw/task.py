@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from armcell.core import ErrorCode, JointGoal, JointState, Outcome
 from armcell.tasks import checked
 
@@ -12,7 +14,9 @@ def task(cell):
     left, right = cell["left_arm"], cell["right_arm"]
     checked(left.grasp("beam"))
     home = cell.model.named_state("right_arm", "home")
-    ready = JointGoal(home.updated(JointState(("right_wrist_3_joint",), [-2.6])))  # the wrist turned back
+    ready = JointGoal(
+        home.updated(JointState(("right_wrist_3_joint",), np.array([-2.6])))
+    )  # the wrist turned back
     beam = cell.scene().object("beam").T_world_object
     done = []
     for _ in range(STROKES):

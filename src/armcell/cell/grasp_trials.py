@@ -1,0 +1,310 @@
+"""Picking and placing one object after the other with a whole robot in physics: how often grasps hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.cell.live import LiveCell
+from armcell.control import DriverOptions, drivers
+from armcell.core import SE3, SO3, Box, ErrorCode, InputError, Mesh, Outcome
+from armcell.core.intervals import wilson
+from armcell.grasping import Grasp, grasp_candidates, grasp_quality, hand_of, nearest_miss, rests
+from armcell.model import Gripper, load_robot, load_urdf
+from armcell.model.assets import MESH_SUFFIXES
+from armcell.scene import (
+    CollisionObject,
+    Material,
+    PlanningScene,
+    library_object,
+    mesh_object,
+    object_names,
+)
+from armcell.sim import PhysicsSettings, SimWorld
+from armcell.tasks import Proof, TaskContext, TaskSettings, hold, pick, place, prove, release, varied
+
+Array = NDArray[np.float64]
+
+LIFT, HOLD, NEAR_ENOUGH = 0.20, 5.0, 0.01  # [m], [s], [m] of what a trial asks for
+SHARE = 0.75  # of the gripper's opening that a scaled object's narrowest side takes
+FRICTION = 0.5  # of objects from files, which say nothing of it
+REACH = {"panda": 0.5}  # [m] in front of the base
+TABLE, OBJECT = "table", "object"
+AT_REST = 5e-4  # [m] in half a second; ten times that in radians
+
+
+@dataclass(frozen=True)
+class TrialOptions:
+    """What is asked of the trials."""
+
+    robot: str = "panda"
+    candidates: int = 16  # proven in physics before one is chosen
+    proof_trials: int = 8
+    seed: int = 0
+    any_grasp: bool = True  # also try a grasp drawn at random: how well are successes predicted?
+    recovery: bool = True  # where the first attempt fails, once more with three attempts
+
+
+@dataclass
+class Row:
+    """What happened to one object."""
+
+    name: str
+    scale: float
+    graspable: bool
+    reason: str = ""
+    success: bool | None = None  # first attempt
+    recovered: bool | None = None
+    probability: float | None = None
+    interval: tuple[float, float] | None = None
+    epsilon: float | None = None
+    grasp: str = ""
+    error_m: float | None = None  # of the place
+    slip_m: float | None = None  # during the hold
+    candidates: int = 0
+    generation_s: float = 0.0  # CPU
+    proof_s: float = 0.0  # wall
+    random: dict[str, Any] = field(default_factory=dict)  # the trial with a random grasp
+
+
+# --- objects ---
+def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
+    """The library's objects as they are."""
+    for kind in object_names():
+        yield kind, library_object(kind), 1.0
+
+
+def objects_of(
+    folder: Path, gripper: Gripper, count: int, scale: float = 1.0
+) -> Iterator[tuple[str, CollisionObject, float]]:
+    """Objects of the mesh files of a folder, or of its URDFs where there are any, scaled to fit the gripper.
+
+    Raises:
+        InputError: no such folder, or nothing in it.
+    """
+    if not folder.is_dir():
+        raise InputError("is not a folder", file=folder)
+    files = sorted(folder.rglob("*.urdf")) or sorted(
+        f for f in folder.rglob("*") if f.suffix.lower() in MESH_SUFFIXES
+    )
+    if not files:
+        raise InputError(
+            "has no mesh and no URDF in it", file=folder, cure=f"put {', '.join(sorted(MESH_SUFFIXES))} there"
+        )
+    limit = SHARE * gripper.max_width
+    for file in files[:count]:
+        item = _of_urdf(file) if file.suffix == ".urdf" else mesh_object(file.stem, file, scale=scale)
+        item = replace(item, material=Material(FRICTION))
+        low, high = item.bounds()
+        shrink = min(1.0, limit / float((high - low).min()))
+        yield file.stem, item if shrink == 1.0 else _scaled(item, shrink), shrink
+
+
+def _of_urdf(file: Path) -> CollisionObject:
+    model = load_urdf(file)
+    link = model.links[model.root_link]
+    shapes = tuple((c.shape, c.T_link_shape) for c in link.collisions)
+    mass = link.inertial.mass if link.inertial else None
+    return CollisionObject(file.stem, shapes, movable=True, mass=mass)
+
+
+def _scaled(item: CollisionObject, scale: float) -> CollisionObject:
+    shapes = []
+    for shape, T in item.shapes:
+        if not isinstance(shape, Mesh):
+            raise InputError(f"object {item.name!r}: only meshes are scaled to fit")
+        moved = SE3(T.rotation, T.translation * scale)
+        shapes.append((Mesh(shape.vertices * scale, shape.faces, shape.file), moved))
+    return replace(item, shapes=tuple(shapes))
+
+
+# --- one object ---
+class Bench:
+    """A robot at a table on which one object after the other is tried."""
+
+    def __init__(self, options: TrialOptions):
+        self.options = options
+        self.model = load_robot(options.robot)
+        self.gripper = self.model.gripper()
+        x = REACH.get(options.robot, 0.7)
+        self.spot, self.goal = (x, -0.15), (0.0, 0.2)
+        table = CollisionObject.single(TABLE, Box(1.0, 1.4, 0.04), SE3.from_xyz(x, 0.0, -0.021))
+        self.table = PlanningScene.of(self.model, objects=[table]).with_padding(0.003)
+        self.settings = TaskSettings(
+            lift_distance=LIFT, lower_distance=0.06, retreat_distance=0.08, attempts=1,
+            prove_grasps=options.candidates, proof_trials=options.proof_trials,
+        )  # fmt: skip
+
+    def run(self, name: str, item: CollisionObject, scale: float) -> Row:
+        """Everything about one object: its grasps, the attempts, the predictions."""
+        item, hand = replace(item, name=OBJECT), hand_of(self.model, self.gripper)
+        began = time.thread_time()
+        grasp_candidates(item, hand)
+        row = Row(name, scale, False, generation_s=time.thread_time() - began)
+        placed = self._at_rest(item)
+        if placed is None:
+            row.reason = "does not come to rest on any side"
+            return row
+        grasps, rejected = grasp_candidates(placed, hand)
+        row.graspable, row.candidates = bool(grasps), len(grasps)
+        if not grasps:
+            miss = nearest_miss(rejected)
+            row.reason = miss.reason if miss else "no candidates"
+            return row
+        scene, options = self.table.with_object(placed), self.options
+        began = time.perf_counter()
+        self._proofs(placed, varied(grasps, options.candidates))
+        row.proof_s = time.perf_counter() - began
+        first = self._attempt(scene, self.settings)
+        row.success, row.reason = first.ok, first.message
+        row.error_m, row.slip_m = first.evidence.get("error_m"), first.evidence.get("slip_m")
+        if first.evidence.get("proof") is not None:
+            proof = first.evidence["proof"]
+            row.grasp, row.probability, row.interval = proof.grasp.name, proof.probability, proof.interval
+            row.epsilon = grasp_quality(placed, proof.grasp).epsilon
+        if not first.ok and options.recovery:
+            row.recovered = self._attempt(scene, replace(self.settings, attempts=3), tries=3).ok
+        if options.any_grasp:
+            row.random = self._random(scene, placed, grasps)
+        return row
+
+    def _proofs(self, item: CollisionObject, grasps: Sequence[Grasp]) -> list[Proof]:
+        return prove(self.model, self.gripper, item, grasps, self.options.proof_trials)
+
+    def _random(self, scene: PlanningScene, item: CollisionObject, grasps: list[Grasp]) -> dict[str, Any]:
+        """A trial with a reachable grasp drawn at random from those that differ; empty if five are not."""
+        settings = replace(self.settings, prove_grasps=0)
+        rng, pool = np.random.default_rng(self.options.seed), varied(grasps, 40)
+        for i in rng.permutation(len(pool))[:5]:
+            (proof,) = self._proofs(item, [pool[i]])
+            others = tuple(g.name for g in grasps if g is not pool[i])
+            outcome = self._attempt(scene, settings, excluded=others)
+            if outcome.evidence.get("grasp") is not None:  # else no plan: nothing was tried
+                return {
+                    "grasp": pool[i].name, "probability": proof.probability, "success": outcome.ok,
+                    "epsilon": grasp_quality(item, pool[i]).epsilon, "reason": outcome.message,
+                }  # fmt: skip
+        return {}
+
+    def _attempt(
+        self, scene: PlanningScene, settings: TaskSettings, excluded: tuple[str, ...] = (), tries: int = 1
+    ) -> Outcome:
+        """Pick, lift, hold, place; friction only. The evidence has what was measured."""
+        driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
+        with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
+            outcome = Outcome(ErrorCode.FAILURE, "not tried")
+            for _ in range(tries):
+                outcome = self._once(live.ctx, excluded)
+                if outcome.ok:
+                    break
+                if live.ctx.holding:
+                    release(live.ctx, self.gripper)
+            return outcome
+
+    def _once(self, ctx: TaskContext, excluded: tuple[str, ...]) -> Outcome:
+        picked = pick(ctx, OBJECT, self.gripper, excluded)
+        evidence = {k: picked.evidence.get(k) for k in ("grasp", "proof")}
+        if not picked.ok:
+            return replace(picked, evidence=evidence)
+        hold(ctx, HOLD)
+        evidence["slip_m"] = ctx.reports[-1].slip_m
+        if ctx.driver.gripper(self.gripper.name).held != OBJECT:
+            ctx.holding.clear()
+            return Outcome(ErrorCode.CONTROL_FAILED, "dropped while held", evidence)
+        try:
+            placed = place(ctx, OBJECT, TABLE, self.goal)
+        except InputError as error:
+            return Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence)
+        if not placed.ok:
+            return replace(placed, evidence=evidence)
+        ctx.advance(0.5)
+        wanted = placed.evidence["placement"].T_world_object
+        evidence["error_m"] = wanted.distance_to(ctx.driver.object_poses()[OBJECT])[0]
+        if evidence["error_m"] > NEAR_ENOUGH:
+            text = f"lies {evidence['error_m'] * 1000:.1f} mm from where it should"
+            return Outcome(ErrorCode.CONTROL_FAILED, text, evidence)
+        if unwanted := ctx.driver.unwanted_contacts():
+            text = f"{unwanted[0].body_a} touched {unwanted[0].body_b}"
+            return Outcome(ErrorCode.CONTROL_FAILED, text, evidence)
+        return Outcome(ErrorCode.SUCCESS, "", evidence)
+
+    def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
+        """The object where physics leaves it, put down on one of its firmest sides; None if it rolls away."""
+        for rest in rests(item)[:3]:
+            R = SO3.between(rest.up, (0.0, 0.0, 1.0))
+            corners = R.matrix @ rest.foot.mean(0)  # above the spot: the foot, not the origin
+            start = item.at(SE3(R, np.array([*(np.array(self.spot) - corners[:2]), rest.height + 2e-4])))
+            world = SimWorld(self.table.with_object(start))
+            world.step(int(1.0 / world.timestep))
+            before = world.object_pose(OBJECT)
+            world.step(int(0.5 / world.timestep))
+            moved, turned = before.distance_to(world.object_pose(OBJECT))
+            drift = np.linalg.norm(before.apply(rest.foot.mean(0))[:2] - self.spot)
+            if moved < AT_REST and turned < 10 * AT_REST and drift < 0.05:
+                return item.at(world.object_pose(OBJECT))
+        return None
+
+
+# --- what comes of it ---
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
+    """Shares with Wilson's intervals, times, and how well successes were predicted."""
+    tried = [r for r in rows if r.graspable]
+    first = sum(bool(r.success) for r in tried)
+    after = sum(bool(r.success or r.recovered) for r in tried)
+    found: dict[str, Any] = {
+        "objects": len(rows),
+        "graspable": len(tried),
+        "first_attempt": _share(first, len(tried)),
+        "with_recovery": _share(after, len(tried)),
+        "generation_ms_median": 1000 * float(np.median([r.generation_s for r in rows])),
+        "generation_ms_max": 1000 * max(r.generation_s for r in rows),
+        "proof_s_median": float(np.median([r.proof_s for r in tried])) if tried else None,
+        "proof_s_max": max((r.proof_s for r in tried), default=None),
+    }
+    predicted = [(r.probability, r.epsilon, bool(r.success)) for r in tried if r.probability is not None]
+    predicted += [
+        (r.random["probability"], r.random["epsilon"], bool(r.random["success"])) for r in tried if r.random
+    ]
+    if predicted:
+        p, epsilon, happened = (np.array(column, dtype=float) for column in zip(*predicted, strict=True))
+        found["predictions"] = len(p)
+        found["successes_of_predictions"] = int(happened.sum())
+        found["brier_proof"] = float(np.mean((p - happened) ** 2))
+        found["brier_epsilon"] = float(np.mean((_by_epsilon(epsilon, happened) - happened) ** 2))
+        found["brier_base_rate"] = float(np.mean((_left_out_mean(happened) - happened) ** 2))
+    return found
+
+
+def _share(successes: int, trials: int) -> dict[str, Any]:
+    low, high = wilson(successes, trials)
+    share = successes / trials if trials else None
+    return {"successes": successes, "trials": trials, "share": share, "low": low, "high": high}
+
+
+def _left_out_mean(happened: Array) -> Array:
+    """Share of successes among all others, for each."""
+    return (happened.sum() - happened) / max(len(happened) - 1, 1)
+
+
+def _by_epsilon(epsilon: Array, happened: Array) -> Array:
+    """P(success) by epsilon alone: a logistic curve fitted to all others, for each."""
+    from scipy.optimize import minimize
+
+    x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
+
+    def loss(w: Array, keep: NDArray[np.bool_]) -> float:
+        z = w[0] + w[1] * x[keep]
+        return float(np.sum(np.logaddexp(0.0, z) - happened[keep] * z) + 0.05 * w @ w)
+
+    found, start = np.empty(len(x)), np.zeros(2)
+    for i in range(len(x)):
+        keep = np.arange(len(x)) != i
+        w = minimize(loss, start, args=(keep,)).x
+        found[i] = 1 / (1 + np.exp(-(w[0] + w[1] * x[i])))
+    return found

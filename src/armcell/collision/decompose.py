@@ -1,0 +1,121 @@
+"""Convex pieces of objects for physics: by CoACD where it is installed, else by our own cuts.
+
+CoACD (extra `decompose`) follows hollows that cuts along the axes miss. A robot's links always take
+`convex_pieces`: their pieces have to hold the mesh, CoACD's only come near it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import subprocess
+import sys
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from armcell.collision.convex import convex_pieces
+from armcell.collision.kernel.store import keep, key_of, recall
+from armcell.core import Mesh
+
+log = logging.getLogger(__name__)
+
+CONCAVITY = 0.06  # CoACD's threshold: smaller follows the mesh closer, with more pieces
+MAX_HULLS = 24
+MAX_SECONDS = 120
+CONVEX = 0.98  # share of its hull that a mesh fills to be taken as convex
+VERSION = 1  # to be raised when the same mesh gives other pieces
+
+
+@lru_cache(maxsize=1)
+def can_decompose() -> bool:
+    """Whether CoACD is installed."""
+    return importlib.util.find_spec("coacd") is not None
+
+
+@lru_cache(maxsize=256)
+def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
+    """Convex meshes whose union is (nearly) `mesh`, kept on disk. The same mesh gives the same pieces."""
+    import trimesh
+
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    closed = solid.is_watertight
+    if not can_decompose() or (closed and abs(solid.volume) > CONVEX * solid.convex_hull.volume):
+        return convex_pieces(mesh)
+    key = key_of(f"coacd{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
+    stored = recall("pieces", key)
+    if stored is None:
+        found = _coacd(mesh, closed)
+        if not found:  # which is kept as well, not to be tried again
+            found = [(piece.vertices, piece.faces) for piece in convex_pieces(mesh)]
+        counts = np.array([(len(v), len(f)) for v, f in found])
+        stored = {
+            "counts": counts,
+            "vertices": np.vstack([v for v, _ in found]),
+            "faces": np.vstack([f for _, f in found]),
+        }
+        keep("pieces", key, **stored)
+    v, f = np.cumsum(stored["counts"], axis=0)[:-1].T
+    parts = zip(np.split(stored["vertices"], v), np.split(stored["faces"], f), strict=True)
+    return tuple(Mesh(vertices, faces.astype(np.int32)) for vertices, faces in parts)
+
+
+def _coacd(mesh: Mesh, closed: bool) -> list[tuple[np.ndarray, np.ndarray]]:
+    """CoACD's pieces, found in a process of its own: it crashes on some meshes. Empty if it did."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder) / "mesh.npz", Path(folder) / "pieces.npz"
+        preprocess = "off" if closed else "on"
+        np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
+        command = [sys.executable, "-c", _PROGRAM, str(given), str(found), preprocess]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=MAX_SECONDS, check=False)
+        except subprocess.TimeoutExpired:
+            log.warning(
+                "%s: CoACD took more than %d s; split by our own cuts", mesh.file or "mesh", MAX_SECONDS
+            )
+            return []
+        if done.returncode != 0 or not found.exists():
+            log.warning("%s: CoACD failed on this mesh; split by our own cuts", mesh.file or "mesh")
+            return []
+        with np.load(found) as stored:
+            hulls = [(stored[f"v{i}"], stored[f"f{i}"]) for i in range(len(stored.files) // 2)]
+    pieces = []
+    for vertices, faces in hulls:
+        try:
+            pieces.append(_outward(vertices, faces))
+        except Exception as error:  # a hull without a volume: qhull has errors of its own
+            log.info(
+                "%s: a piece of CoACD's is left out: %s", mesh.file or "mesh", str(error).splitlines()[0]
+            )
+    return pieces
+
+
+_PROGRAM = f"""
+import sys
+import coacd
+import numpy as np
+
+given, found, preprocess = sys.argv[1:]
+coacd.set_log_level("off")
+with np.load(given) as mesh:
+    mesh = coacd.Mesh(mesh["vertices"], mesh["faces"])
+hulls = coacd.run_coacd(
+    mesh, threshold={CONCAVITY}, max_convex_hull={MAX_HULLS}, mcts_iterations=40, mcts_nodes=10,
+    mcts_max_depth=2, preprocess_mode=preprocess, preprocess_resolution=40, seed=0,
+)
+arrays = {{}}
+for i, (vertices, faces) in enumerate(hulls):
+    arrays[f"v{{i}}"], arrays[f"f{{i}}"] = np.asarray(vertices, float), np.asarray(faces)
+np.savez(found, **arrays)
+"""
+
+
+def _outward(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
+    if hull.volume <= 0:
+        raise ValueError("no volume")
+    return np.asarray(hull.vertices), np.asarray(hull.faces)

@@ -1,0 +1,28 @@
+"""Tcp poses from directions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
+    """T_object_tcp (4, 4) from unit directions (3,), at right angles, and a point (3,) [m]."""
+    T = np.eye(4)
+    T[:3, 0] = np.cross(closing, approach)
+    T[:3, 1], T[:3, 2], T[:3, 3] = closing, approach, at
+    return T
+
+
+def around(axis: Array, count: int, first: Array) -> Array:
+    """Unit directions (count, 3) at right angles to `axis`, evenly around it, beginning near `first` (3,)."""
+    start = first - (first @ axis) * axis
+    if np.linalg.norm(start) < 1e-6:  # `first` is along the axis: any will do
+        start = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        start = start - (start @ axis) * axis
+    start = start / np.linalg.norm(start)
+    side = np.cross(axis, start)
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * side

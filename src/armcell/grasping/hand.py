@@ -1,0 +1,94 @@
+"""A gripper's hand as boxes around its tcp: what a grasp candidate is looked at with before any planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.convex import convex_pieces
+from armcell.core import InputError, Mesh
+from armcell.core.geometry import local_bounds
+from armcell.grasping.kernel import MARGIN, WIDER
+from armcell.kinematics import kinematic_tree
+from armcell.model import Gripper, RobotModel
+
+Array = NDArray[np.float64]
+
+AT_THE_PAD = 0.001  # [m] that a finger's box may be off the closed position to be a pad
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """Boxes (n, 6) [m]: lowest and highest corner in the tcp frame, fingers as they are at width 0.
+
+    Opening moves the fingers by half the width along y, `left` to +y and `right` to -y.
+    """
+
+    gripper: Gripper
+    palm: Array
+    left: Array
+    right: Array
+    pad: Array  # (2, 2) [m] lowest and highest x and z of the pads
+
+    @property
+    def boxes(self) -> Array:
+        return np.concatenate([self.palm, self.left, self.right])
+
+
+def pre_opening(width: float, gripper: Gripper) -> float:
+    """How far the fingers are opened [m] before they come around a width [m]."""
+    return min(max(width * WIDER, width + MARGIN), gripper.max_width)
+
+
+@lru_cache(maxsize=32)
+def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
+    """The hand of a gripper of a robot.
+
+    Raises:
+        InputError: its links have no collision shapes, so nothing is known of where it is.
+    """
+    tree = kinematic_tree(model)
+    q = model.default_positions()
+    q[model.columns((gripper.joint_name,))[0]] = gripper.joint_position(0.0)
+    T_tcp_world = tree.link_pose(q, gripper.tcp_link).inv()
+    groups: dict[str, list[Array]] = {"palm": [], "left": [], "right": []}
+    for name in gripper.hand_links:
+        T_tcp_link = T_tcp_world @ tree.link_pose(q, name)
+        for collision in model.links[name].collisions:
+            T = T_tcp_link @ collision.T_link_shape
+            shape = collision.shape
+            for piece in convex_pieces(shape) if isinstance(shape, Mesh) else (shape,):
+                if isinstance(piece, Mesh):
+                    at = T.apply(piece.vertices)
+                    box = np.concatenate([at.min(0), at.max(0)])
+                else:
+                    centre, half = local_bounds(piece)
+                    middle, reach = T.apply(centre), np.abs(T.rotation.matrix) @ half
+                    box = np.concatenate([middle - reach, middle + reach])
+                side = (
+                    "palm" if name not in gripper.finger_links else "left" if box[1] + box[4] > 0 else "right"
+                )
+                groups[side].append(box)
+    if not groups["left"] or not groups["right"]:
+        raise InputError(
+            f"gripper {gripper.name!r} has no collision shapes on both sides of its tcp",
+            cure="give its finger links collision shapes",
+        )
+    palm, left, right = (np.array(groups[k]).reshape(-1, 6) for k in ("palm", "left", "right"))
+    return Hand(gripper, palm, left, right, _pad(left, right))
+
+
+def _pad(left: Array, right: Array) -> Array:
+    """Where both fingers meet when closed: x and z of the pads."""
+    inner = (
+        left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
+        right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],
+    )
+    # Several boxes may end at the closing plane: the pad is the one that reaches farthest out.
+    a, b = (boxes[np.argmax(boxes[:, 5])] for boxes in inner)
+    low = np.maximum(a[[0, 2]], b[[0, 2]])
+    high = np.minimum(a[[3, 5]], b[[3, 5]])
+    return np.stack([low, high])

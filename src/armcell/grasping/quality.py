@@ -1,0 +1,153 @@
+"""How good a grasp is: force closure, Ferrari and Canny's epsilon and volume, robustness against noise.
+
+A pad is a soft finger: it pushes along the normal, rubs along the surface and holds a torsion about the
+normal. The wrenches of unit normal forces span a hull in (force, torque / size of the object); epsilon is the
+smallest disturbance in any direction that the grasp cannot hold, per Newton of grip (Ferrari and Canny 1992).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3
+from armcell.grasping import kernel
+from armcell.grasping.candidates import Grasp
+from armcell.grasping.contact import PadContact
+from armcell.grasping.force import LIFT_ACCELERATION, holding_factor
+from armcell.grasping.hand import Hand
+from armcell.grasping.surface import surface_of
+from armcell.scene import CollisionObject, Material
+
+Array = NDArray[np.float64]
+
+EDGES = 8  # of the pyramid in a friction cone
+CLOSED = 1e-6  # epsilon from which a grasp counts as force closure
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Of one grasp. `epsilon` and `volume` are 0 without force closure."""
+
+    force_closure: bool
+    epsilon: float  # [N per N of grip]
+    volume: float  # of the hull of wrenches, 6 dimensions
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of what is not known exactly."""
+
+    position: float = 0.002  # [m] of the object along each axis
+    rotation: float = 0.035  # [rad] about each axis
+    friction: float = 0.15  # share of it
+    mass: float = 0.1  # share of it
+
+    def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
+        """Small motions of the object in its own frame; the first is none."""
+        shifts = rng.normal(scale=self.position, size=(count, 3))
+        turns = rng.normal(scale=self.rotation, size=(count, 3))
+        return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
+
+    def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
+        """The object with other frictions and masses; the first is as given."""
+        shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
+        shares[0] = 1.0
+        m = item.material
+        return [
+            replace(
+                item,
+                mass=item.mass_kg * float(heavy),
+                material=Material(m.friction * float(rough), m.torsional_friction, m.rolling_friction),
+            )
+            for rough, heavy in shares
+        ]
+
+
+def contact_wrenches(
+    contacts: tuple[PadContact, ...], about: Array, size: float, material: Material, edges: int = EDGES
+) -> Array:
+    """Wrenches (n, 6) of the edges of each soft finger's cone, per Newton of normal force.
+
+    Args:
+        about: (3,) point of the torques, in the contacts' frame.
+        size: [m] torques are divided by it, so that they compare with forces.
+    """
+    mu, found = material.friction, []
+    angle = 2 * np.pi * np.arange(edges) / edges
+    for contact in contacts:
+        push = -contact.normal
+        t1 = np.cross(push, np.eye(3)[int(np.argmin(np.abs(push)))])
+        t1 /= np.linalg.norm(t1)
+        t2 = np.cross(push, t1)
+        forces = push + mu * (np.cos(angle)[:, None] * t1 + np.sin(angle)[:, None] * t2)
+        torques = np.cross(contact.point - about, forces)
+        torsion = mu * contact.radius + material.torsional_friction
+        spin = np.cross(contact.point - about, push) + np.array([[torsion], [-torsion]]) * push
+        found += [np.hstack([forces, torques / size]), np.hstack([np.tile(push, (2, 1)), spin / size])]
+    return np.vstack(found)
+
+
+def hull_quality(wrenches: Array) -> Quality:
+    """Of the convex hull of wrenches (n, 6): does it hold the origin, how deep inside, how large is it."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    for options in ("Qt", "QJ"):  # many points on one circle may need to be shaken apart (QJ, 1e-10)
+        try:
+            hull = ConvexHull(wrenches, qhull_options=options)
+        except (QhullError, ValueError):
+            continue
+        epsilon = float(-hull.equations[:, -1].max())
+        if epsilon < CLOSED:
+            break
+        return Quality(True, epsilon, float(hull.volume))
+    return Quality(False, 0.0, 0.0)  # or flat: some wrench cannot be held at all
+
+
+def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
+    """Force closure, epsilon and volume of a grasp about the object's centre of mass."""
+    surface = surface_of(item)
+    about = grasp.T_object_tcp.inv().apply(surface.centre_of_mass)
+    low, high = surface.bounds
+    size = float(np.linalg.norm(high - low)) / 2
+    return hull_quality(contact_wrenches(grasp.contacts, about, size, item.material))
+
+
+def robustness(
+    item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
+) -> float:
+    """Share of noisy trials in which the hand still fits, the pads still press against each other within
+    friction, and the force still holds the weight: 0 to 1. Geometry only, no physics.
+    """
+    rng, surface = np.random.default_rng(seed), surface_of(item)
+    moved = noise.poses(trials, rng)
+    poses = np.array([(T.inv() @ grasp.T_object_tcp).matrix for T in moved])
+    up = np.ascontiguousarray(item.T_world_object.rotation.matrix[2])
+    verdict, _, contacts = kernel.fit(
+        poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
+        hand.gripper.max_width, up, -np.inf, grasp.shortest_approach,
+    )  # fmt: skip
+    holds = 0
+    for i, other in enumerate(noise.materials(item, trials, rng)):
+        if verdict[i] != kernel.FREE:
+            continue
+        a, b = (PadContact.of(row) for row in contacts[i])
+        friction = other.material.friction
+        inwards = min(float(a.normal[1]), float(-b.normal[1]))
+        if inwards <= 0 or np.sqrt(1 - min(inwards, 1.0) ** 2) / inwards > friction:
+            continue
+        axis = (b.point - a.point) / max(float(np.linalg.norm(b.point - a.point)), 1e-9)
+        T_tcp_object = np.linalg.inv(poses[i])
+        mass_at = T_tcp_object[:3, :3] @ surface.centre_of_mass + T_tcp_object[:3, 3]
+        lever = float(np.linalg.norm(np.cross(mass_at - a.point, axis)))
+        factor = holding_factor(
+            friction,
+            other.material.torsional_friction,
+            np.array([lever]),
+            np.array([min(a.radius, b.radius)]),
+        )[0]
+        needed = other.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(friction, 0.05)) * factor
+        holds += needed <= grasp.force
+    return holds / trials

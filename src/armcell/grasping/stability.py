@@ -1,0 +1,145 @@
+"""On which of its sides an object stands, and how firmly."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import Capsule, Cylinder, Sphere
+from armcell.grasping.surface import Surface, surface_of
+from armcell.scene import CollisionObject
+
+Array = NDArray[np.float64]
+
+FLAT = 3e-4  # [m] that points may be off the plane they stand on
+SAME = 0.01  # [rad] between planes that are one
+KEPT = 64
+NARROW = 5e-4  # [m] half the width that the line or point counts as on which a round thing stands
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """A way to stand: `up` (3,) in the object's frame, the foot's corners, what it takes to topple it."""
+
+    up: Array
+    foot: Array  # (n, 3) [m] corners of the support polygon, in the object's frame, in order around `up`
+    margin: float  # [m] from below the centre of mass to the nearest edge; below 0 it falls over
+
+    @property
+    def height(self) -> float:
+        """Of the object's origin above what it stands on [m]."""
+        return -float(self.foot[0] @ self.up)
+
+
+_kept: OrderedDict[tuple, tuple[Rest, ...]] = OrderedDict()
+
+
+def rests(item: CollisionObject) -> tuple[Rest, ...]:
+    """The sides of an object's convex hull on which it does not fall over, the firmest first.
+
+    Round things stand on the narrow sides of the polygon they are taken for: with next to no margin.
+    """
+    surface = surface_of(item)
+    if surface.key not in _kept:
+        _kept[surface.key] = tuple(_rests(surface))
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    return _kept[surface.key]
+
+
+def _rests(surface: Surface) -> list[Rest]:
+    from scipy.spatial import ConvexHull
+
+    corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
+    corners = np.unique(corners.round(7), axis=0)
+    hull = ConvexHull(corners)
+    points, found, seen = corners[hull.vertices], [], np.zeros((0, 3))
+    order = np.argsort(-_simplex_areas(corners, hull.simplices), kind="stable")
+    for down, offset in zip(hull.equations[order, :3], hull.equations[order, 3], strict=True):
+        if len(seen) and (seen @ down).max() > np.cos(SAME):
+            continue
+        seen = np.vstack([seen, down])
+        foot = points[points @ down + offset > -FLAT]
+        ring = polygon(foot, -down)
+        margin = margin_of(ring, -down, surface.centre_of_mass)
+        if margin >= 0:
+            found.append(Rest(-down, ring, margin))
+    return sorted(found, key=lambda r: -r.margin)
+
+
+def _simplex_areas(points: Array, simplices: NDArray[np.int32]) -> Array:
+    a, b, c = (points[simplices[:, k]] for k in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def plane_axes(up: Array) -> tuple[Array, Array]:
+    """Two unit directions (3,) that make a right-handed frame with `up` as z."""
+    x = np.asarray(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), dtype=np.float64)
+    x /= np.linalg.norm(x)
+    return x, np.asarray(np.cross(up, x), dtype=np.float64)
+
+
+def polygon(points: Array, up: Array) -> Array:
+    """Corners (n, 3) of the convex polygon around points of a plane, anticlockwise seen from `up`."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    x, y = plane_axes(up)
+    flat = np.column_stack([points @ x, points @ y])
+    try:
+        return points[ConvexHull(flat).vertices]
+    except (QhullError, ValueError):  # a line or a point: no area
+        ends = [int(np.argmin(flat @ (1.0, 0.1))), int(np.argmax(flat @ (1.0, 0.1)))]
+        return points[sorted(set(ends))]
+
+
+def margin_of(corners: Array, up: Array, point: Array) -> float:
+    """Distance [m] along the plane from a point above or below a polygon to its nearest edge, < 0 outside."""
+    if len(corners) < 3:
+        return -np.inf
+    edges = np.roll(corners, -1, axis=0) - corners
+    inwards = np.cross(up, edges)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    return float(np.einsum("ij,ij->i", inwards, point - corners).min())
+
+
+def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8) -> Rest | None:
+    """The rest nearest to how an object is turned now; a firm one is taken before one that rolls.
+
+    Args:
+        firm: [m] margin that counts as firm.
+        within: [rad] a firm one may be farther away than the nearest.
+    """
+    now = item.T_world_object.rotation.matrix[2]
+    all_ = rests(item)
+    if not all_:
+        return None
+    nearest = max(all_, key=lambda r: float(r.up @ now))
+    steady = [r for r in all_ if r.margin >= firm and r.up @ now > np.cos(within)]
+    best = max(steady, key=lambda r: float(r.up @ now), default=nearest)
+    # Something that lies on its round side is turned now as it was: do not set it up on its end.
+    best = best if best.up @ now > float(nearest.up @ now) - 0.02 else nearest
+    return _rolled(item, now, best) or best
+
+
+def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
+    """Where a sphere, or a lying cylinder or capsule, stands when it keeps its turn; None for others."""
+    shape, T = item.shapes[0]
+    if len(item.shapes) > 1 or not isinstance(shape, Sphere | Cylinder | Capsule):
+        return None
+    up, half = now, 0.0
+    axis = T.rotation.matrix[:, 2]
+    if not isinstance(shape, Sphere):
+        if abs(nearest.up @ axis) > 0.5:
+            return None  # on its end
+        up = now - (now @ axis) * axis
+        up, half = up / np.linalg.norm(up), shape.length / 2
+    x = axis if half else plane_axes(up)[0]
+    y = np.cross(up, x)
+    line = T.translation - shape.radius * up
+    foot = np.array(
+        [line + sx * (half + NARROW) * x + sy * NARROW * y for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    )
+    return Rest(up, foot, 0.0)

@@ -1,0 +1,33 @@
+"""A robot's hand as a robot of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from armcell.model.robot import Gripper, RobotModel
+
+
+def hand_alone(model: RobotModel, gripper: Gripper) -> RobotModel:
+    """The links of a gripper and all below them, fixed at the hand's root: no arm.
+
+    Its groups, end effectors and named states are gone; the gripper and its joints are as they were.
+    """
+    links = {gripper.tcp_link, *gripper.hand_links, *gripper.finger_links}
+    chains = [[j.parent for j in reversed(model.chain(model.root_link, link))] for link in links]
+    above = [
+        [link, *chain] for link, chain in zip(links, chains, strict=True)
+    ]  # each from the link to the root
+    root = next(link for link in above[0] if all(link in chain for chain in above[1:]))
+    kept = model.subtree(root)
+    return replace(
+        model,
+        name=f"{model.name}:{gripper.name}",
+        root_link=root,
+        links={n: link for n, link in model.links.items() if n in kept},
+        joints={n: j for n, j in model.joints.items() if j.parent in kept},
+        groups={},
+        end_effectors={},
+        named_states={},
+        grippers={gripper.name: gripper},
+        disabled_collisions={p: why for p, why in model.disabled_collisions.items() if p <= set(kept)},
+    )

@@ -1,0 +1,223 @@
+"""Many short worlds of a hand alone: it closes on an object, the support is taken away, it is shaken.
+
+The hand stands still and its surroundings move: taking the support away and pulling at the object's centre
+of mass is the same to the contacts as lifting and shaking the hand. So one compiled model serves all trials
+of an object, and they run side by side in MuJoCo's own threads without Python in between.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, Box, Shape
+from armcell.core.geometry import extent
+from armcell.kinematics import kinematic_tree
+from armcell.model import Gripper, RobotModel, hand_alone
+from armcell.scene import CollisionObject, PlanningScene, solid_inertia
+from armcell.sim.build import BuiltModel, build
+from armcell.sim.settings import PhysicsSettings
+
+Array = NDArray[np.float64]
+
+SUPPORT, OBJECT = "trial support", "trial object"
+SUPPORT_THICK = 0.02  # [m]
+FREE_GAP = 2e-4  # [m] the object begins above its support
+STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+CONTROL = sum(
+    int(getattr(mujoco.mjtState, f"mjSTATE_{n}")) for n in ("CTRL", "XFRC_APPLIED", "MOCAP_POS", "MOCAP_QUAT")
+)
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """One trial: close, settle, lift, shake, hold."""
+
+    timestep: float = 0.004  # [s]
+    settle: float = 0.15  # [s] pressed, before the support goes
+    lift: float = 0.15  # [s]
+    shake: float = 0.7  # [s]
+    hold: float = 0.15  # [s]
+    acceleration: float = 4.0  # [m/s^2] of the shaking, along the closing direction, across, and up
+    frequency: float = 4.0  # [Hz]
+    extra_weight: float = 0.2  # share more than the weight while lifting
+    force_rate: float = 200.0  # [N/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One closing of the hand."""
+
+    T_object_tcp: SE3
+    opening: float  # [m]
+    width: float  # [m] at which the pads are expected to meet the object
+    force: float  # [N] per finger
+    up: tuple[float, float, float]  # away from the support, in the object's frame
+    friction: float
+    mass: float  # [kg]
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """How the object moved in the hand."""
+
+    closing: float  # [m] of the centre of mass while the hand closed
+    slip: float  # [m] from there to the end, of the object's point between the pads
+    turn: float  # [rad]
+    lost: bool  # no longer between the fingers, or physics gave up
+
+
+def run_trials(
+    model: RobotModel,
+    gripper: Gripper,
+    item: CollisionObject,
+    trials: Sequence[Trial],
+    settings: TrialSettings = TrialSettings(),
+    threads: int | None = None,
+) -> list[TrialResult]:
+    """Run trials side by side.
+
+    Args:
+        threads: at most this many; by default one per processor.
+    Raises:
+        InputError: MuJoCo refuses the hand or the object.
+    """
+    if not trials:
+        return []
+    world = _World.of(model, gripper, item, settings)
+    models = [world.variant(trial) for trial in trials]
+    plans = [world.plan(trial) for trial in trials]
+    steps = max(len(p.control) for p in plans)
+    control = np.stack(
+        [np.vstack([p.control, np.repeat(p.control[-1:], steps - len(p.control), 0)]) for p in plans]
+    )
+    initial = np.stack([p.initial for p in plans])
+    count = min(threads or os.cpu_count() or 1, len(trials))
+    datas = [mujoco.MjData(world.mj) for _ in range(count)]
+    state, _ = mujoco.rollout.rollout(models, datas, initial, control, control_spec=CONTROL)
+    return [world.result(plan, rows) for plan, rows in zip(plans, np.asarray(state), strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    initial: Array  # (state,)
+    control: Array  # (steps, ctrl, 6 per body, position and quaternion of the support)
+    closed: int  # step at which the hand presses and nothing has been moved yet
+    end: int
+
+
+@dataclass(frozen=True, eq=False)
+class _World:
+    built: BuiltModel
+    mj: mujoco.MjModel
+    gripper: Gripper
+    settings: TrialSettings
+    T_root_tcp: SE3
+    centre: Array  # (3,) of mass, in the object's frame
+    shapes: tuple[tuple[Shape, SE3], ...]
+    body: int
+
+    @staticmethod
+    def of(model: RobotModel, gripper: Gripper, item: CollisionObject, settings: TrialSettings) -> _World:
+        hand = _hand(model, gripper)
+        thing = replace(item, name=OBJECT, T_world_object=SE3.from_xyz(0, 0, 5.0), movable=True)
+        support = CollisionObject.single(SUPPORT, Box(1.0, 1.0, SUPPORT_THICK), SE3.from_xyz(0, 0, -5.0))
+        scene = PlanningScene.of(hand, objects=[thing, support])
+        built = build(scene, PhysicsSettings(timestep=settings.timestep, gravity=(0.0, 0.0, 0.0)))
+        built.spec.body(SUPPORT).mocap = True
+        mj = built.spec.compile()
+        tree = kinematic_tree(hand)
+        T_root_tcp = tree.link_pose(hand.default_positions(), gripper.tcp_link)
+        centre, _ = solid_inertia(item.shapes, 1.0)
+        return _World(built, mj, gripper, settings, T_root_tcp, centre, item.shapes, mj.body(OBJECT).id)
+
+    def variant(self, trial: Trial) -> mujoco.MjModel:
+        """The model with a trial's friction, mass and force."""
+        mj = copy.copy(self.mj)
+        scale = trial.mass / float(self.mj.body_mass[self.body])
+        mj.body_mass[self.body] *= scale
+        mj.body_inertia[self.body] *= scale
+        mj.geom_friction[mj.geom_bodyid == self.body, 0] = trial.friction
+        index = self.built.grippers[self.gripper.name]
+        servo = min(trial.force, index.max_force) * abs(self.gripper.width_per_joint)
+        actuator = int(np.flatnonzero(mj.actuator_ctrladr == index.ctrl)[0])
+        mj.actuator_forcerange[actuator] = [-servo, servo]
+        return mj
+
+    def plan(self, trial: Trial) -> _Plan:
+        s, mj, index = self.settings, self.mj, self.built.grippers[self.gripper.name]
+        T = self.T_root_tcp @ trial.T_object_tcp.inv()  # of the object, in the hand's world
+        up_here = np.asarray(trial.up) / np.linalg.norm(trial.up)
+        up = T.rotation.matrix @ up_here
+        lowest = min(
+            extent(shape, X.rotation.matrix.T @ up_here)[0] + float(X.translation @ up_here)
+            for shape, X in self.shapes
+        )
+        centre = T.apply(self.centre)
+        foot = (
+            centre + (lowest - float(self.centre @ up_here)) * up
+        )  # on the support, below the centre of mass
+        # --- the start
+        data = mujoco.MjData(mj)
+        q = self.gripper.joint_position(trial.opening)
+        for address, weight in index.joints:
+            data.qpos[address] = q / (len(index.joints) * weight)
+        start = self.built.object_qpos[OBJECT]
+        data.qpos[start : start + 3], data.qpos[start + 3 : start + 7] = T.translation, T.quat_wxyz
+        initial = np.empty(mujoco.mj_stateSize(mj, STATE))
+        mujoco.mj_getState(mj, data, initial, STATE)
+        # --- the fingers: at finger speed to where they should meet it, then pressing
+        dt = s.timestep
+        ways = np.sign(self.gripper.width_per_joint)
+        meet = abs(q - self.gripper.joint_position(trial.width))
+        press = trial.force * abs(self.gripper.width_per_joint) / PhysicsSettings().gripper_kp + 0.004
+        rate = s.force_rate * abs(self.gripper.width_per_joint) / PhysicsSettings().gripper_kp
+        meeting, pressing = meet / index.max_speed, press / rate
+        close = meeting + pressing
+        total = close + s.settle + s.lift + s.shake + s.hold
+        time = dt * np.arange(int(np.ceil(total / dt)))
+        travel = np.minimum(time, meeting) * index.max_speed + np.clip((time - meeting) * rate, 0.0, press)
+        # --- the support goes away, the weight pulls, the shaking pulls
+        lifting = np.clip(time - close - s.settle, 0.0, None)
+        away = np.minimum(0.5 * 6.0 * lifting**2, 0.5)
+        shaking = lifting - s.lift
+        on = (shaking > 0) & (shaking < s.shake)
+        phase = 2 * np.pi * s.frequency * shaking
+        R = self.T_root_tcp.rotation.matrix
+        third = np.clip(np.floor(3 * shaking / s.shake), 0, 2).astype(int)
+        axes = np.stack([R[:, 1], R[:, 0], up])[third]
+        pull = -9.81 * (1 + s.extra_weight * ((lifting > 0) & (lifting < s.lift)))[:, None] * up
+        pull = pull + np.where(on, s.acceleration * np.sin(phase), 0.0)[:, None] * axes
+        control = np.zeros((len(time), mj.nu + 6 * mj.nbody + 7))
+        control[:, index.ctrl] = q - ways * travel
+        control[:, mj.nu + 6 * self.body : mj.nu + 6 * self.body + 3] = trial.mass * pull
+        control[:, -7:-4] = foot - (SUPPORT_THICK / 2 + FREE_GAP + away)[:, None] * up
+        control[:, -4:] = SE3(SO3.between((0, 0, 1), up), foot).quat_wxyz
+        return _Plan(initial, control, int((close + s.settle) / dt), len(time) - 1)
+
+    def result(self, plan: _Plan, state: Array) -> TrialResult:
+        if not np.isfinite(state).all():
+            return TrialResult(np.inf, np.inf, np.inf, True)
+        at = 1 + self.built.object_qpos[OBJECT]  # time comes first
+        before, closed, end = (
+            SE3.from_quat_wxyz(row[at : at + 3], row[at + 3 : at + 7])
+            for row in (plan.initial, state[plan.closed], state[plan.end])
+        )
+        turn = closed.distance_to(end)[1]
+        between = closed.inv().apply(self.T_root_tcp.translation)  # the object's point at the tcp
+        slip = float(np.linalg.norm(closed.apply(between) - end.apply(between)))
+        closing = float(np.linalg.norm(before.apply(self.centre) - closed.apply(self.centre)))
+        return TrialResult(closing, slip, turn, slip > 0.03)
+
+
+@lru_cache(maxsize=8)
+def _hand(model: RobotModel, gripper: Gripper) -> RobotModel:
+    return hand_alone(model, gripper)

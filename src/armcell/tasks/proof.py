@@ -1,0 +1,133 @@
+"""Grasps proven in physics before they are used: lifted and shaken in worlds of their own.
+
+It stands here because it is the lowest room that may know both grasps and physics. What comes out is a
+share of successes over noisy trials with its interval, kept on disk per object, gripper and grasp.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armcell.collision.kernel.store import keep, recall
+from armcell.core import SE3, SO3
+from armcell.core.intervals import wilson
+from armcell.grasping import Grasp, Noise, surface_of
+from armcell.model import Gripper, RobotModel
+from armcell.scene import CollisionObject
+from armcell.sim import Trial, TrialSettings, run_trials
+
+MAX_SLIP, MAX_TURN = 0.008, 0.3  # [m], [rad] that an object may move in the hand and still be placed well
+SAME_PLACE, SAME_WAY = 0.012, 0.3  # [m], [rad] nearer to each other than this, two grasps count as one
+PRIOR_TRIALS, PRIOR_SHARE = 2.0, 0.9  # of grasps that pass the geometry nine in ten hold (`bench grasp`)
+VERSION = 2  # to be raised when the same trials would end otherwise
+
+NOISE = Noise(position=0.001, rotation=0.02)
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """How a grasp did in its trials."""
+
+    grasp: Grasp
+    successes: int
+    trials: int
+    slip: float  # [m] median, of the object's point between the pads
+
+    @property
+    def probability(self) -> float:
+        """Of success: the mean with a prior worth `PRIOR_TRIALS`, so never quite 0 or 1."""
+        return (self.successes + PRIOR_SHARE * PRIOR_TRIALS) / (self.trials + PRIOR_TRIALS)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's, 95 %."""
+        return wilson(self.successes, self.trials)
+
+
+def prove(
+    model: RobotModel,
+    gripper: Gripper,
+    item: CollisionObject,
+    grasps: Sequence[Grasp],
+    trials: int = 8,
+    noise: Noise = NOISE,
+    settings: TrialSettings = TrialSettings(),
+    seed: int = 0,
+    threads: int | None = None,
+) -> list[Proof]:
+    """Lift and shake an object with each grasp, `trials` times with noise; the first time without.
+
+    The object stands on its support: its pose is uncertain along it and about the vertical.
+
+    Raises:
+        InputError: MuJoCo refuses the hand or the object.
+    """
+    surface = surface_of(item)
+    digest = hashlib.sha256(f"{VERSION} {model.name} {gripper} {trials} {noise} {settings} {seed}".encode())
+    digest.update(surface.triangles.tobytes())
+    digest.update(f"{item.mass_kg:.9g} {item.material}".encode())
+    up = item.T_world_object.rotation.matrix[2]
+    digest.update(up.round(6).tobytes())
+    common = digest.hexdigest()[:24]
+    keys = [f"{common}{hashlib.sha256(_content(grasp)).hexdigest()[:16]}" for grasp in grasps]
+    stored = [recall("proofs", key) for key in keys]
+    missing = [i for i, kept in enumerate(stored) if kept is None]
+    runs = [trial for i in missing for trial in _noisy(item, grasps[i], trials, noise, seed)]
+    results = run_trials(model, gripper, item, runs, settings, threads)
+    for n, i in enumerate(missing):
+        own = results[n * trials : (n + 1) * trials]
+        good = sum(not r.lost and r.slip <= MAX_SLIP and r.turn <= MAX_TURN for r in own)
+        slip = float(np.median([min(r.slip, 1.0) for r in own]))
+        counts, median = np.array([good, trials]), np.array(slip)
+        stored[i] = {"counts": counts, "slip": median}
+        keep("proofs", keys[i], counts=counts, slip=median)
+    return [
+        Proof(grasp, int(kept["counts"][0]), int(kept["counts"][1]), float(kept["slip"]))
+        for grasp, kept in zip(grasps, stored, strict=True)
+        if kept is not None
+    ]
+
+
+def _content(grasp: Grasp) -> bytes:
+    numbers = [grasp.opening, grasp.width, grasp.force]
+    return np.concatenate([grasp.T_object_tcp.matrix.ravel(), numbers]).round(7).tobytes()
+
+
+def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: int) -> list[Trial]:
+    rng = np.random.default_rng(seed)
+    up = item.T_world_object.rotation.matrix[2]
+    found = []
+    for shift, other in zip(noise.poses(count, rng), noise.materials(item, count, rng), strict=True):
+        along = shift.translation - (shift.translation @ up) * up
+        turn = SO3.exp((shift.rotation.log() @ up) * up)
+        T = SE3(turn, along)  # of the object where it really is, seen from where it was thought to be
+        found.append(
+            Trial(
+                T.inv() @ grasp.T_object_tcp, grasp.opening, grasp.width, grasp.force, tuple(up.tolist()),
+                other.material.friction, other.mass_kg,
+            )
+        )  # fmt: skip
+    return found
+
+
+def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
+    """The best grasps that differ from each other; where that gives too few, the next best after all."""
+    chosen: list[Grasp] = []
+    rest: list[Grasp] = []
+    for grasp in grasps:
+        if len(chosen) == count:
+            break
+        (rest if any(_alike(grasp, other) for other in chosen) else chosen).append(grasp)
+    return chosen + rest[: count - len(chosen)]
+
+
+def _alike(a: Grasp, b: Grasp) -> bool:
+    """The same place and way of holding; a hand turned by half a turn holds the same."""
+    if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
+        return False
+    A, B = a.T_object_tcp.rotation.matrix, b.T_object_tcp.rotation.matrix
+    return bool(A[:, 2] @ B[:, 2] > np.cos(SAME_WAY) and abs(A[:, 1] @ B[:, 1]) > np.cos(SAME_WAY))

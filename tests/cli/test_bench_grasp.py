@@ -1,0 +1,57 @@
+"""`armcell bench grasp`: rows that can be checked, and what is said of bad folders."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from tests.cli.helpers import call, read_json
+
+from armcell.cell.grasp_trials import Row, summary
+
+
+@pytest.mark.slow
+def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
+    (tmp_path / "parts").mkdir()
+    trimesh.creation.box((120, 50, 90)).export(tmp_path / "parts" / "block.stl")
+    trimesh.creation.torus(45, 12).export(tmp_path / "parts" / "ring.ply")
+    said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path / "parts", "--scale", "0.001",
+                "--candidates", "4", "--proof-trials", "3", "--json", tmp_path / "out.json")  # fmt: skip
+    found = read_json(tmp_path / "out.json")
+    assert said.status == 0 and [r["name"] for r in found["rows"]] == ["block", "ring"]
+    for row in found["rows"]:
+        assert row["success"] and row["error_m"] < 0.01 and row["slip_m"] < 0.01
+        assert row["probability"] > 0.5 and 0 < row["generation_s"] < 1.0
+        assert row["random"]["success"] in (True, False)
+    assert found["summary"]["first_attempt"] == {
+        "successes": 2, "trials": 2, "share": 1.0, "low": pytest.approx(0.3424, abs=1e-4), "high": 1.0
+    }  # fmt: skip
+    assert "first attempt: 100.0 % (2 of 2" in said.words
+
+
+def test_the_summary_counts_what_cannot_be_gripped_apart():
+    rows = [
+        Row("a", 1.0, True, success=True, probability=0.9, epsilon=0.1),
+        Row("b", 1.0, True, success=False, recovered=True, probability=0.2, epsilon=0.05),
+        Row("c", 1.0, False, "too wide"),
+    ]
+    found = summary(rows)
+    assert (found["objects"], found["graspable"]) == (3, 2)
+    assert found["first_attempt"]["share"] == 0.5 and found["with_recovery"]["share"] == 1.0
+    assert found["brier_proof"] == pytest.approx(np.mean([0.1**2, 0.2**2]))
+    assert found["brier_base_rate"] == pytest.approx(1.0)  # each is predicted by the other
+
+
+@pytest.mark.parametrize(
+    "name, says", [("nowhere", "is not a folder"), ("empty", "has no mesh and no URDF in it")]
+)
+def test_bad_folders(name, says, capsys, tmp_path):
+    (tmp_path / "empty").mkdir()
+    said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path / name)
+    assert said.status == 1 and says in said.err
+
+
+def test_a_mesh_in_millimetres_names_the_cure(capsys, tmp_path):
+    trimesh.creation.box((120, 50, 9000)).export(tmp_path / "block.stl")
+    said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path)
+    assert said.status == 1 and "block.stl" in said.err and "scale: 0.001" in said.err

@@ -1,0 +1,109 @@
+"""Physics tells good grasps from bad ones, the same way as the whole robot does; remembered and quick."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.tasks.helpers import live, nominal, panda_pick, with_cube
+
+from armcell.core import SE3, Box, Cylinder
+from armcell.grasping import grasp_candidates, hand_of
+from armcell.model import hand_alone, load_robot
+from armcell.scene import CollisionObject, Material, library_object
+from armcell.tasks import Proof, prove, varied
+
+ROBOTS = ("panda", "ur10_gripper")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request):
+    model = load_robot(request.param)
+    return model, model.gripper(), hand_of(model, model.gripper())
+
+
+def test_a_hand_alone_is_the_hand(robot):
+    model, gripper, _ = robot
+    hand = hand_alone(model, gripper)
+    assert set(gripper.hand_links) <= set(hand.links) and set(hand.joint_names) == {gripper.joint_name}
+    assert hand.root_link not in {j.child for j in hand.joints.values()}
+
+
+def cube(**properties) -> CollisionObject:
+    return CollisionObject.single("cube", Box(0.05, 0.05, 0.05), movable=True, **properties)
+
+
+def test_firm_holds_and_weak_drops(robot):
+    """Coulomb: a force below m g / (2 mu) cannot hold, three times as much can."""
+    model, gripper, hand = robot
+    item = cube(mass=0.4, material=Material(0.4))
+    best = grasp_candidates(item, hand)[0][0]
+    limit = 0.4 * 9.81 / (2 * 0.4)
+    weak, firm = prove(model, gripper, item, [replace(best, force=limit * k) for k in (0.7, 3.0)], trials=6)
+    assert weak.successes == 0 and firm.successes == 6
+    assert firm.slip < 1e-3 and firm.interval[0] > 0.5 and 0.9 < firm.probability < 1.0
+
+
+def test_beside_the_middle_a_heavy_rod_turns_out_of_the_hand(robot):
+    model, gripper, hand = robot
+    rod = CollisionObject.single("rod", Cylinder(0.01, 0.3), SE3.from_xyz_rpy((0, 0, 0), (0, np.pi / 2, 0)),
+                                 movable=True, mass=0.5, material=Material(0.4))  # fmt: skip
+    grasps = {g.name: g for g in grasp_candidates(rod, hand, on_support=False)[0]}
+    name = next(n for n in grasps if f"{n} +120 mm" in grasps and n.startswith("top"))
+    force = grasps[name].force
+    middle, end = prove(
+        model, gripper, rod, [replace(grasps[n], force=force) for n in (name, f"{name} +120 mm")], trials=4
+    )
+    assert middle.successes == 4 and end.successes == 0
+
+
+def test_the_same_trials_are_remembered(robot):
+    model, gripper, hand = robot
+    item = library_object("bolt")
+    grasps = varied(grasp_candidates(item, hand)[0], 4)
+    first = prove(model, gripper, item, grasps, trials=3)
+    began = time.perf_counter()
+    again = prove(model, gripper, item, grasps, trials=3)
+    assert time.perf_counter() - began < 0.1
+    assert [(p.successes, p.slip) for p in again] == [(p.successes, p.slip) for p in first]
+
+
+@pytest.mark.slow
+def test_sixteen_candidates_within_five_seconds_on_two_cores(robot):
+    model, gripper, hand = robot
+    item = library_object("mug")
+    began = time.process_time()
+    proofs = prove(model, gripper, item, varied(grasp_candidates(item, hand)[0], 16), trials=8, threads=2)
+    assert len(proofs) == 16 and all(p.trials == 8 for p in proofs)
+    assert time.process_time() - began < 10.0  # of two cores together
+
+
+def test_varied_grasps_differ(robot):
+    _, _, hand = robot
+    grasps = grasp_candidates(library_object("bottle"), hand)[0]
+    chosen = varied(grasps, 6)
+    assert chosen[0] is grasps[0] and len({g.name for g in chosen}) == 6
+    for a in chosen:
+        for b in chosen:
+            if a is not b:
+                T = a.T_object_tcp.inv() @ b.T_object_tcp
+                flat = abs(T.rotation.matrix[1, 1])
+                assert np.linalg.norm(T.translation) > 0.011 or T.rotation.matrix[2, 2] < 0.96 or flat < 0.96
+    assert len(varied(grasps[:2], 10)) == 2
+
+
+@pytest.mark.slow
+def test_a_pick_with_proofs_takes_a_proven_grasp_and_says_so():
+    settings = replace(panda_pick().settings, prove_grasps=6, proof_trials=4)
+    with live("sim", scene=with_cube(nominal(), mass=0.3), settings=settings) as cell:
+        outcome = cell.arm.pick("cube")
+    proof = outcome.evidence["proof"]
+    assert outcome.ok and isinstance(proof, Proof) and proof.grasp is outcome.evidence["grasp"]
+    assert proof.successes == 4
