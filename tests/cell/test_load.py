@@ -125,13 +125,13 @@ def test_unknown_cell_lists_the_known():
         armcell.load("panda_pik")
 
 
-@pytest.mark.slow
 # --- the draw ---
 @pytest.fixture(params=["panda_pick", "six_axis_pick"])
 def cube_cell(request):
     return armcell.load(request.param)
 
 
+@pytest.mark.slow
 def test_a_seed_s_draw_is_its_own_and_in_range(cube_cell):
     draws = [cube_cell.draw(seed) for seed in range(50)]
     assert draws == [armcell.load(cube_cell.name).draw(seed) for seed in range(50)]

@@ -47,6 +47,16 @@ def test_serve_topic_and_ctrl_c(port, capsys):
         end = time.monotonic() + 20
         while "- 0.005" not in call(capsys, "topic", "echo", "/joint_states", "-n", "1", *at).out:
             assert time.monotonic() < end
+        fk = ("service", "call", "/compute_fk", "moveit_msgs/GetPositionFK")
+        said = call(capsys, *fk, "{fk_link_names: [panda_hand]}", *at)
+        assert said.status == 0 and "val: 1\n" in said.out and "- panda_hand\n" in said.out
+        assert "val: -18\n" in call(capsys, *fk, "{fk_link_names: [tail]}", *at).out
+        said = call(capsys, *fk, "{fk_link: x}", *at)
+        assert said.status == 1 and "did you mean 'fk_link_names'" in said.err
+        said = call(capsys, "service", "call", "/nobody", "std_srvs/Trigger", "--timeout", "2", *at)
+        assert "success: true" not in said.out
+        said = call(capsys, "service", "call", "/grasp", "std_srvs/Triger", *at)
+        assert said.status == 1 and "did you mean 'std_srvs/Trigger'" in said.err
         said = call(capsys, "topic", "echo", "/joint_state", *at)
         assert said.status == 1 and "did you mean '/joint_states'" in said.err
     finally:

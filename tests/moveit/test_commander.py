@@ -335,9 +335,11 @@ def test_async_motion_and_stop(arm):
     arm.set_max_velocity_scaling_factor(0.02)
     before = arm.get_current_joint_values()
     assert arm.go([v + 0.5 for v in HOME], wait=False) is True
-    time.sleep(0.3)
+    end = time.monotonic() + 20
+    while arm.get_current_joint_values()[0] < before[0] + 2e-3 and time.monotonic() < end:
+        time.sleep(0.005)
     arm.stop()
-    time.sleep(0.1)
+    time.sleep(0.2)
     there = arm.get_current_joint_values()
     assert there[0] > before[0] + 1e-3 and there[0] < before[0] + 0.45
     time.sleep(0.1)

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import armcell
 from armcell.cell import cell_names
 from armcell.moveit import lint
@@ -15,6 +17,7 @@ from armcell.moveit import lint
 PAGE = Path(__file__).parents[2] / "docs" / "moveit_scripts.md"
 
 
+@pytest.mark.slow
 def test_the_block_runs(tmp_path):
     (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.S)
     environment = {**os.environ, "PYTHONPATH": str(Path(armcell.__file__).parents[1])}

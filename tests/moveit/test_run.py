@@ -116,6 +116,7 @@ def test_the_command_in_a_process_of_its_own_ends_by_ctrl_c(tmp_path):
     assert process.stderr is not None
     while "spinning" not in process.stderr.readline():
         assert process.poll() is None
+    time.sleep(1.0)  # until it spins
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert process.returncode == 130 and "after" in out and "Traceback" not in err

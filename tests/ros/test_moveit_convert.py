@@ -380,6 +380,7 @@ def test_allowing_the_target_in_a_diff(scene):
         diff_from_message(message, scene)
 
 
+@pytest.mark.slow  # the reader is compiled
 def test_an_octomap_in_a_scene(scene):
     """Eight cells of 0.1 m in OctoMap's binary form: in fifteen nodes the first child alone has children."""
     data = b"\x03\x00" * 15 + b"\xaa\xaa"  # 10 10 10 10 ... as stored: occupied

@@ -58,16 +58,16 @@ class LocalCell:
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
         with self._edit:
             changed = make(self.scene())
-            self._node.conductor.call(lambda: self._take(changed))
-            return self.scene()
+            return self._node.conductor.call(lambda: self._take(changed))
 
-    def _take(self, scene: PlanningScene) -> None:
+    def _take(self, scene: PlanningScene) -> PlanningScene:
         """What the grippers hold is known from them: the world keeps the object itself."""
         ctx = self._node.live.ctx
         for name in ctx.holding:
             if name in scene.attached:
                 scene = scene.with_detached(name)
         ctx.change_scene(scene)
+        return self._now()
 
     def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
         return self._node.play(message, settings)

@@ -1,0 +1,234 @@
+"""The node of rospy: errors, names, shutdown and time by the cell's clock."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from armcell.core import ArmcellError, InputError
+from armcell.moveit.ros_time import Duration, Time
+from armcell.moveit.session import CHECK, current_session
+from armcell.ros.bus import ServiceError
+from armcell.ros.names import resolve
+
+
+class ROSException(Exception):
+    """Base of rospy's errors."""
+
+
+class ROSInterruptException(ROSException, KeyboardInterrupt):
+    """What waits was interrupted by the end of the program."""
+
+
+class ROSInitException(ROSException):
+    """A node that cannot be, or is not there yet."""
+
+
+class ROSSerializationException(ROSException):
+    """A message that cannot be sent."""
+
+
+class TransportException(ROSException):
+    """A connection that failed."""
+
+
+class ServiceException(Exception):
+    """A service call that got no answer."""
+
+
+class ROSTimeMovedBackwardsException(ROSInterruptException):
+    """The simulation was reset while somebody slept."""
+
+
+# --- names and errors ---
+def resolved(name: str) -> str:
+    """A graph name; `~private` ones are below the node's."""
+    try:
+        if name.startswith("~"):
+            return resolve(name[1:].lstrip("/"), get_name())
+        return resolve(name)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+def check_running() -> None:
+    if is_shutdown():
+        raise ROSInterruptException("rospy shutdown")
+
+
+@contextlib.contextmanager
+def ros_errors(kind: type[Exception]) -> Any:
+    """armcell's errors as rospy's."""
+    try:
+        yield
+    except (ArmcellError, ServiceError) as error:
+        raise kind(str(error)) from error
+
+
+# --- the node ---
+def init_node(
+    name: str, argv: Any = None, anonymous: bool = False, log_level: int | None = None,
+    disable_rostime: bool = False, disable_rosout: bool = False, disable_signals: bool = False,
+    xmlrpc_port: int = 0, tcpros_port: int = 0,
+) -> None:  # fmt: skip
+    session = current_session()
+    if not name or "/" in name:
+        raise ValueError("name must not be empty" if not name else "namespaces are not allowed in node names")
+    if anonymous:
+        name = f"{name}_{int(time.time() * 1000)}"
+    if session.node_name and session.node_name != f"/{name}":
+        raise ROSException(
+            "rospy.init_node() has already been called with different arguments: "
+            + str((name, argv, anonymous))
+        )
+    session.node_name = f"/{name}"
+
+
+def get_name() -> str:
+    return current_session().node_name or "/unnamed"
+
+
+def get_caller_id() -> str:
+    return get_name()
+
+
+def get_namespace() -> str:
+    return "/"
+
+
+def get_node_uri() -> str:
+    return ""
+
+
+def get_ros_root(required: bool = False) -> str:
+    return ""
+
+
+def resolve_name(name: str, caller_id: str | None = None) -> str:
+    return resolved(name)
+
+
+def myargv(argv: list[str] | None = None) -> list[str]:
+    return [a for a in (sys.argv if argv is None else argv) if ":=" not in a]
+
+
+def is_shutdown() -> bool:
+    return current_session().shutting_down.is_set()
+
+
+def is_initialized() -> bool:
+    return bool(current_session().node_name)
+
+
+def signal_shutdown(reason: str) -> None:
+    current_session().shut_down(reason)
+
+
+def on_shutdown(hook: Callable[[], None]) -> None:
+    current_session().on_shutdown.append(hook)
+
+
+def spin() -> None:
+    try:
+        while not is_shutdown():
+            current_session().shutting_down.wait(CHECK)
+    except KeyboardInterrupt:
+        current_session().shut_down("interrupted")
+
+
+# --- time ---
+def get_rostime() -> Time:
+    return Time.now()
+
+
+def get_time() -> float:
+    return current_session().bus.clock.now()
+
+
+def sleep(duration: float | Duration) -> None:
+    """By the cell's clock, as with use_sim_time."""
+    seconds = duration.to_sec() if hasattr(duration, "to_sec") else float(duration)  # type: ignore[union-attr]
+    if seconds > 0:
+        wait_until(get_time() + seconds)
+
+
+def wait_until(seconds: float) -> None:
+    session = current_session()
+    clock = session.bus.clock
+    try:
+        while not clock.wait_until(seconds, timeout=CHECK):
+            if session.shutting_down.is_set() or not session.served.thread.is_alive():
+                raise ROSInterruptException("ROS shutdown request")
+    except ROSInterruptException:
+        raise
+    except KeyboardInterrupt:
+        session.shut_down("interrupted")
+        raise ROSInterruptException("ROS shutdown request") from None
+
+
+class Rate:
+    """Sleeps so that a loop runs at a rate [Hz] of the cell's clock."""
+
+    def __init__(self, hz: float, reset: bool = False):
+        self.sleep_dur = Duration.from_sec(1.0 / hz)
+        self.last_time = Time.now()
+
+    def sleep(self) -> None:
+        now = get_time()
+        wake = self.last_time.to_sec() + self.sleep_dur.to_sec()
+        if wake < now - self.sleep_dur.to_sec():
+            wake = now  # a period was missed: no burst
+        if wake > now:
+            wait_until(wake)
+        self.last_time = Time.from_sec(wake)
+
+    def remaining(self) -> Duration:
+        passed = get_time() - self.last_time.to_sec()
+        return Duration.from_sec(self.sleep_dur.to_sec() - passed)
+
+
+class Timer(threading.Thread):
+    """Calls back with a TimerEvent every period of the cell's clock, until `shutdown`."""
+
+    def __init__(
+        self, period: Duration, callback: Callable[[Any], None], oneshot: bool = False, reset: bool = False
+    ):
+        super().__init__(name="rospy timer", daemon=True)
+        self._period, self._callback, self._oneshot = period.to_sec(), callback, oneshot
+        self._over = threading.Event()
+        self.start()
+
+    def shutdown(self) -> None:
+        self._over.set()
+
+    def run(self) -> None:
+        last_expected = last_real = None
+        expected = get_time()
+        while not self._over.is_set() and not is_shutdown():
+            expected += self._period
+            try:
+                wait_until(expected)
+            except ROSInterruptException:
+                return
+            if self._over.is_set():
+                return
+            event = TimerEvent(last_expected, last_real, Time.from_sec(expected), Time.now(), None)
+            last_expected, last_real = event.current_expected, event.current_real
+            self._callback(event)
+            if self._oneshot:
+                return
+
+
+class TimerEvent:
+    """When a timer should have called and when it did."""
+
+    def __init__(
+        self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any
+    ):
+        self.last_expected, self.last_real = last_expected, last_real
+        self.current_expected, self.current_real = current_expected, current_real
+        self.last_duration = last_duration
