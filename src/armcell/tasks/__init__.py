@@ -1,5 +1,6 @@
 """In which order, and what if it fails? Stages, search, recipes."""
 
+from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.recipes import grasp, hold, let_go, move_to, pick, place, release
@@ -8,10 +9,13 @@ from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.steps import Motion, perform_all
 
 __all__ = [
+    "CarrySettings",
+    "Carrying",
     "Draft",
     "Holding",
     "Motion",
     "Planning",
+    "SideBySide",
     "Speed",
     "Stage",
     "StageReport",
@@ -28,4 +32,6 @@ __all__ = [
     "place",
     "release",
     "search",
+    "shifted",
+    "side_by_side",
 ]

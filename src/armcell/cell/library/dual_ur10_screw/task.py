@@ -12,7 +12,9 @@ def task(cell):
     left, right = cell["left_arm"], cell["right_arm"]
     checked(left.grasp("beam"))
     home = cell.model.named_state("right_arm", "home")
-    ready = JointGoal(home.updated(JointState(("right_wrist_3_joint",), [-2.6])))  # the wrist turned back
+    ready = JointGoal(
+        home.updated(JointState.from_mapping({"right_wrist_3_joint": -2.6}))
+    )  # the wrist turned back
     beam = cell.scene().object("beam").T_world_object
     done = []
     for _ in range(STROKES):
