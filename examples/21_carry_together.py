@@ -14,6 +14,7 @@ with armcell.load("dual_ur10_rod").connect("sim", seed=2) as cell:
     up = shifted(start, z=0.2)
     turned = shifted(up, y=-0.05, turn_deg=12)
     checked(rod.grasp(route=[up, turned]))  # postures that can go all the way
+    # Both grippers hold now; from here on every tick is watched.
     checked(rod.move(up, name="lift"))
     checked(rod.move(turned, name="move and turn"))
     checked(rod.move(shifted(start, y=-0.05, z=0.0005, turn_deg=12), name="put down"))
