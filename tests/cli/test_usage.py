@@ -80,7 +80,7 @@ def test_wrong_usage_names_the_option_and_a_near_one(capsys):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (("run", "panda_pik", "--headless"), "unknown cell 'panda_pik'; known: panda_pick"),
+        (("run", "panda_pik", "--headless"), "unknown cell 'panda_pik'; known: dual_ur10, "),
         (("run", "panda_pik"), "unknown cell 'panda_pik'"),
         (("check", "none/cell.yaml"), "none/cell.yaml: file not found"),
         (("explain", "panda_pick", "--pick", "cub"), "unknown object 'cub'"),
