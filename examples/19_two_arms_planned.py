@@ -6,7 +6,7 @@ python examples/19_two_arms_planned.py
 import numpy as np
 
 import armcell
-from armcell.collision.arms import without_arm
+from armcell.collision import without_arm
 from armcell.core import SE3, PlanRequest, PoseGoal
 from armcell.planning import RunningMotion, plan, plan_beside, plan_together
 

@@ -1,5 +1,6 @@
 """Does it touch? The exact checker, distances, and proofs for whole motions."""
 
+from armcell.collision.arms import Arms, without_arm
 from armcell.collision.certificate import Certificate
 from armcell.collision.certify import MotionBound, certify_path
 from armcell.collision.certify_timed import TimedCertificate, certify_timed
@@ -10,6 +11,7 @@ from armcell.collision.touch_links import attached_by_contact, touching_links
 from armcell.collision.view import cone, links_within
 
 __all__ = [
+    "Arms",
     "Certificate",
     "ExactChecker",
     "MotionBound",
@@ -24,5 +26,6 @@ __all__ = [
     "object_mask",
     "robot_mask",
     "touching_links",
+    "without_arm",
     "without_robot",
 ]

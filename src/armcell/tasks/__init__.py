@@ -1,5 +1,6 @@
 """In which order, and what if it fails? Stages, search, recipes."""
 
+from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.proof import NOISE, Proof, prove, varied
@@ -10,11 +11,14 @@ from armcell.tasks.steps import Motion, perform_all
 
 __all__ = [
     "NOISE",
+    "CarrySettings",
+    "Carrying",
     "Draft",
     "Holding",
     "Motion",
     "Planning",
     "Proof",
+    "SideBySide",
     "Speed",
     "Stage",
     "StageReport",
@@ -32,5 +36,7 @@ __all__ = [
     "prove",
     "release",
     "search",
+    "shifted",
+    "side_by_side",
     "varied",
 ]

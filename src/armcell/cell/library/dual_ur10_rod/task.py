@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armcell.core import SE3, ErrorCode, Outcome
-from armcell.tasks import checked
-from armcell.tasks.arms import shifted
+from armcell.tasks import checked, shifted
 
 TARGET = SE3.from_xyz_rpy((0.0, -0.08, 0.946), (0.0, 0.0, 0.2))  # half a millimetre above the rests
 HEIGHT = 0.2  # [m]

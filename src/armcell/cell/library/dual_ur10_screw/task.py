@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from armcell.core import ErrorCode, JointGoal, JointState, Outcome
 from armcell.tasks import checked
 
@@ -15,7 +13,7 @@ def task(cell):
     checked(left.grasp("beam"))
     home = cell.model.named_state("right_arm", "home")
     ready = JointGoal(
-        home.updated(JointState(("right_wrist_3_joint",), np.array([-2.6])))
+        home.updated(JointState.from_mapping({"right_wrist_3_joint": -2.6}))
     )  # the wrist turned back
     beam = cell.scene().object("beam").T_world_object
     done = []
