@@ -255,7 +255,8 @@ def test_16_live_octomap(printed):
     assert "to the left: SUCCESS" in said and "to the right: PREEMPTED" in said
     assert "sees something across the path" in said and "around it: arrived" in said
     assert number(r"contacts of the robot: (\d+)", said) == 0
-    assert number(r"gone: (\d+) cells", said) < 40
+    left, of = number(r"gone: (\d+) of", said), number(r"gone: \d+ of its (\d+)", said)
+    assert of > 50 and left < 0.1 * of
     assert number(r"into the map: (\d+) ms", said) < 200
 
 
