@@ -261,6 +261,33 @@ def test_14_prove_a_grasp(printed):
 
 
 @pytest.mark.slow
+def test_15_find_and_pick_by_camera(printed):
+    said = printed("15_find_and_pick_by_camera.py")
+    assert all(f"  {kind}_1: at " in said for kind in ("box", "cylinder", "sphere"))
+    for name in ("block", "can", "ball"):
+        assert (
+            number(rf"{name} found, ([\d.]+) mm", said) < 3
+            and number(rf"{name} found.*and ([\d.]+) deg", said) < 2
+        )
+    assert "from files: ball, block, can" in said
+    assert "plate not found" in said and "is the camera frozen?" in said
+    assert "known before: floor, work_table, obstacle, mat\n" in said
+    assert 0 < number(r"the camera is ([\d.]+) mm off", said) < 3
+    assert "look: SUCCESS" in said and "pick: SUCCESS" in said and "place: SUCCESS" in said
+
+
+@pytest.mark.slow
+def test_16_live_octomap(printed):
+    said = printed("16_live_octomap.py")
+    assert "to the left: SUCCESS" in said and "to the right: PREEMPTED" in said
+    assert "sees something across the path" in said and "around it: arrived" in said
+    assert number(r"contacts of the robot: (\d+)", said) == 0
+    left, of = number(r"gone: (\d+) of", said), number(r"gone: \d+ of its (\d+)", said)
+    assert of > 50 and left < 0.1 * of
+    assert number(r"into the map: (\d+) ms", said) < 200
+
+
+@pytest.mark.slow
 def test_24_two_programs_over_ros_tcp(printed):
     said = printed("24_two_programs_over_ros_tcp.py")
     assert "sensed 8 joints of panda" in said and "simulator: done" in said

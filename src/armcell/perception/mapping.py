@@ -59,8 +59,7 @@ class CameraMap:
     def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
         """Put a picture into the map.
 
-        Rays clear what they pass through, also those that end on the robot or on an object of the scene,
-        up to the padding around it.
+        Rays clear what they pass through, also those that end on the robot or on an object of the scene.
 
         Args:
             scene: the robot as it stood when the picture was taken, what it holds, known objects.
@@ -81,8 +80,7 @@ class CameraMap:
         known = object_mask(scene, points, s.object_padding, solid) & ~robot
         eye = image.T_world_camera.translation
         hits = points[~robot & ~known]
-        free = _shortened(points[robot | known], eye, max(s.robot_padding, s.object_padding) + s.resolution)
-        self.map = self.map.updated(hits, eye, s.max_range, free)
+        self.map = self.map.updated(hits, eye, s.max_range, points[robot | known])
         self.octree = self.map.octree()
         return MapUpdate(
             ErrorCode.SUCCESS, "", {}, hits=len(hits), robot_points=int(robot.sum()),
@@ -93,11 +91,3 @@ class CameraMap:
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
         """The scene with this map as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
-
-
-def _shortened(points: np.ndarray, eye: np.ndarray, by: float) -> np.ndarray:
-    """Points moved towards the eye, so that their rays clear up to just before them."""
-    way = points - eye
-    length = np.linalg.norm(way, axis=1)
-    keep = length > by
-    return eye + way[keep] * (1 - by / length[keep])[:, None]
