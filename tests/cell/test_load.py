@@ -127,10 +127,15 @@ def test_unknown_cell_lists_the_known():
 
 @pytest.mark.slow
 # --- the draw ---
-def test_a_seed_s_draw_is_its_own_and_in_range(built_in):
-    draws = [built_in.draw(seed) for seed in range(50)]
-    assert draws == [armcell.load(built_in.name).draw(seed) for seed in range(50)]
-    for name, spec in built_in.spec.randomize.items():
+@pytest.fixture(params=["panda_pick", "six_axis_pick"])
+def cube_cell(request):
+    return armcell.load(request.param)
+
+
+def test_a_seed_s_draw_is_its_own_and_in_range(cube_cell):
+    draws = [cube_cell.draw(seed) for seed in range(50)]
+    assert draws == [armcell.load(cube_cell.name).draw(seed) for seed in range(50)]
+    for name, spec in cube_cell.spec.randomize.items():
         for key, limits in spec.model_dump(exclude_none=True).items():
             values = [draw[name][key] for draw in draws]
             low, high = limits
@@ -139,10 +144,10 @@ def test_a_seed_s_draw_is_its_own_and_in_range(built_in):
             assert np.ptp(values) > 0.7 * (high - low)  # the range is used
 
 
-def test_the_drawn_scene_has_the_drawn_values(built_in):
-    nominal = built_in.scene()
+def test_the_drawn_scene_has_the_drawn_values(cube_cell):
+    nominal = cube_cell.scene()
     for seed in (0, 7):
-        scene, draw = built_in.scene(seed), built_in.draw(seed)["cube"]
+        scene, draw = cube_cell.scene(seed), cube_cell.draw(seed)["cube"]
         was, item = nominal.object("cube"), scene.object("cube")
         moved = item.T_world_object.translation - was.T_world_object.translation
         np.testing.assert_allclose(moved, (draw["dx"], draw["dy"], 0.0), atol=1e-9)

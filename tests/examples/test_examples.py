@@ -267,3 +267,12 @@ def test_24_two_programs_over_ros_tcp(printed):
     assert number(r"planned (\d+) points", said) > 5
     assert re.search(r"simulator: executing \d+ points", said)
     assert number(r"goal: ([\d.]+) rad", said) < 1e-3
+
+
+@pytest.mark.slow
+def test_29_campaign(printed):
+    said = printed("29_campaign.py")
+    assert number(r"(\d+) of 40 succeed", said) < 40
+    assert (
+        "GOAL_IN_COLLISION" in said and "--set objects.lamp.pose.y=" in said and "report: report.html" in said
+    )

@@ -95,11 +95,25 @@ def pin_library(name: str) -> pin.Model:
     data = yaml.safe_load((LIBRARY / name / "robot.yaml").read_text())
     if "urdf" in data:
         return pin.buildModelFromUrdf(str(resolve_uri(data["urdf"], LIBRARY / name)))
-    whole, *others = data["parts"]
-    model = pin_library(whole["robot"])
-    for part in others:
-        frame = model.getFrameId(part["parent_link"], pin.FrameType.BODY)
-        model = pin.appendModel(model, pin_library(part["robot"]), frame, pin.SE3.Identity())
+    model = pin.Model()
+    if sum("parent_link" not in part for part in data["parts"]) > 1:  # ours get a root of their own
+        model.addFrame(pin.Frame("world", 0, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    for part in data["parts"]:
+        placed = SE3.from_mapping(part.get("pose", [0, 0, 0]))
+        frame = model.getFrameId(part["parent_link"], pin.FrameType.BODY) if "parent_link" in part else 0
+        other = _named(pin_library(part["robot"]), part.get("prefix", ""))
+        model = pin.appendModel(
+            model, other, frame, pin.SE3(placed.rotation.matrix, np.array(placed.translation))
+        )
+    return model
+
+
+def _named(model: pin.Model, prefix: str) -> pin.Model:
+    """With a prefix before every name but the universe's."""
+    for i in range(1, model.njoints):
+        model.names[i] = prefix + model.names[i]
+    for i in range(1, model.nframes):
+        model.frames[i].name = prefix + model.frames[i].name
     return model
 
 

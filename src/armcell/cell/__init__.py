@@ -5,6 +5,7 @@ from armcell.cell.live import Arm, LiveCell
 from armcell.cell.objects_file import load_objects, save_objects
 from armcell.cell.run import run_task
 from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
+from armcell.cell.values import parsed, with_values
 
 __all__ = [
     "Arm",
@@ -15,9 +16,11 @@ __all__ = [
     "cell_names",
     "load",
     "load_objects",
+    "parsed",
     "propose",
     "propose_from_package",
     "run_task",
     "save_objects",
+    "with_values",
     "write_cell",
 ]

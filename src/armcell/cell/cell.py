@@ -124,8 +124,8 @@ class Cell:
             scene = scene.with_state(self.model.named_state(group, state))
         for name, spec in self.spec.objects.items():
             try:
-                item = object_of(name, spec, self.file.parent)
-                scene = scene.with_object(_varied(item, draw.get(name, {})))
+                item = _varied(object_of(name, spec, self.file.parent), draw.get(name, {}))
+                scene = _with_screwed(scene, item) if item.thread is not None else scene.with_object(item)
             except InputError as error:
                 if error.file is not None:
                     raise
@@ -157,6 +157,19 @@ class Cell:
         return LiveCell(
             self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
         )
+
+
+def _with_screwed(scene: PlanningScene, item: CollisionObject) -> PlanningScene:
+    """A scene with an object that is screwed into one that is there; its pose is in that one's frame."""
+    assert item.thread is not None
+    into = item.thread.into
+    if into not in scene.objects or not item.movable:
+        raise InputError(
+            f"is screwed into {into!r}: that has to stand before it in the file, and it has to be movable",
+            cure=f"before it: {', '.join(scene.objects) or 'nothing'}",
+        )
+    item = item.at(scene.object(into).T_world_object @ item.T_world_object)
+    return scene.with_object(item).with_allowed(item.name, into)
 
 
 def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:

@@ -28,7 +28,15 @@ from armcell.core import (
 )
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import read_yaml
-from armcell.scene import CollisionObject, Material, ObjectType, check_mesh, library_object, load_obstacle
+from armcell.scene import (
+    CollisionObject,
+    Material,
+    ObjectType,
+    Thread,
+    check_mesh,
+    library_object,
+    load_obstacle,
+)
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
@@ -44,6 +52,8 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         given["mass"] = spec.mass
     if spec.friction is not None:
         given["material"] = Material(spec.friction)
+    if spec.thread is not None:
+        given["thread"] = Thread(**spec.thread.model_dump())
     pose = SE3.from_mapping(spec.pose, "pose")
     if spec.model is not None:
         item = library_object(spec.model, name, pose, scale=spec.mesh_scale, sizes=spec.sizes, **given)

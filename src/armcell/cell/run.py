@@ -12,8 +12,10 @@ import numpy as np
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
+from armcell.cell.script import load_script
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
+from armcell.tasks import TaskFailed
 
 PLACEMENT_TOLERANCE = 0.005  # [m]
 REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
@@ -27,9 +29,13 @@ def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]
     Raises:
         InputError: the cell has no task.
     """
+    if cell.spec.script is not None:
+        return _run_script(cell, live, seed, mode)
     if not cell.spec.task:
         raise InputError(
-            "the cell has no task", file=cell.file, cure="add 'task: [...]' or use the Python API"
+            "the cell has no task",
+            file=cell.file,
+            cure="add 'task: [...]' or 'script: task.py', or use the Python API",
         )
     began = time.monotonic()
     outcome, placements = Outcome(ErrorCode.SUCCESS), []
@@ -43,6 +49,21 @@ def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]
         if not outcome.ok:
             break
     return _result(cell, live, seed, mode, outcome, placements, time.monotonic() - began)
+
+
+def _run_script(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]:
+    task = load_script(cell.spec.script or "", cell.file)
+    began = time.monotonic()
+    try:
+        found = task(live)
+        outcome = found if isinstance(found, Outcome) else Outcome(ErrorCode.SUCCESS)
+    except TaskFailed as failed:
+        outcome = failed.outcome
+    except InputError as error:  # the run so far is worth its report
+        outcome = Outcome(ErrorCode.FAILURE, str(error))
+    result = _result(cell, live, seed, mode, outcome, [], time.monotonic() - began)
+    result["measures"] = {k: v for k, v in outcome.evidence.items() if isinstance(v, int | float | str)}
+    return result
 
 
 def _perform(live: LiveCell, step: StepSpec) -> Outcome:

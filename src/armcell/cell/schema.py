@@ -62,6 +62,15 @@ class TypeSpec(Strict):
     db: str = ""
 
 
+class ThreadSpec(Strict):
+    """A thread: the object turns about its z axis and goes in by `pitch` per turn."""
+
+    into: str  # an object that stands before it in the file
+    pitch: float = Field(gt=0)  # [m]
+    travel: float = Field(gt=0)  # [m]
+    torque: float = Field(0.2, ge=0)  # [Nm] of friction
+
+
 class ObjectSpec(Strict):
     """An object: one shape given directly, several under `shapes`, or one of the library's by `model`."""
 
@@ -80,6 +89,7 @@ class ObjectSpec(Strict):
     sizes: dict[str, float] = {}  # [m] of the library object
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
+    thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] | None = None
     movable: bool = False
@@ -181,6 +191,7 @@ class CellSpec(Strict):
     randomize: dict[str, RandomSpec] = {}
     cameras: dict[str, CameraSpec] = {}
     task: list[StepSpec] = []
+    script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
 
@@ -188,6 +199,12 @@ class CellSpec(Strict):
     @classmethod
     def _robot(cls, value):
         return {"model": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_task(self):
+        if self.task and self.script is not None:
+            raise ValueError("has a task and a script: give one or the other")
+        return self
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:

@@ -10,6 +10,7 @@ import typer
 from armcell import __version__
 from armcell.cli import (
     bench,
+    campaign,
     check,
     check_state,
     doctor,
@@ -20,6 +21,7 @@ from armcell.cli import (
     run,
     serve,
     setup,
+    step_response,
     topic,
     view,
 )
@@ -47,6 +49,8 @@ Examples:
 
   armcell view panda_pick                     plan in the browser: drag the goal, plan, preview, execute
 
+  armcell campaign panda_pick --trials 200    how often does it work, and why not
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -60,6 +64,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("run")(run.run)
+app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
 app.command("explain")(explain.explain)
@@ -68,6 +73,7 @@ app.command("view", epilog=view.EXAMPLES)(view.view)
 app.command("ik")(ik.ik)
 app.command("fk")(ik.fk)
 app.command("check-state")(check_state.check_state)
+app.command("step-response")(step_response.step_response)
 app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")

@@ -38,6 +38,12 @@ def run(
         min=0.001,
         help="1: real time, 0.2: slow motion. Default: 1 with --view, else as fast as it can.",
     ),
+    set_: list[str] = typer.Option(
+        [],
+        "--set",
+        metavar="PATH=VALUE",
+        help="Another value than in the cell file, e.g. objects.cube.mass=0.3; may be repeated.",
+    ),
     port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
 ) -> int:
     """Run a cell's task: plan, move, grasp and place, in physics.
@@ -62,12 +68,13 @@ def run(
             loading = progress.add_task(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
-        from armcell.cell import load, run_task  # here: physics and planners load slowly
+        from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
         from armcell.control import drivers
         from armcell.planning import warm_up
 
         drivers[mode]  # an unknown mode is said before anything is made
-        loaded = load(cell)
+        values = dict(parsed(one) for one in set_)
+        loaded = with_values(load(cell), values)
         warm_up()
         scene = loaded.scene(seed)
         observers: list[Observer] = []
@@ -93,7 +100,8 @@ def run(
             live.ctx.observers.append(observers[-1])
         with live:
             result = run_task(loaded, live, seed, mode)
-        result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode])
+        sets = [part for one in set_ for part in ("--set", one)]
+        result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode, *sets])
         if progress is not None:
             progress.stop()
         report = _written(recorder, result, json_file)

@@ -6,10 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, JointState, Registry
 from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,13 @@ class Driver(Protocol):
         ...
 
     def gripper(self, gripper: str) -> GripperReading: ...
+
+    def wrench(self, gripper: str) -> Array:
+        """Force [N] over torque [Nm] (6,) on a hand by what touches it, about its tcp, in world axes.
+
+        Without the hand's own weight. Zero for a robot that feels nothing.
+        """
+        ...
 
     def advance(self, duration: float) -> None:
         """Let time pass [s]."""

@@ -2,6 +2,8 @@
 
 import armcell.grasping.generators  # noqa: F401  registers them
 from armcell.grasping.candidates import (
+    OPENING_FACTOR,
+    OPENING_MARGIN,
     Grasp,
     Proposals,
     Rejection,
@@ -27,6 +29,8 @@ from armcell.grasping.stability import Rest, resting_now, rests
 from armcell.grasping.surface import Surface, cloud_surface, surface_of
 
 __all__ = [
+    "OPENING_FACTOR",
+    "OPENING_MARGIN",
     "RELEASE_GAP",
     "Grasp",
     "Hand",

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
 from armcell.grasping import kernel
 from armcell.grasping.contact import PadContact
-from armcell.grasping.force import SAFETY, grip_force, holding_factor, needed_force
+from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface, surface_of
 from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
+OPENING_FACTOR, OPENING_MARGIN = kernel.WIDER, kernel.MARGIN
 APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and least
 KEPT = 64  # sets of fitted candidates remembered
 SOFT_PATCH = 1.5e-3  # [m] radius of a contact patch that is worth half of a large one
@@ -199,7 +200,7 @@ def _judged(
         else:
             pose, opening = SE3(SO3(R[i]), at[i]), float(fitted.measures[good[i], 1])
             pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))
-            hold = grip_force(float(needed[i]), gripper)
+            hold = firm_force(float(needed[i]), gripper)
             found.append(Grasp(name, pose, float(width[i]), opening, hold, float(score[i]), contacts=pads))
     return found, rejected
 

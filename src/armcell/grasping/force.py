@@ -35,6 +35,11 @@ def needed_force(item: CollisionObject) -> float:
     return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))
 
 
-def grip_force(needed: float, gripper: Gripper) -> float:
+def firm_force(needed: float, gripper: Gripper) -> float:
     """Force per finger [N] to grip with: what is needed with a safety factor, if the gripper has it."""
     return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
+
+
+def grip_force(item: CollisionObject, gripper: Gripper) -> float:
+    """Force per finger [N] to grip an object with at its middle."""
+    return firm_force(needed_force(item), gripper)

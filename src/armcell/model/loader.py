@@ -9,6 +9,7 @@ from typing import Any
 from armcell.core import SE3, InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
 from armcell.model.compose import Part, compose
+from armcell.model.composite import with_composites
 from armcell.model.files import read_yaml
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
@@ -19,7 +20,7 @@ from armcell.model.urdf import load_urdf
 
 LIBRARY = Path(__file__).parent / "library"
 ROBOT_FILE = "robot.yaml"
-_KEYS = {"name", "source", "urdf", "root", "srdf", "joint_limits", "grippers", "parts"}
+_KEYS = {"name", "source", "urdf", "root", "srdf", "joint_limits", "grippers", "parts", "groups", "states"}
 
 
 def robot_names() -> list[str]:
@@ -85,6 +86,7 @@ def load_folder(folder: Path) -> RobotModel:
         model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
     if "joint_limits" in data:
         model = with_joint_limits(model, folder / str(data["joint_limits"]))
+    model = with_composites(model, data.get("groups"), data.get("states"), file)
     grippers = dict(model.grippers)
     for name, entry in (data.get("grippers") or {}).items():
         grippers[name] = _gripper(model, name, entry, file)

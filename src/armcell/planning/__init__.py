@@ -1,6 +1,7 @@
 """What path? Planners, the pipeline around them, Cartesian motions."""
 
 from armcell.planning.adapters import adapter_names
+from armcell.planning.arms import PairPlan, RunningMotion, plan_beside, plan_together
 from armcell.planning.cartesian import plan_cartesian, waypoints_by_offsets
 from armcell.planning.constraint_check import constraint_errors, satisfied, violations
 from armcell.planning.explain import explain, solve_ik
@@ -17,9 +18,11 @@ __all__ = [
     "Answer",
     "Branch",
     "LibraryStatistics",
+    "PairPlan",
     "PlanLibrary",
     "PoseExplanation",
     "Problem",
+    "RunningMotion",
     "Target",
     "adapter_names",
     "constraint_errors",
@@ -32,8 +35,10 @@ __all__ = [
     "pipelines",
     "plan",
     "plan_among_moving",
+    "plan_beside",
     "plan_cartesian",
     "plan_sequence",
+    "plan_together",
     "prepare",
     "satisfied",
     "solve_ik",

@@ -45,6 +45,16 @@ def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) 
     return figures
 
 
+def response_plot(times: Array, curves: Mapping[str, Array], target: float, title: str) -> bytes:
+    """Step responses [deg] over time, and the target they should go to."""
+    figure, (ax,) = _figure(1, 3.2, len(curves))
+    ax.axhline(target, color="#9AA3AF", linewidth=1.0, linestyle=":")
+    _curves(ax, times, curves)
+    _finish(figure, (ax,), ("angle [deg]",), (), times)
+    ax.set_title(title, color=_INK, fontsize=10, loc="left")
+    return _png(figure)
+
+
 def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
     """Width and force per finger over time; None if neither was recorded."""
     rows = [

@@ -27,7 +27,14 @@ from armcell.scene.inertia import solid_inertia
 from armcell.scene.library import Kind, library, library_object, object_names
 from armcell.scene.mesh_object import MeshFacts, check_mesh, mesh_facts, mesh_object
 from armcell.scene.moving import MovingObject
-from armcell.scene.objects import DEFAULT_DENSITY, CollisionObject, Material, ObjectType, shape_volume
+from armcell.scene.objects import (
+    DEFAULT_DENSITY,
+    CollisionObject,
+    Material,
+    ObjectType,
+    Thread,
+    shape_volume,
+)
 from armcell.scene.octomap import OccupancyMap, SensorModel
 from armcell.scene.octree_file import load_octree
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
@@ -62,6 +69,7 @@ __all__ = [
     "SetPadding",
     "SetState",
     "SetType",
+    "Thread",
     "check_mesh",
     "depth_points",
     "library",

@@ -59,6 +59,27 @@ class ObjectType:
     db: str = ""
 
 
+@dataclass(frozen=True)
+class Thread:
+    """An object screwed into another: it turns about its own z axis and moves along it, nothing else.
+
+    Right-handed: seen from its z axis' tip, turning it clockwise moves it along -z.
+    """
+
+    into: str  # the object that has the hole
+    pitch: float  # [m] per turn
+    travel: float  # [m] that it can still go in
+    torque: float = 0.2  # [Nm] of friction
+
+    def __post_init__(self) -> None:
+        for name in ("pitch", "travel"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"a thread's {name} is {value:g} m, it must be positive")
+        if not (np.isfinite(self.torque) and self.torque >= 0):
+            raise InputError(f"a thread's torque is {self.torque:g} Nm, it must not be negative")
+
+
 @dataclass(frozen=True, eq=False)
 class CollisionObject:
     """A named rigid object. `shapes` are placed in the object's own frame.
@@ -77,6 +98,7 @@ class CollisionObject:
     material: Material = Material()
     subframes: Mapping[str, SE3] = field(default_factory=dict)  # T_object_subframe by name
     type: ObjectType = ObjectType()
+    thread: Thread | None = None  # screwed into another object, in physics
 
     def __post_init__(self) -> None:
         if not self.name:

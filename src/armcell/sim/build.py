@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from armcell.collision.convex import convex_pieces
 from armcell.collision.decompose import object_pieces
-from armcell.core import InputError
+from armcell.core import SE3, InputError
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
-from armcell.scene import WORLD, CollisionObject, PlanningScene, solid_inertia
+from armcell.scene import WORLD, CollisionObject, PlanningScene, Thread, solid_inertia
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import GeomAdder
 from armcell.sim.visuals import visual_parts
@@ -69,13 +69,19 @@ class BuiltModel:
     joint_dof: dict[str, int]
     qpos: Ints  # (dof,) actuated joints in the model's order
     dofs: Ints  # (dof,)
-    pos_ctrl: Ints  # (dof,) control index of the position input, -1 for a gripper's joint
-    vel_ctrl: Ints  # (dof,)
+    pos_ctrl: Ints  # (dof,) control index of the position (or torque) input, -1 for a gripper's joint
+    vel_ctrl: Ints  # (dof,) of the velocity input, -1 where there is none
     grippers: dict[str, GripperIndex]
     object_qpos: dict[str, int]  # movable objects: start of x, y, z, qw, qx, qy, qz
+    threaded: dict[str, tuple[int, int]]  # objects screwed into others: slide and turn
     object_dof: dict[str, int]
     objects: dict[str, CollisionObject]  # attached ones included, at their initial poses
     welds: dict[tuple[str, str], int]  # equality by (object, gripper)
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Objects whose pose changes."""
+        return (*self.object_qpos, *self.threaded)
 
 
 def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
@@ -99,13 +105,17 @@ def build(scene: PlanningScene, settings: PhysicsSettings | None = None, visuals
     bodies = _add_robot(spec, adder, scene.model, settings, visuals)
     objects = scene_objects(scene)
     for item in objects.values():
-        bodies[item.name] = _add_object(spec, adder, item, item.name in scene.attached, settings)
+        into = bodies[item.thread.into] if item.thread is not None else None
+        T_into = objects[item.thread.into].T_world_object if item.thread is not None else None
+        bodies[item.name] = _add_object(
+            spec, adder, item, item.name in scene.attached, settings, into, T_into
+        )
     _add_excludes(spec, scene)
     _add_arm_actuators(spec, scene.model, settings)
     for gripper in scene.model.grippers.values():
         _add_gripper(spec, scene.model, gripper, settings)
     for name, item in objects.items():
-        if item.movable or name in scene.attached:
+        if item.thread is None and (item.movable or name in scene.attached):
             for gripper in scene.model.grippers.values():
                 spec.add_equality(
                     name=_weld_name(name, gripper.name),
@@ -179,7 +189,7 @@ def _add_robot(
     for name, body in bodies.items():
         link = model.links[name]
         if name != WORLD:
-            body.gravcomp = 1.0  # real arms compensate their own weight
+            body.gravcomp = settings.gravity_compensation  # real arms compensate their own weight
             _set_inertia(body, link, name in massless)
         _add_link_geoms(adder, body, link, visuals)
     for joint in model.joints.values():
@@ -290,10 +300,14 @@ def _add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: Physics
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         # A weak joint with a strong joint's gains would saturate at every small error and chatter.
         weak = min(1.0, joint.limits.effort / settings.full_gain_effort)
-        actuator.set_to_pid(
-            kp=weak * (settings.slide_kp if slide else settings.arm_kp),
-            kv=weak * (settings.slide_kv if slide else settings.arm_kv),
-        )
+        kp = weak * (settings.slide_kp if slide else settings.arm_kp)
+        kv = weak * (settings.slide_kv if slide else settings.arm_kv)
+        if settings.arm_control == "pid":
+            actuator.set_to_pid(kp=kp, kv=kv)
+        elif settings.arm_control == "position":
+            actuator.set_to_position(kp=kp, kv=kv)
+        else:
+            actuator.set_to_motor()
         if np.isfinite(joint.limits.effort) and joint.limits.effort > 0:
             actuator.forcelimited = True
             actuator.forcerange = [-joint.limits.effort, joint.limits.effort]
@@ -328,10 +342,11 @@ def _servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
 # --- objects ---
 def _add_object(
-    spec: mujoco.MjSpec, adder: GeomAdder, item: CollisionObject, attached: bool, settings: PhysicsSettings
-) -> Any:
-    T = item.T_world_object
-    body = spec.worldbody.add_body(name=item.name, pos=T.translation, quat=T.quat_wxyz)
+    spec: mujoco.MjSpec, adder: GeomAdder, item: CollisionObject, attached: bool, settings: PhysicsSettings,
+    into: Any = None, T_world_into: SE3 | None = None,
+) -> Any:  # fmt: skip
+    T = item.T_world_object if T_world_into is None else T_world_into.inv() @ item.T_world_object
+    body = (into or spec.worldbody).add_body(name=item.name, pos=T.translation, quat=T.quat_wxyz)
     material = item.material
     values: dict[str, Any] = {
         "rgba": item.color,
@@ -341,7 +356,10 @@ def _add_object(
     }
     free = item.movable or attached
     if free:
-        body.add_freejoint(name=f"{item.name}:free")
+        if item.thread is None:
+            body.add_freejoint(name=f"{item.name}:free")
+        else:
+            _add_thread(spec, body, item.name, item.thread)
         centre, inertia = solid_inertia(item.shapes, item.mass_kg)
         body.explicitinertial = True
         body.mass, body.ipos, body.fullinertia = item.mass_kg, centre, _full(inertia)
@@ -355,6 +373,33 @@ def _add_object(
         split = object_pieces if free else convex_pieces
         adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", split, **values)
     return body
+
+
+def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
+    """A turn and a slide about the body's z axis, coupled by the pitch."""
+    per_radian = thread.pitch / (2 * np.pi)
+    turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
+    # The inertia added to the slide makes the coupling stiff: it yields to a force by that over the mass.
+    for kind, joint, low, loss, armature in (
+        (mujoco.mjtJoint.mjJNT_SLIDE, _slide_name(name), -thread.travel, 0.0, 100.0),
+        (mujoco.mjtJoint.mjJNT_HINGE, _turn_name(name), -turns, thread.torque, 1e-3),
+    ):
+        body.add_joint(
+            name=joint, type=kind, axis=axis, limited=True, range=[low, -low * 0.1], frictionloss=loss,
+            armature=armature, damping=[1e-3, 0.0, 0.0],
+        )  # fmt: skip
+    spec.add_equality(
+        name=f"{name}:thread", type=mujoco.mjtEq.mjEQ_JOINT, name1=_slide_name(name), name2=_turn_name(name),
+        data=[0.0, per_radian] + [0.0] * 10, solref=[0.004, 1.0], solimp=[0.999, 0.9999, 0.001, 0.5, 2.0],
+    )  # fmt: skip
+
+
+def _slide_name(name: str) -> str:
+    return f"{name}:slide"
+
+
+def _turn_name(name: str) -> str:
+    return f"{name}:turn"
 
 
 # --- the table ---
@@ -386,7 +431,11 @@ def _index(
     driven = {g.joint_name for g in model.grippers.values()}
     # pid actuators have two controls each, so the actuator's number is not the control's
     first = {n: int(mj.actuator_ctrladr[mj.actuator(n).id]) for n in model.joint_names if n not in driven}
-    free = {n: mj.joint(f"{n}:free") for n, o in objects.items() if o.movable or n in scene.attached}
+    free = {
+        n: mj.joint(f"{n}:free")
+        for n, o in objects.items()
+        if o.thread is None and (o.movable or n in scene.attached)
+    }
     return BuiltModel(
         scene=scene,
         spec=spec,
@@ -401,11 +450,18 @@ def _index(
         qpos=_ints(joint_qpos[n] for n in model.joint_names),
         dofs=_ints(joint_dof[n] for n in model.joint_names),
         pos_ctrl=_ints(first.get(n, -1) for n in model.joint_names),
-        vel_ctrl=_ints(first[n] + 1 if n in first else -1 for n in model.joint_names),
+        vel_ctrl=_ints(
+            first[n] + 1 if n in first and settings.arm_control == "pid" else -1 for n in model.joint_names
+        ),
         grippers={
             g.name: _gripper_index(mj, model, g, settings, owner_index) for g in model.grippers.values()
         },
         object_qpos={n: int(j.qposadr[0]) for n, j in free.items()},
+        threaded={
+            n: (int(mj.joint(_slide_name(n)).qposadr[0]), int(mj.joint(_turn_name(n)).qposadr[0]))
+            for n, o in objects.items()
+            if o.thread is not None
+        },
         object_dof={n: int(j.dofadr[0]) for n, j in free.items()},
         objects=objects,
         welds={(n, g): mj.equality(_weld_name(n, g)).id for n in free for g in model.grippers},

@@ -15,6 +15,7 @@ from armcell.core import InputError, UnknownNameError
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 CONES = ("pyramidal", "elliptic")
 GRIP_MODES = ("friction", "weld", "hybrid")
+ARM_CONTROLS = ("pid", "position", "torque")
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,14 @@ class PhysicsSettings:
     noslip_iterations: int = 0  # 2 lowers the creep of a held object six times, at 2/3 of the speed
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # [m/s^2]
 
-    # Arm joints: native pid actuators, force = kp (u_pos - q) + kv (u_vel - qd), within JointLimits.effort.
+    # Arm joints, within JointLimits.effort. "pid": the engine's, force = kp (u_pos - q) + kv (u_vel - qd).
+    # "position": kp (u_pos - q) - kv qd, which lags by kv/kp times the speed. "torque": the pid law and
+    # ki times the integral of (u_pos - q), worked out here at every step and sent as a torque.
+    arm_control: str = "pid"
     arm_kp: float = 5000.0  # [Nm/rad]
+    arm_ki: float = 0.0  # [Nm/(rad s)], of "torque"; the integral gives at most a fifth of the effort limit
     arm_kv: float = 500.0  # [Nm s/rad]
+    gravity_compensation: float = 1.0  # share of the links' weight that the arms take off themselves
     full_gain_effort: float = 50.0  # [Nm or N] joints with a lower effort limit get gains in proportion to it
     slide_kp: float = 50000.0  # [N/m], of sliding joints that are no fingers
     slide_kv: float = 5000.0  # [N s/m]
@@ -72,6 +78,7 @@ class PhysicsSettings:
             ("integrator", self.integrator, INTEGRATORS),
             ("cone", self.cone, CONES),
             ("grip mode", self.grip_mode, GRIP_MODES),
+            ("arm control", self.arm_control, ARM_CONTROLS),
         ):
             if value not in known:
                 raise UnknownNameError(kind, value, known)
@@ -86,5 +93,9 @@ class PhysicsSettings:
         for name in ("timestep", "gripper_kp", "finger_speed", "grip_force_rate", "impratio"):
             if getattr(self, name) <= 0:
                 raise InputError(f"physics setting {name} is {getattr(self, name)}, it must be above 0")
+        if self.arm_ki > 0 and self.arm_control != "torque":
+            raise InputError(
+                f"physics setting arm_ki is for arm_control 'torque', this is {self.arm_control!r}"
+            )
         if len(self.gravity) != 3 or not np.all(np.isfinite(self.gravity)):
             raise InputError("physics setting gravity must be three finite numbers [m/s^2]")

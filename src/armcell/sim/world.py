@@ -27,7 +27,9 @@ from armcell.sim.grip import (
     gripper_state,
     relative_pose,
 )
+from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +50,7 @@ class WorldSnapshot:
     equality_data: Array
     equality_solref: Array
     drives: tuple
+    servo: tuple
     welder: tuple
     monitor: tuple
     watches: dict
@@ -87,6 +90,7 @@ class SimWorld:
         self.mj_data = mujoco.MjData(self.mj_model)
         self._tree = kinematic_tree(scene.model)
         self._drives = {n: GripperDrive(g, self.settings) for n, g in self.built.grippers.items()}
+        self._servo = ArmServo(self.built, self.settings)
         self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # of camera.py: the same scene with its visual meshes
@@ -130,6 +134,8 @@ class SimWorld:
         model, data = self.mj_model, self.mj_data
         step = mujoco.mj_step
         before = [drive.update for drive in self._drives.values()]
+        if self._servo.computed:
+            before.append(self._servo.update)
         after = [self.monitor.update]
         if self.settings.grip_mode != "friction":
             after.append(self._welder.update)
@@ -169,15 +175,14 @@ class SimWorld:
         names = tuple(joint_names)
         if names not in self._columns:
             self._columns[names] = self._split(names)
-        arm, pos, vel, fingers = self._columns[names]
+        arm, columns, fingers = self._columns[names]
         q = np.asarray(positions, dtype=float)
         v = np.zeros(len(names)) if velocities is None else np.asarray(velocities, dtype=float)
         if q.shape != (len(names),) or v.shape != q.shape:
             raise InputError(f"target of {len(names)} joints has shapes {q.shape} and {v.shape}")
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise InputError(f"target of joints {', '.join(names)} is not finite")
-        self.mj_data.ctrl[pos] = q[arm]
-        self.mj_data.ctrl[vel] = v[arm]
+        self._servo.command(self.mj_data, columns, q[arm], v[arm])
         for column, gripper in fingers:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(q[column])), index.max_force)
@@ -185,9 +190,8 @@ class SimWorld:
     def _split(self, names: tuple[str, ...]) -> tuple:
         columns = self.robot.columns(names)
         arm = [i for i, name in enumerate(names) if name not in self._driven]
-        pos = self.built.pos_ctrl[[columns[i] for i in arm]]
-        vel = self.built.vel_ctrl[[columns[i] for i in arm]]
-        return arm, pos, vel, [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
+        driven = [columns[i] for i in arm]
+        return arm, driven, [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
         """Drive a gripper to a width [m] with at most a force per finger [N], by default its largest.
@@ -209,6 +213,11 @@ class SimWorld:
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
 
+    def wrench(self, gripper: str) -> Array:
+        """Force [N] over torque [Nm] (6,) on a hand by what touches it, about its tcp, in world axes."""
+        self._gripper(gripper)
+        return hand_wrench(self.built, self.mj_data, gripper)
+
     def _gripper(self, name: str):
         if name not in self.built.grippers:
             raise UnknownNameError("gripper", name, self.built.grippers)
@@ -226,9 +235,7 @@ class SimWorld:
         for name, value in self._tree.full_positions(q).items():
             data.qpos[built.joint_qpos[name]] = value
             data.qvel[built.joint_dof[name]] = 0.0
-        arm = built.pos_ctrl >= 0
-        data.ctrl[built.pos_ctrl[arm]] = q[arm]
-        data.ctrl[built.vel_ctrl[arm]] = 0.0
+        self._servo.hold(data, q)
         for name, drive in self._drives.items():
             self._welder.release(data, name)
             joint = drive.index.gripper.joint_name
@@ -282,7 +289,7 @@ class SimWorld:
         scene = self.built.scene
         q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
         objects = {
-            name: item.at(self.object_pose(name)) if name in self.built.object_qpos else item
+            name: item.at(self.object_pose(name)) if name in self.built.moving else item
             for name, item in self.built.objects.items()
         }
         return replace(scene, positions=q, objects=objects, attached={})
@@ -293,7 +300,7 @@ class SimWorld:
         return StateSample(
             time=self.time,
             joints=self.joint_state(),
-            object_poses={name: self.object_pose(name) for name in self.built.object_qpos},
+            object_poses={name: self.object_pose(name) for name in self.built.moving},
             gripper_width={name: state.width for name, state in grippers.items()},
             gripper_force={name: state.force_per_finger for name, state in grippers.items()},
         )
@@ -339,6 +346,7 @@ class SimWorld:
             equality_data=self.mj_model.eq_data.copy(),
             equality_solref=self.mj_model.eq_solref.copy(),
             drives=tuple(drive.get_state() for drive in self._drives.values()),
+            servo=self._servo.get_state(),
             welder=self._welder.get_state(),
             monitor=self.monitor._get_state(),
             watches=dict(self._watches),
@@ -362,6 +370,7 @@ class SimWorld:
         )  # forward spoils the warm start
         for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
             drive.set_state(state)
+        self._servo.set_state(snapshot.servo)
         self._welder.set_state(snapshot.welder)
         self.monitor._set_state(snapshot.monitor)
         self._watches = dict(snapshot.watches)
@@ -385,6 +394,13 @@ def _same_build(a: PlanningScene, b: PlanningScene) -> bool:
             new.mass, new.material, new.movable, new.color
         ):  # fmt: skip
             return False
+        if new.thread is not None:
+            into = new.thread.into
+            was = olds[into].T_world_object.inv() @ old.T_world_object
+            if new.thread != old.thread or not was.isclose(
+                news[into].T_world_object.inv() @ new.T_world_object
+            ):
+                return False
         if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):
             return False
     return True

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from armcell.control import Driver
-from armcell.core import SE3, Event, JointTrajectory, Observer, StateSample
+from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.settings import TaskSettings
@@ -79,6 +80,11 @@ class TaskContext:
             scene = scene.with_attached(held.object, held.gripper.tcp_link, held.gripper.hand_links)
         return scene
 
+    @property
+    def base(self) -> PlanningScene:
+        """The world the task plans in, with nothing of it measured."""
+        return self._base
+
     def change_scene(self, scene: PlanningScene) -> None:
         """Replace the world the task plans in (objects added or removed); the state stays measured."""
         self._base = scene
@@ -90,6 +96,21 @@ class TaskContext:
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
         scene = replace(self._base, positions=self.driver.joint_state().positions)
         return scene.frame_pose(gripper.tcp_link).inv() @ self.driver.object_poses()[item]
+
+    # --- the way ---
+    def clear(self, motion: Any) -> JointTrajectory | Outcome:
+        """The motion (a `steps.Motion`) as it may begin now, or why it may not. Alone, an arm just may."""
+        return motion.trajectory
+
+    def rested(self) -> None:
+        """The arm has come to rest after a motion."""
+
+    def reserve(self, zone: str) -> AbstractContextManager[None]:
+        """A zone for one arm at a time. Alone, an arm just has it."""
+        return nullcontext()
+
+    def meet(self, name: str) -> None:
+        """Wait for the other arm at a point of both programs. Alone, an arm does not wait."""
 
     # --- time ---
     def advance(self, duration: float) -> None:

@@ -37,11 +37,7 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
     """
-    for held in ctx.holding.values():
-        if held.gripper.name == gripper.name:
-            raise InputError(f"gripper {gripper.name!r} already holds {held.object}", cure="place it first")
-    if not ctx.scene().object(item).movable:
-        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+    _check_free(ctx, item, gripper)
     s, outcome = ctx.settings, DONE
     for _ in range(s.attempts):
         scene = ctx.scene()
@@ -73,6 +69,58 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...
         if held is not None:
             _back_off(ctx, item, gripper)
     return outcome
+
+
+def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
+    """Take hold of an object where it is, without lifting it; it may go on touching what it stands on.
+
+    Raises:
+        InputError: no such object, not movable, or the gripper already holds something.
+    """
+    _check_free(ctx, item, gripper)
+    s, scene = ctx.settings, ctx.scene()
+    supports = tuple(neighbours(scene, item))
+    stages: list[Stage] = [
+        ChooseGrasp(item, gripper, s.near, s.approach_distance),
+        Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
+        Planned("approach", "after_approach"),
+        Close(item, gripper, supports, s.grasp_settle),
+    ]
+    draft, outcome = _planned(ctx, stages, f"grasp {item}")
+    if draft is None:
+        return outcome
+    outcome = perform_all(ctx, draft.steps)
+    if outcome.ok and supports:
+        ctx.change_scene(ctx.base.with_allowed(item, supports))
+    return outcome
+
+
+def let_go(ctx: TaskContext, item: str) -> Outcome:
+    """Open the hand that holds an object and draw it straight back.
+
+    Raises:
+        InputError: the object is not held.
+    """
+    if item not in ctx.holding:
+        raise InputError(f"the robot does not hold {item!r}")
+    s, gripper = ctx.settings, ctx.holding[item].gripper
+    stages: list[Stage] = [
+        Open(item, "", gripper, s.release_margin, s.release_settle),
+        Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
+                 in_tip_frame=True, allow=((item, gripper.hand_links),)),
+    ]  # fmt: skip
+    draft, outcome = _planned(ctx, stages, f"let go of {item}")
+    if draft is None:
+        return outcome
+    return perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
+
+
+def _check_free(ctx: TaskContext, item: str, gripper: Gripper) -> None:
+    for held in ctx.holding.values():
+        if held.gripper.name == gripper.name:
+            raise InputError(f"gripper {gripper.name!r} already holds {held.object}", cure="place it first")
+    if not ctx.scene().object(item).movable:
+        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
 
 
 def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None) -> Outcome:

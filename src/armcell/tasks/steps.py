@@ -25,14 +25,18 @@ class Motion:
 
     def perform(self, ctx: TaskContext) -> Outcome:
         report = StageReport(self.name, self.planner, self.planning_time, clearance_m=self.clearance)
-        return _staged(ctx, report, lambda: self._move(ctx, report))
+        return staged(ctx, report, lambda: self._move(ctx, report))
 
     def _move(self, ctx: TaskContext, report: StageReport) -> Outcome:
+        trajectory = ctx.clear(self)
+        if isinstance(trajectory, Outcome):
+            return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
-        ctx.announce(self.trajectory)
+        ctx.announce(trajectory)
         result = execute(
-            ctx.driver, self.trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
+            ctx.driver, trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
         )
+        ctx.rested()
         for name, T_before in before.items():
             held = ctx.holding[name]
             report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
@@ -50,7 +54,7 @@ class Grip:
     settle: float = 0.0
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        return _staged(ctx, StageReport(self.name), lambda: self._drive(ctx))
+        return staged(ctx, StageReport(self.name), lambda: self._drive(ctx))
 
     def _drive(self, ctx: TaskContext) -> Outcome:
         driver, name = ctx.driver, self.gripper.name
@@ -197,13 +201,13 @@ class Dwell:
                 report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
             return Outcome(ErrorCode.PREEMPTED, "cancelled") if ctx.cancel.is_set() else DONE
 
-        return _staged(ctx, report, wait)
+        return staged(ctx, report, wait)
 
 
 Step = Motion | Grip | Hold | Release | Expect | Watch | CheckGrasp | StillHeld | Dwell
 
 
-def _staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
+def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
     """Run a step that shows in the stage table."""
     report.started_s = ctx.driver.now
     ctx.emit("stage", report.name, phase="begin")

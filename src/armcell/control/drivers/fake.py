@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.core import SE3, JointState
 from armcell.core.checks import require
 from armcell.kinematics import kinematic_tree
@@ -72,6 +72,10 @@ class FakeDriver:
         held = self._held.get(gripper)
         force = self._targets.get(gripper, (0.0, 0.0))[1] if held else 0.0
         return GripperReading(width, force, held[0] if held else None)
+
+    def wrench(self, gripper: str) -> Array:
+        self._model.gripper(gripper)
+        return np.zeros(6)
 
     def advance(self, duration: float) -> None:
         self._now += duration

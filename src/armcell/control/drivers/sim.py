@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.core import SE3, JointState
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer, PhysicsSettings, SimWorld
@@ -53,6 +53,9 @@ class SimDriver:
     def gripper(self, gripper: str) -> GripperReading:
         state = self.world.gripper_state(gripper)
         return GripperReading(state.width, state.force_per_finger, state.held)
+
+    def wrench(self, gripper: str) -> Array:
+        return self.world.wrench(gripper)
 
     def advance(self, duration: float) -> None:
         self.world.step(max(round(duration / self._settings.timestep), 1))

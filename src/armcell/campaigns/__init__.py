@@ -1,0 +1,9 @@
+"""Many randomised trials of a cell's task: how often it works, why it fails, what matters."""
+
+from armcell.campaigns.campaign import begin, resume, run
+from armcell.campaigns.report import summary, write_report
+from armcell.campaigns.spec import CampaignSpec
+from armcell.campaigns.statistics import compare
+from armcell.campaigns.store import Store, rows_of
+
+__all__ = ["CampaignSpec", "Store", "begin", "compare", "resume", "rows_of", "run", "summary", "write_report"]

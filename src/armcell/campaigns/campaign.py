@@ -1,0 +1,111 @@
+"""Running a campaign: draw, run, keep, until a stop rule says enough."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from armcell.campaigns.distributions import Distribution
+from armcell.campaigns.identity import content_hashes
+from armcell.campaigns.pool import Pool
+from armcell.campaigns.sampling import ROUND, Array, adaptive_draw, latin_hypercube_draw, random_draw
+from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
+from armcell.campaigns.statistics import success
+from armcell.campaigns.store import Store
+from armcell.campaigns.trial import Trial
+from armcell.core import InputError
+from armcell.planning import warm_up
+
+FEWEST = 20  # trials before an interval is looked at
+Tell = Callable[[Store, int], None]  # (what is kept so far, how many began in this process)
+
+
+def begin(spec: CampaignSpec, runs: Path) -> Store:
+    """A new campaign's folder, after looking at the cell and every end of every parameter's range.
+
+    Raises:
+        InputError: what is wrong, before anything runs.
+    """
+    return Store.new(runs, spec, content_hashes(checked_cell(spec)))
+
+
+def resume(folder: str | Path) -> Store:
+    """A campaign that was broken off.
+
+    Raises:
+        InputError: no campaign, or the cell is not what it was then.
+    """
+    store = Store.open(folder)
+    now = content_hashes(checked_cell(store.spec))
+    changed = [part for part, value in now.items() if store.hashes.get(part) != value]
+    if changed:
+        store.close()
+        raise InputError(
+            f"since this campaign began, what changed is: {', '.join(changed)}", file=store.folder,
+            cure="trials of two different cells do not make one table: begin a new campaign",
+        )  # fmt: skip
+    return store
+
+
+def run(store: Store, workers: int, tell: Tell = lambda store, began: None) -> str:
+    """Run what is missing of a campaign.
+
+    Args:
+        tell: called after every trial.
+    Returns:
+        Why it stopped, in words.
+    """
+    spec = store.spec
+    warm_up()  # compiled once, before every worker does
+    began, count = time.monotonic(), 0
+    with Pool(spec, workers) as pool:
+        for first in range(0, spec.trials, ROUND if spec.sampling == "adaptive" else spec.trials):
+            last = min(first + ROUND, spec.trials) if spec.sampling == "adaptive" else spec.trials
+            for row in pool.run(_missing(store, first, last)):
+                store.append(row)
+                count += 1
+                tell(store, count)
+                if spec.max_seconds is not None and time.monotonic() - began > spec.max_seconds:
+                    return f"{spec.max_seconds:g} s are over"
+                if _sure_enough(store):
+                    return f"the interval is within {spec.half_width:.2%} to each side"
+    return f"all {spec.trials} trials are done"
+
+
+def _sure_enough(store: Store) -> bool:
+    found = success(list(store.rows.values()))
+    if store.spec.half_width is None or found.total < FEWEST:
+        return False
+    low, high = found.wilson
+    return (high - low) / 2 <= store.spec.half_width
+
+
+def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
+    """Trials from `first` up to `last` that are not kept yet."""
+    spec = store.spec
+    ranges = distributions(spec)
+    failed = [
+        np.array(row["draw"]) for number, row in sorted(store.rows.items())
+        if number < first and not row["success"]
+    ]  # fmt: skip
+    for number in range(first, last):
+        if number not in store.rows:
+            yield trial(spec, ranges, number, failed)
+
+
+def trial(
+    spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
+) -> Trial:
+    """The trial of that number."""
+    near = False
+    if spec.sampling == "latin_hypercube":
+        draw = latin_hypercube_draw(spec.seed, number, len(ranges))
+    elif spec.sampling == "adaptive":
+        draw, near = adaptive_draw(spec.seed, number, failed, len(ranges))
+    else:
+        draw = random_draw(spec.seed, number, len(ranges))
+    values = {path: found.at(float(u)) for (path, found), u in zip(ranges.items(), draw, strict=True)}
+    return Trial(number, spec.seed + number, values, tuple(draw.tolist()), near)

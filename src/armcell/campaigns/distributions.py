@@ -1,0 +1,118 @@
+"""How a parameter varies: distributions that turn a number in [0, 1) into a value."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from scipy.stats import truncnorm
+
+from armcell.core import InputError, UnknownNameError
+
+
+class Distribution(Protocol):
+    """`at` is the inverse of the cumulative distribution: samplers only ever choose numbers in [0, 1)."""
+
+    def at(self, u: float) -> Any: ...
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Every value from low to high alike; with `whole` the whole numbers, both ends included."""
+
+    low: float
+    high: float
+    whole: bool = False
+
+    def at(self, u: float) -> float | int:
+        if self.whole:
+            return math.floor(self.low + u * (self.high - self.low + 1))
+        return self.low + u * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class LogUniform:
+    """Every factor alike: as many values from 1 to 2 as from 2 to 4."""
+
+    low: float
+    high: float
+
+    def at(self, u: float) -> float:
+        return self.low * (self.high / self.low) ** u
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Of a mean and a standard deviation, cut off `cut` deviations to each side."""
+
+    mean: float
+    sd: float
+    cut: float = 3.0
+
+    def at(self, u: float) -> float:
+        return self.mean + self.sd * float(truncnorm.ppf(u, -self.cut, self.cut))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some values, each as likely."""
+
+    values: tuple[Any, ...]
+
+    def at(self, u: float) -> Any:
+        return self.values[int(u * len(self.values))]
+
+
+KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
+
+
+def distribution(data: Any, place: str) -> Distribution:
+    """From a campaign file: `{uniform: [low, high]}`, `{whole: [1, 4]}`, `{log_uniform: [low, high]}`,
+    `{normal: [mean, sd]}` or `{normal: [mean, sd, cut]}`, `{choice: [a, b, c]}`; or `[low, high]`, uniform.
+
+    Raises:
+        UnknownNameError: no such kind.
+        InputError: numbers that make no distribution; with the place.
+    """
+    if isinstance(data, list | tuple):
+        data = {"uniform": data}
+    if not isinstance(data, dict) or len(data) != 1:
+        raise InputError(
+            "is no distribution",
+            element=place,
+            cure=f"write one of {', '.join(KINDS)}: [...], or [low, high]",
+        )
+    kind, given = next(iter(data.items()))
+    if kind not in KINDS:
+        raise UnknownNameError("distribution", kind, KINDS, element=place)
+    if not isinstance(given, list | tuple) or not given:
+        raise InputError(f"{kind} needs a list that is not empty", element=place)
+    if kind == "choice":
+        return Choice(tuple(given))
+    numbers = [_number(value, kind, place) for value in given]
+    if kind == "normal":
+        if len(numbers) not in (2, 3) or numbers[1] < 0 or (len(numbers) == 3 and numbers[2] <= 0):
+            raise InputError(
+                "normal needs [mean, standard deviation] and perhaps where it is cut off [deviations], "
+                "the deviation not negative",
+                element=place,
+            )
+        return Normal(numbers[0], numbers[1], *numbers[2:])
+    if len(numbers) != 2 or numbers[0] > numbers[1]:
+        raise InputError(f"{kind} needs [low, high], low first; it is {list(given)}", element=place)
+    if kind == "log_uniform":
+        if numbers[0] <= 0:
+            raise InputError("log_uniform needs positive numbers", element=place)
+        return LogUniform(numbers[0], numbers[1])
+    if kind == "whole":
+        if any(n != int(n) for n in numbers):
+            raise InputError("whole needs whole numbers", element=place)
+        return Uniform(int(numbers[0]), int(numbers[1]), whole=True)
+    return Uniform(numbers[0], numbers[1])
+
+
+def _number(value: Any, kind: str, place: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{kind} has {value!r}, which is no finite number", element=place)
+    return float(value)

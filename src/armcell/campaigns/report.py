@@ -1,0 +1,200 @@
+"""A campaign's report: summary.json, report.md and report.html, which needs no network and no other file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from armcell.campaigns import plots, statistics
+from armcell.campaigns.store import Store
+from armcell.campaigns.trial import replay_command
+from armcell.records import html
+
+SHOWN = 200  # failures in the table
+MEASURED = {
+    "task_time_s": ("task [s]", 1.0),
+    "planning_s": ("planning [ms]", 1000.0),
+    "placement_error_m": ("placed off [mm]", 1000.0),
+    "slip_m": ("slip in hold [mm]", 1000.0),
+    "min_clearance_m": ("least clearance [mm]", 1000.0),
+}
+
+
+def write_report(store: Store, stopped: str) -> Path:
+    """Write all three; returns the HTML file.
+
+    Args:
+        stopped: why the campaign ended, in words.
+    """
+    data, rows = summary(store, stopped), _in_order(store)
+    (store.folder / "summary.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    (store.folder / "report.md").write_text(_markdown(data), encoding="utf-8")
+    file = store.folder / "report.html"
+    file.write_text(_html(data, rows), encoding="utf-8")
+    return file
+
+
+def _in_order(store: Store) -> list[dict[str, Any]]:
+    return [store.rows[number] for number in sorted(store.rows)]
+
+
+def summary(store: Store, stopped: str) -> dict[str, Any]:
+    """Everything that the report says, as JSON-ready data."""
+    spec, rows = store.spec, _in_order(store)
+    wall = sum(row["wall_s"] for row in rows)
+    return {
+        "cell": spec.cell,
+        "asked": spec.as_dict(),
+        "hashes": store.hashes,
+        "stopped": stopped,
+        "trials": len(rows),
+        "near_failures": sum(row["near_failure"] for row in rows),
+        "success": statistics.success(rows).as_dict(),
+        "unwanted_contacts": sum(row["unwanted_contacts"] for row in rows),
+        "trials_per_hour_and_core": 3600 * len(rows) / wall if wall else None,
+        "measured": {name: statistics.summary([row[name] for row in rows]) for name in MEASURED},
+        "causes": [
+            {
+                "code": cause.code, "stage": cause.stage, "pair": cause.pair, "count": len(cause.trials),
+                "message": cause.message, "trials": list(cause.trials),
+                "replay": replay_command(spec.cell, store.rows[cause.trials[0]], spec.values),
+            }
+            for cause in statistics.causes(rows)
+        ],
+        "effects": [
+            {"parameter": e.path, "auc": e.auc, "p_value": e.p_value, "words": e.words}
+            for e in statistics.effects(rows)
+        ],
+        "failures": [
+            {
+                "trial": row["trial"], "seed": row["seed"], "code": row["error_name"], "stage": row["stage"],
+                "message": row["message"], "values": row["values"],
+                "replay": replay_command(spec.cell, row, spec.values),
+            }
+            for row in rows
+            if not row["success"]
+        ],
+    }  # fmt: skip
+
+
+def _share(data: dict[str, Any]) -> str:
+    share = data["success"]
+    if not share["total"]:
+        return "no trial finished"
+    low, high = share["wilson"]
+    return (
+        f"{share['share']:.2%} of {share['total']} succeed (95 % interval {low:.2%} to {high:.2%}; "
+        f"exact: {share['clopper_pearson'][0]:.2%} to {share['clopper_pearson'][1]:.2%})"
+    )
+
+
+def _markdown(data: dict[str, Any]) -> str:
+    lines = [
+        f"# Campaign: {data['cell']}",
+        "",
+        f"**{_share(data)}**",
+        "",
+        f"Ended because {data['stopped']}.",
+    ]
+    lines += ["", "| measured | median | 95th percentile | most |", "|---|---|---|---|"]
+    for name, (title, scale) in MEASURED.items():
+        if found := data["measured"][name]:
+            values = (f"{scale * found[key]:.3g}" for key in ("median", "p95", "most"))
+            lines.append(f"| {title} | {' | '.join(values)} |")
+    if data["effects"]:
+        lines += ["", "| parameter | effect | p (Holm) |", "|---|---|---|"]
+        lines += [f"| `{e['parameter']}` | {e['words']} | {e['p_value']:.3g} |" for e in data["effects"]]
+    if data["causes"]:
+        lines += ["", "| failures | code | stage | pair | what | replay |", "|---|---|---|---|---|---|"]
+        lines += [
+            f"| {c['count']} | {c['code']} | {c['stage'] or '-'} | {c['pair'] or '-'} | "
+            f"{c['message'].replace('|', '/')} | `{c['replay']}` |"
+            for c in data["causes"]
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _html(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    share = data["success"]
+    good = bool(share["total"]) and share["count"] == share["total"]
+    body = [
+        f'<header class="{"good" if good else "bad"}"><p class="what">Campaign {html.text(data["cell"])}</p>'
+        f"<h1>{html.text(_share(data))}</h1><p>Ended because {html.text(data['stopped'])}.</p></header>"
+    ]
+    keys = [
+        html.key("trials", str(data["trials"])),
+        html.key("failures", str(len(data["failures"])), bad=bool(data["failures"])),
+        html.key("unwanted contacts", str(data["unwanted_contacts"]), bad=data["unwanted_contacts"] > 0),
+        html.key("trials per hour and core", html.number(data["trials_per_hour_and_core"], digits=0)),
+    ]
+    keys += [
+        html.key(f"{title}, median", html.number(found["median"], scale=scale))
+        for name, (title, scale) in MEASURED.items()
+        if (found := data["measured"][name])
+    ]
+    body.append(html.section("Numbers", f'<div class="keys">{"".join(keys)}</div>'))
+    if rows:
+        picture = html.image(plots.share_plot(rows), "success over trials")
+        body.append(html.section("Success over trials", picture))
+    if histograms := plots.distribution_plots(rows, MEASURED):
+        body.append(html.section("What was measured", html.image(histograms, "histograms")))
+    body.append(html.section("Which parameter matters", _effects(data, rows)))
+    body.append(html.section("Failures by cause", _causes(data)))
+    body.append(html.section("Failures", _failures(data)))
+    asked = json.dumps(data["asked"], indent=2)
+    body.append(html.section("What was asked", f"<pre>{html.text(asked)}</pre>"))
+    versions = html.text(", ".join(f"{k} {v}" for k, v in data["hashes"].items()))
+    body.append(f"<footer>hashes: {versions}</footer>")
+    return html.page(f"Campaign {data['cell']}", "\n".join(body))
+
+
+def _effects(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    paths = [e["parameter"] for e in data["effects"]]
+    if not paths:
+        paths = sorted({path for row in rows for path in row["values"]})
+        text = "All trials went alike: nothing can be said." if rows else "No trial."
+        picture = plots.parameter_plots(rows, paths)
+        return f'<p class="none">{text}</p>' + (
+            html.image(picture, "success by parameter") if picture else ""
+        )
+    table = html.table(
+        ["parameter", "effect", "p (Holm)"],
+        [[html.text(e["parameter"]), html.text(e["words"]), f"{e['p_value']:.3g}"] for e in data["effects"]],
+        numeric=[2],
+    )
+    picture = plots.parameter_plots(rows, paths)
+    return table + (html.image(picture, "success by parameter") if picture else "")
+
+
+def _causes(data: dict[str, Any]) -> str:
+    if not data["causes"]:
+        return '<p class="none">None.</p>'
+    return html.table(
+        ["count", "code", "stage", "pair", "what the first said", "replay the first"],
+        [
+            [
+                str(c["count"]), html.text(c["code"]), html.text(c["stage"]), html.text(c["pair"]),
+                html.text(c["message"]), f"<code>{html.text(c['replay'])}</code>",
+            ]
+            for c in data["causes"]
+        ],
+        numeric=[0],
+    )  # fmt: skip
+
+
+def _failures(data: dict[str, Any]) -> str:
+    if not data["failures"]:
+        return '<p class="none">None.</p>'
+    shown = data["failures"][:SHOWN]
+    rows = [
+        [
+            str(f["trial"]), str(f["seed"]), html.text(f["code"]), html.text(f["stage"]),
+            html.text(", ".join(f"{k} {html.number(v, digits=4)}" for k, v in f["values"].items())),
+            html.text(f["message"]), f"<code>{html.text(f['replay'])}</code>",
+        ]
+        for f in shown
+    ]  # fmt: skip
+    more = len(data["failures"]) - len(shown)
+    note = f'<p class="none">{more} more in summary.json</p>' if more else ""
+    return html.table(["trial", "seed", "code", "stage", "values", "what", "replay"], rows, [0, 1]) + note

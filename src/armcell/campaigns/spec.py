@@ -1,0 +1,119 @@
+"""What a campaign is asked to do: the cell, what varies and how, when to stop. From a file or from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from armcell.campaigns.distributions import Distribution, distribution
+from armcell.cell import Cell, load
+from armcell.cell.values import with_values
+from armcell.core import InputError, UnknownNameError
+from armcell.model.files import read_yaml
+
+SAMPLINGS = ("random", "latin_hypercube", "adaptive")
+KEYS = (
+    "cell", "parameters", "values", "sampling", "seed", "trials", "max_seconds", "half_width",
+    "trial_seconds",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CampaignSpec:
+    """A campaign.
+
+    Attributes:
+        cell: built-in name, folder or file.
+        parameters: what varies, by its path in the cell file, as in the campaign file. Besides, every trial
+            draws what the cell's own `randomize` says, with the trial's seed.
+        values: what is other than in the cell file in all trials, by path.
+        sampling: how parameters are drawn; see `sampling.Sampler`.
+        seed: of the first trial; each next one has the next.
+        trials: how many at most.
+        max_seconds: stop after so long. None: no limit.
+        half_width: stop when the 95 % interval of success is no wider to each side. None: no matter.
+        trial_seconds: a trial that takes longer is ended and counts as failed.
+    """
+
+    cell: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
+    sampling: str = "random"
+    seed: int = 0
+    trials: int = 100
+    max_seconds: float | None = None
+    half_width: float | None = None
+    trial_seconds: float = 600.0
+
+    def __post_init__(self) -> None:
+        if self.sampling not in SAMPLINGS:
+            raise UnknownNameError("sampling", self.sampling, SAMPLINGS)
+        for name, least in (("trials", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise InputError(f"{name} is {value!r}", cure=f"give a whole number, at least {least}")
+        for name in ("max_seconds", "half_width", "trial_seconds"):
+            value = getattr(self, name)
+            if value is None and name != "trial_seconds":
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise InputError(f"{name} is {value!r}", cure="give a positive number")
+        if self.half_width is not None and self.half_width >= 0.5:
+            raise InputError(f"half_width is {self.half_width:g}", cure="give a share below 0.5, e.g. 0.01")
+        for name in ("parameters", "values"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise InputError(
+                    f"{name} is not a mapping from paths", cure="e.g. {objects.cube.mass: [0.1, 1]}"
+                )
+        both = set(self.parameters) & set(self.values)
+        if both:
+            raise InputError(f"{', '.join(sorted(both))}: in parameters and in values; give one or the other")
+        distributions(self)  # what is wrong with them is said now
+
+    @staticmethod
+    def read(file: str | Path) -> CampaignSpec:
+        """From a YAML file; a relative `cell` is looked for beside it.
+
+        Raises:
+            InputError: what is wrong, with the file.
+        """
+        path = Path(file)
+        data = read_yaml(path)
+        for key in data:
+            if key not in KEYS:
+                raise UnknownNameError("key", key, KEYS, file=path)
+        if not isinstance(data.get("cell"), str):
+            raise InputError("has no cell", file=path, cure="cell: panda_pick")
+        beside = path.parent / data["cell"]
+        if beside.exists():
+            data["cell"] = str(beside)
+        try:
+            return CampaignSpec(**data)
+        except InputError as error:
+            raise InputError(error.reason, file=path, element=error.element, cure=error.cure) from None
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
+    """By path."""
+    return {path: distribution(data, f"parameters/{path}") for path, data in spec.parameters.items()}
+
+
+def checked_cell(spec: CampaignSpec) -> Cell:
+    """The campaign's cell, after trying the ends of every parameter's range on it.
+
+    Raises:
+        UnknownNameError: a parameter that the cell does not have.
+        InputError: a value that it may not have, e.g. a negative mass; a cell without task.
+    """
+    cell = with_values(load(spec.cell), spec.values)
+    if not cell.spec.task:
+        raise InputError("the cell has no task", file=cell.file, cure="add 'task: [...]'")
+    for path, found in distributions(spec).items():
+        for u in (0.0, 0.5, 1.0 - 2.0**-53):
+            with_values(cell, {path: found.at(u)}).scene(spec.seed)
+    return cell

@@ -1,0 +1,100 @@
+"""One trial: the cell with a draw of values, its task run in physics, and what came of it as one row."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from armcell.cell import Cell, run_task
+from armcell.cell.values import with_values
+from armcell.core import ErrorCode, InputError
+
+
+@dataclass(frozen=True)
+class Trial:
+    """`number` from 0, the `seed` of planners and of the cell's own draw, varied `values` by path, the `draw`
+    in [0, 1) that they come from, and whether sampling put it near a failure."""
+
+    number: int
+    seed: int
+    values: Mapping[str, Any]
+    draw: tuple[float, ...] = ()
+    near_failure: bool = False
+
+
+def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
+    """Run it.
+
+    Returns:
+        A JSON-ready row. The same trial gives the same but for `wall_s`, `cpu_s` and `planning_s`. Whatever
+        goes wrong is a failed trial with its cause, never an exception.
+    """
+    began, cpu = time.monotonic(), time.process_time()
+    try:
+        varied = with_values(cell, trial.values)
+        with varied.connect("sim", trial.seed) as live:
+            row = told(trial, run_task(varied, live, trial.seed, "sim"))
+    except InputError as error:  # the values make no cell
+        row = failed(trial, "INVALID_CELL", str(error))
+    except Exception as error:  # a defect of ours: it is a result, and its place is told
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{place.filename.rpartition('/')[2]}:{place.lineno}"
+        row = failed(trial, "EXCEPTION", f"{type(error).__name__}: {error} ({where})")
+    return {**row, "wall_s": time.monotonic() - began, "cpu_s": time.process_time() - cpu}
+
+
+def told(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
+    """The row of a run's result."""
+    contacts = result["unwanted_contacts"]
+    broken = next((stage["name"] for stage in reversed(result["stages"]) if not stage["ok"]), "")
+    return _row(
+        trial,
+        success=bool(result["success"]),
+        error_name="" if result["success"] else ErrorCode(result["error_code"]).name,
+        message=result["message"],
+        stage="" if result["success"] else broken,
+        pair=" and ".join(sorted((contacts[0]["body_a"], contacts[0]["body_b"]))) if contacts else "",
+        randomized=result["randomized"],
+        unwanted_contacts=len(contacts),
+        slip_m=result["slip_m"],
+        placement_error_m=result["placement_error_m"],
+        min_clearance_m=result["min_clearance_m"],
+        task_time_s=result["task_time_s"],
+        planning_s=result["total_planning_time_s"],
+    )
+
+
+def failed(trial: Trial, error_name: str, message: str) -> dict[str, Any]:
+    """The row of a trial that came to no result."""
+    return _row(trial, success=False, error_name=error_name, message=message) | {"wall_s": 0.0, "cpu_s": 0.0}
+
+
+def _row(trial: Trial, **found: Any) -> dict[str, Any]:
+    nothing = {
+        "stage": "", "pair": "", "randomized": {}, "unwanted_contacts": 0, "slip_m": None,
+        "placement_error_m": None, "min_clearance_m": None, "task_time_s": None, "planning_s": None,
+    }  # fmt: skip
+    return {
+        "trial": trial.number,
+        "seed": trial.seed,
+        "values": dict(trial.values),
+        "draw": list(trial.draw),
+        "near_failure": trial.near_failure,
+        **nothing,
+        **found,
+    }
+
+
+def replay_command(cell: str, row: Mapping[str, Any], values: Mapping[str, Any]) -> str:
+    """The command that runs a trial again, with report and record."""
+    sets = [
+        part
+        for path, value in {**values, **row["values"]}.items()
+        for part in ("--set", f"{path}={json.dumps(value)}")
+    ]
+    return shlex.join(["armcell", "run", cell, "--seed", str(row["seed"]), *sets])

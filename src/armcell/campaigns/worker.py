@@ -1,0 +1,51 @@
+"""A process that runs trials: one JSON line in, one out. Started by `pool`; ends when its input does."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import queue
+import signal
+import sys
+import threading
+from typing import Any, TextIO
+
+from armcell.campaigns.spec import CampaignSpec
+from armcell.campaigns.trial import Trial, run_trial
+from armcell.cell import Cell, load
+from armcell.cell.values import with_values
+
+
+def cell_of(spec: CampaignSpec) -> Cell:
+    return with_values(load(spec.cell), spec.values)
+
+
+def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
+    """Lines as they come. At the end of input the process ends at once: nobody waits for its trial."""
+    found: queue.Queue[dict[str, Any]] = queue.Queue()
+
+    def read() -> None:
+        for line in source:
+            found.put(json.loads(line))
+        os._exit(0)
+
+    threading.Thread(target=read, name="armcell-worker-input", daemon=True).start()
+    return found
+
+
+def main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the campaign's process decides
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # whatever a library prints is no answer
+    logging.getLogger("armcell").setLevel(logging.ERROR)  # once per campaign is enough
+    asked = _lines(sys.stdin)
+    cell = cell_of(CampaignSpec(**asked.get()))
+    while True:
+        row = run_trial(cell, Trial(**asked.get()))
+        answers.write(json.dumps(row, allow_nan=False) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()

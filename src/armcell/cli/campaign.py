@@ -1,0 +1,181 @@
+"""`armcell campaign`: run a cell's task many times with everything varied, and say how sure it is."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from armcell.cli.console import check_writable, console, errors, write_json
+
+EXAMPLES = """
+Examples:
+
+  armcell campaign panda_pick --trials 200                     200 draws of what the cell randomises
+
+  armcell campaign panda_pick --vary objects.cube.mass=0.05,0.5 --vary physics.arm_kp=2000,8000
+
+  armcell campaign campaign.yaml                               distributions and stop rules from a file
+
+  armcell campaign --resume runs/20261122-101500-campaign-panda_pick
+
+  armcell campaign --compare runs/A runs/B                     is B better than A, or was it chance?
+"""
+
+
+def campaign(
+    cell: str | None = typer.Argument(
+        None, help="Built-in cell, folder or YAML file of a cell; or a campaign's YAML file."
+    ),
+    trials: int | None = typer.Option(None, min=1, help="How many at most. [default: 100]"),
+    workers: int = typer.Option(0, min=0, help="Processes; 0: one per core."),
+    vary: list[str] = typer.Option(
+        [], metavar="PATH=LOW,HIGH", help="Vary a value of the cell file uniformly; may be repeated."
+    ),
+    set_: list[str] = typer.Option(
+        [], "--set", metavar="PATH=VALUE", help="Another value in every trial; may be repeated."
+    ),
+    sampling: str | None = typer.Option(
+        None, help="random, latin_hypercube, or adaptive (half of the trials near failures)."
+    ),
+    seed: int | None = typer.Option(None, min=0, help="Of the first trial; each next one has the next."),
+    half_width: float | None = typer.Option(
+        None, help="Stop when the 95 % interval of success is so narrow to each side, e.g. 0.01."
+    ),
+    max_seconds: float | None = typer.Option(None, help="Stop after so long [s]."),
+    resume: Path | None = typer.Option(None, metavar="FOLDER", help="Go on with one that was broken off."),
+    compare: tuple[Path, Path] | None = typer.Option(
+        None, metavar="FOLDER FOLDER", help="Compare two campaigns; runs nothing."
+    ),
+    runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
+    json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON."),
+) -> int:
+    """Run a cell's task many times in physics, with what can vary varied; say how often it works and why not.
+
+    Every finished trial is kept at once (trials.jsonl): after Ctrl-C or any accident go on with --resume.
+    Writes report.html, report.md and summary.json. Exit status 0 if every trial succeeded, 1 if not.
+    """
+    if json_file is not None:
+        check_writable(json_file)
+    if sum((cell is not None, resume is not None, compare is not None)) != 1:
+        raise typer.BadParameter("give a cell or a campaign's file, or --resume, or --compare")
+    if compare is not None:
+        return _compare(*compare, json_file)
+    from armcell import campaigns
+
+    if resume is not None:
+        store = campaigns.resume(resume)
+        if trials is not None:
+            store.spec = replace(store.spec, trials=trials)
+        if store.dropped:
+            console.print(f"the last line was cut off ({store.dropped} bytes); that trial runs again")
+    else:
+        spec = _spec(str(cell), vary, set_, {
+            "trials": trials, "sampling": sampling, "seed": seed, "half_width": half_width,
+            "max_seconds": max_seconds,
+        })  # fmt: skip
+        store = campaigns.begin(spec, runs)
+    count = workers or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
+    stopped = "it was stopped"
+    try:
+        stopped = _run(store, count)
+    except KeyboardInterrupt:
+        errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
+        raise
+    finally:
+        report = campaigns.write_report(store, stopped)
+        store.close()
+    data = campaigns.summary(store, stopped)
+    if json_file is not None:
+        write_json(json_file, data)
+    _print(data)
+    console.print(f"report: {report}", soft_wrap=True)
+    return 0 if data["success"]["total"] and not data["failures"] else 1
+
+
+def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) -> Any:
+    from armcell.campaigns import CampaignSpec
+    from armcell.cell.values import parsed
+    from armcell.core import InputError
+    from armcell.model.files import read_yaml
+
+    path = Path(cell)
+    from_file = path.is_file() and "cell" in read_yaml(path) and "robot" not in read_yaml(path)
+    spec = CampaignSpec.read(path) if from_file else CampaignSpec(cell)
+    ranges: dict[str, Any] = {}
+    for one in vary:
+        name, _, ends = one.partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(","))
+        except ValueError:
+            text = f"--vary {one!r} is not PATH=LOW,HIGH"
+            raise InputError(text, cure="e.g. --vary objects.cube.mass=0.05,0.5") from None
+        ranges[name.strip()] = {"uniform": [low, high]}
+    given = {key: value for key, value in options.items() if value is not None}
+    return replace(
+        spec,
+        parameters={**spec.parameters, **ranges},
+        values={**spec.values, **dict(parsed(one) for one in set_)},
+        **given,
+    )
+
+
+def _run(store: Any, workers: int) -> str:
+    from armcell import campaigns
+    from armcell.campaigns.statistics import success
+
+    total = store.spec.trials
+    columns = (
+        TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), TextColumn("{task.fields[share]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        task = progress.add_task("trials", total=total, completed=len(store.rows), rate="", share="")
+
+        def tell(store: Any, count: int) -> None:
+            seconds = progress.tasks[task].elapsed or 0.0
+            found = success(list(store.rows.values()))
+            low, high = found.wilson
+            progress.update(
+                task, completed=len(store.rows), rate=f"{count / max(seconds, 1e-9):.1f}/s",
+                share=f"{found.value:.1%} succeed ({low:.1%} to {high:.1%})" if found.total else "",
+            )  # fmt: skip
+
+        return campaigns.run(store, workers, tell)
+
+
+def _print(data: dict[str, Any]) -> None:
+    share = data["success"]
+    if share["total"]:
+        low, high = share["wilson"]
+        console.print(
+            f"{share['count']} of {share['total']} succeeded: {share['share']:.2%} "
+            f"(95 % interval {low:.2%} to {high:.2%}), {data['unwanted_contacts']} unwanted contacts"
+        )
+    for cause in data["causes"][:5]:
+        place = ", ".join(part for part in (cause["stage"], cause["pair"]) if part)
+        console.print(f"{cause['count']} x {cause['code']}{f' ({place})' if place else ''}: ", end="")
+        console.print(cause["message"], markup=False, soft_wrap=True)
+        console.print(f"    {cause['replay']}", markup=False, soft_wrap=True)
+    for effect in data["effects"][:3]:
+        console.print(f"{effect['parameter']}: {effect['words']} (p = {effect['p_value']:.2g})", markup=False)
+
+
+def _compare(first: Path, second: Path, json_file: Path | None) -> int:
+    from armcell import campaigns
+    from armcell.campaigns.store import TRIALS, asked
+
+    for folder in (first, second):
+        asked(folder)  # what is no campaign's folder is said
+    found = campaigns.compare(campaigns.rows_of(first / TRIALS)[0], campaigns.rows_of(second / TRIALS)[0])
+    console.print(found.words)
+    if json_file is not None:
+        write_json(json_file, {
+            "first": found.first.as_dict(), "second": found.second.as_dict(),
+            "difference": found.difference, "interval": list(found.interval), "p_value": found.p_value,
+        })  # fmt: skip
+    return 0

@@ -1,0 +1,91 @@
+"""Arms that are coupled: one trajectory, one clock, one scaling for all, watched at every tick."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.control.driver import Driver
+from armcell.control.executor import ExecutionSettings, Progress
+from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome
+
+Array = NDArray[np.float64]
+
+RAMP = 2.0  # [1/s] how fast the scaling may change: a pause brakes within half a second
+
+
+def execute_coupled(
+    driver: Driver,
+    trajectory: JointTrajectory,
+    correct: Callable[[float, Array, Array], tuple[Array, Array]] | None = None,
+    watch: Callable[[], Outcome | None] | None = None,
+    scalings: Callable[[], tuple[float, ...]] | None = None,
+    settings: ExecutionSettings = ExecutionSettings(),
+    cancel: threading.Event | None = None,
+    progress: Progress | None = None,
+) -> ExecutionResult:
+    """Play one trajectory of several arms on one clock, and wait until all rest at its end.
+
+    Args:
+        correct: gets the time on the trajectory and the set points (n,), (n,); returns those to send.
+        watch: looked at after every tick; a failure it returns stops all arms and is the result.
+        scalings: what each arm lets itself be slowed to, 0..1; the smallest slows the common clock.
+    Returns:
+        As `execute`: SUCCESS, CONTROL_FAILED, PREEMPTED, or what `watch` returned.
+    """
+    names, began = trajectory.joint_names, driver.now
+    measured = driver.joint_state().reindexed(names).positions
+    tracking = 0.0
+
+    def ended(outcome: Outcome) -> ExecutionResult:
+        if not outcome.ok:
+            driver.stop()
+        final = driver.joint_state().reindexed(names).positions - trajectory.positions[-1]
+        return ExecutionResult(
+            outcome.code, outcome.message, outcome.evidence, began, driver.now, tracking,
+            float(np.max(np.abs(final))),
+        )  # fmt: skip
+
+    off = np.abs(measured - trajectory.positions[0])
+    if off.max() > settings.start_tolerance:
+        joint = names[int(np.argmax(off))]
+        text = f"{joint} is {off.max():.3f} from the trajectory's start: plan again from the current state"
+        return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": float(off.max())}))
+    clock, scale = 0.0, 1.0
+    deadline: float | None = None
+    while True:
+        if cancel is not None and cancel.is_set():
+            return ended(Outcome(ErrorCode.PREEMPTED, f"cancelled at {clock:.2f} s"))
+        wanted = 1.0 if scalings is None else float(np.clip(min(scalings()), 0.0, 1.0))
+        step = RAMP * driver.period
+        scale = float(np.clip(wanted, scale - step, scale + step))
+        clock = min(clock + scale * driver.period, trajectory.duration)
+        q, v, _ = trajectory.sample(clock)
+        v = v * scale
+        if correct is not None:
+            q, v = correct(clock, q, v)
+        driver.command(names, q, v)
+        driver.advance(driver.period)
+        state = driver.joint_state().reindexed(names)
+        error = np.abs(state.positions - q)
+        worst = int(np.argmax(error))
+        tracking = max(tracking, float(error[worst]))
+        if watch is not None and (trouble := watch()) is not None:
+            return ended(trouble)
+        if error[worst] > settings.path_tolerance:
+            text = f"{names[worst]} left the path by {error[worst]:.3f} at {clock:.2f} s"
+            return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": names[worst]}))
+        if progress is not None:
+            progress(clock / trajectory.duration if trajectory.duration > 0 else 1.0)
+        if clock < trajectory.duration:
+            continue
+        deadline = driver.now + settings.settle_time if deadline is None else deadline
+        speed = 0.0 if state.velocities is None else float(np.max(np.abs(state.velocities)))
+        if error[worst] <= settings.goal_tolerance and speed <= settings.goal_speed:
+            return ended(Outcome(ErrorCode.SUCCESS))
+        if driver.now > deadline:
+            text = f"{names[worst]} ended {error[worst]:.4f} from the goal"
+            return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": names[worst]}))

@@ -1,0 +1,171 @@
+"""Several programs on one robot's clock: each sees a driver of its own, one of them runs at a time.
+
+A program that lets time pass gives its turn to the next; when all wait, the robot's time passes up to the
+earliest of them. So two arms' programs run side by side as plain blocking code, and in physics the same
+programs give the same run.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, WeldRecord
+from armcell.core import SE3, JointState
+
+EPSILON = 1e-9  # [s]
+
+
+class _Ended(BaseException):
+    """Another program failed: this one is to end where it waits. Not an Exception, so nothing catches it."""
+
+
+class Turns:
+    """Whose turn it is. Used by `run_by_turns`."""
+
+    def __init__(self, driver: Driver, names: Iterable[str]):
+        self.driver = driver
+        self.names = tuple(names)
+        self._wake = dict.fromkeys(self.names, driver.now)
+        self._gates = {name: threading.Semaphore(0) for name in self.names}
+        self._done = threading.Event()
+        self.failed: BaseException | None = None
+
+    def start(self) -> None:
+        self._gates[self.names[0]].release()
+
+    def wait_for_turn(self, name: str) -> None:
+        self._gates[name].acquire()
+        if self.failed is not None:
+            raise _Ended
+
+    def sleep(self, name: str, duration: float) -> None:
+        """Let time pass for one program."""
+        self._wake[name] = self.driver.now + duration
+        self._pass_on(name)
+        self.wait_for_turn(name)
+
+    def finish(self, name: str, error: BaseException | None = None) -> None:
+        """A program has ended; with an error all others end as well."""
+        if error is not None and not isinstance(error, _Ended) and self.failed is None:
+            self.failed = error
+        del self._wake[name]
+        if not self._wake:
+            self._done.set()
+        elif self.failed is not None:
+            self._gates[next(iter(self._wake))].release()
+        else:
+            try:
+                self._pass_on(name)
+            except BaseException as broken:  # the driver failed: nobody else would notice
+                self.failed = broken
+                self._gates[next(iter(self._wake))].release()
+
+    def wait_until_done(self) -> None:
+        self._done.wait()
+
+    def _pass_on(self, name: str) -> None:
+        at = self.names.index(name)
+        order = [n for n in (*self.names[at + 1 :], *self.names[: at + 1]) if n in self._wake]
+        soonest = min(self._wake.values())
+        if soonest > self.driver.now + EPSILON:
+            self.driver.advance(soonest - self.driver.now)
+        ready = [n for n in order if self._wake[n] <= self.driver.now + EPSILON]
+        self._gates[(ready or sorted(order, key=self._wake.__getitem__))[0]].release()
+
+
+class ArmView:
+    """A driver as one program sees it: time passes for all, `stop` stops only its own joints."""
+
+    def __init__(self, turns: Turns, name: str, joint_names: tuple[str, ...]):
+        self._turns, self._driver, self._joints = turns, turns.driver, joint_names
+        self.name, self._me = turns.driver.name, name
+        self.period, self.is_simulated = turns.driver.period, turns.driver.is_simulated
+
+    def __enter__(self) -> ArmView:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        pass
+
+    @property
+    def now(self) -> float:
+        return self._driver.now
+
+    def advance(self, duration: float) -> None:
+        self._turns.sleep(self._me, duration)
+
+    def stop(self) -> None:
+        q = self._driver.joint_state().reindexed(self._joints).positions
+        self._driver.command(self._joints, q, np.zeros(len(q)))
+
+    def joint_state(self) -> JointState:
+        return self._driver.joint_state()
+
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
+        return self._driver.command(joint_names, positions, velocities)
+
+    def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        self._driver.command_gripper(gripper, width, force)
+
+    def gripper(self, gripper: str) -> GripperReading:
+        return self._driver.gripper(gripper)
+
+    def wrench(self, gripper: str) -> Array:
+        return self._driver.wrench(gripper)
+
+    def object_poses(self) -> dict[str, SE3]:
+        return self._driver.object_poses()
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        self._driver.expect_contact(body, others, expected)
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        self._driver.watch_object(name, supports)
+
+    def unwatch_object(self, name: str) -> None:
+        self._driver.unwatch_object(name)
+
+    def unwanted_contacts(self) -> list[ContactRecord]:
+        return self._driver.unwanted_contacts()
+
+    def welds(self) -> list[WeldRecord]:
+        return self._driver.welds()
+
+
+def run_by_turns(
+    driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmView], None]]
+) -> None:
+    """Run programs side by side on one driver until all have ended.
+
+    Args:
+        joints: by program, the joints that its `stop` holds.
+    Raises:
+        Whatever the first program that failed raised; the robot has been stopped then.
+    """
+    turns = Turns(driver, programs)
+
+    def run(name: str) -> None:
+        error: BaseException | None = None
+        try:
+            turns.wait_for_turn(name)
+            programs[name](ArmView(turns, name, joints[name]))
+        except BaseException as raised:
+            error = raised
+        turns.finish(name, error)
+
+    threads = [threading.Thread(target=run, args=(n,), name=f"armcell {n}", daemon=True) for n in programs]
+    for thread in threads:
+        thread.start()
+    turns.start()
+    turns.wait_until_done()
+    for thread in threads:
+        thread.join()
+    if turns.failed is not None:
+        driver.stop()
+        raise turns.failed

@@ -1,0 +1,162 @@
+"""Two arms that start and arrive together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.arms import Arms, merged, without_arm
+from armcell.core import (
+    ErrorCode,
+    Goal,
+    InputError,
+    JointGoal,
+    JointState,
+    JointTrajectory,
+    Outcome,
+    PlanRequest,
+    PlanResult,
+)
+from armcell.planning.arms.beside import CLEARANCE
+from armcell.planning.pipeline import find_ends, plan
+from armcell.planning.question import ask
+from armcell.scene import PlanningScene
+from armcell.timing import synchronized
+
+Array = NDArray[np.float64]
+
+TRIES = 3  # pairs of separate plans, with other seeds, before both arms are planned as one
+
+
+@dataclass(frozen=True)
+class PairPlan(Outcome):
+    """Two motions of one duration, by group, and both as one trajectory; None unless it succeeded."""
+
+    trajectories: Mapping[str, JointTrajectory] | None = None
+    trajectory: JointTrajectory | None = None
+    how: str = ""  # "as planned", "planned again" or "as one"
+    planning_time: float = 0.0  # [s], wall clock
+    recheck_time: float = 0.0  # [s] of it for the last proof that the timed pair keeps apart
+
+
+def plan_together(
+    scene: PlanningScene,
+    goals: Mapping[str, Goal],
+    both: str | None = None,
+    clearance: float = CLEARANCE,
+    template: PlanRequest | None = None,
+) -> PairPlan:
+    """Motions of two arms to a goal each, which start and arrive together and keep apart.
+
+    Each arm is planned as if the other were not there, the shorter motion is stretched to the longer one's
+    duration, and the timed pair is proven. Where it fails: again with other seeds, then both as one.
+
+    Args:
+        goals: by group, two of them. both: the group of all their joints, found by its joints if None.
+        clearance: between the arms [m].
+        template: speeds, planner and times of the requests; its group and goals are not looked at.
+    Returns:
+        GOAL_IN_COLLISION with the pair of bodies where the goals cannot be held at once.
+    Raises:
+        InputError: not two groups, groups that share joints, no group of both; misuse as of `plan`.
+    """
+    began = time.monotonic()
+    if len(goals) != 2:
+        raise InputError(f"{len(goals)} goals given, two arms have two")
+    groups = tuple(goals)
+    arms = Arms(scene, (groups[0], groups[1]))
+    template = template or PlanRequest(groups[0], ())
+    requests = {g: replace(template, group=g, goals=(goal,)) for g, goal in goals.items()}
+    scenes = {g: without_arm(scene, other) for g, other in zip(groups, groups[::-1], strict=True)}
+    chosen = _goals(arms, requests, scenes, clearance)
+    if isinstance(chosen, Outcome):
+        return PairPlan(chosen.code, chosen.message, chosen.evidence, planning_time=time.monotonic() - began)
+    recheck, last = 0.0, None
+    for attempt in range(TRIES):
+        results = []
+        for group in groups:
+            goal = JointGoal(JointState(scene.model.group(group).joint_names, chosen[group]))
+            request = replace(requests[group], goals=(goal,), seed=template.seed + 31 * attempt)
+            results.append(plan(scenes[group], request))
+        failed = next((r for r in results if not r.ok), None)
+        if failed is not None:
+            return PairPlan(
+                failed.code, failed.message, failed.evidence, planning_time=time.monotonic() - began
+            )
+        pair = synchronized([r.trajectory for r in results if r.trajectory is not None])
+        t0 = time.perf_counter()
+        proof = arms.certify(pair[0], pair[1], clearance=clearance, evidence=False)
+        recheck = time.perf_counter() - t0
+        if proof.free:
+            how = "as planned" if attempt == 0 else "planned again"
+            return _done(groups, pair, how, began, recheck)
+        last = proof
+    both = both or _both(scene, arms)
+    names = scene.model.group(both).joint_names
+    target = {n: v for g in groups for n, v in zip(scene.model.group(g).joint_names, chosen[g], strict=True)}
+    goal = JointGoal(JointState(names, np.array([target[n] for n in names])))
+    whole: PlanResult = plan(scene, replace(template, group=both, goals=(goal,)))
+    spent = time.monotonic() - began
+    if not whole.ok or whole.trajectory is None:
+        evidence = {**whole.evidence, "time": last.time if last else None}
+        return PairPlan(whole.code, f"both arms as one: {whole.message}", evidence, planning_time=spent)
+    parts = tuple(_part(whole.trajectory, scene.model.group(g).joint_names) for g in groups)
+    return _done(groups, parts, "as one", began, recheck)
+
+
+def _done(groups, pair, how: str, began: float, recheck: float) -> PairPlan:
+    return PairPlan(
+        ErrorCode.SUCCESS, trajectories=dict(zip(groups, pair, strict=True)), trajectory=merged(*pair),
+        how=how, planning_time=time.monotonic() - began, recheck_time=recheck,
+    )  # fmt: skip
+
+
+def _part(trajectory: JointTrajectory, names: tuple[str, ...]) -> JointTrajectory:
+    columns = [trajectory.joint_names.index(n) for n in names]
+    v, a = trajectory.velocities, trajectory.accelerations
+    return JointTrajectory(
+        names, trajectory.times, trajectory.positions[:, columns],
+        None if v is None else v[:, columns], None if a is None else a[:, columns],
+    )  # fmt: skip
+
+
+def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
+    """Joint positions of both goals that can be held at once, the nearest to the start first."""
+    found, starts = [], []
+    for group, request in requests.items():
+        ends = find_ends(ask(scenes[group], request))
+        if isinstance(ends, Outcome):
+            return Outcome(ends.code, f"{group}: {ends.message}", ends.evidence)
+        found.append(ends.goals)
+        starts.append(ends.start)
+    pairs = sorted(
+        product(*found), key=lambda ab: sum(float(np.linalg.norm(q - s)) for q, s in zip(ab, starts))
+    )
+    nearest = None
+    for a, b in pairs:
+        q = np.concatenate([a, b])
+        if arms.apart(q[None], None, clearance) < 0:
+            return dict(zip(requests, (a, b), strict=True))
+        contact = arms.contact(q)
+        if contact is not None and (nearest is None or contact.distance > nearest.distance):
+            nearest = contact
+    text = f"the goals of {' and '.join(map(repr, requests))} cannot be held at once"
+    if nearest is None:
+        return Outcome(ErrorCode.GOAL_IN_COLLISION, text)
+    return Outcome(ErrorCode.GOAL_IN_COLLISION, f"{text}: {nearest.describe()}", {"contacts": [nearest]})
+
+
+def _both(scene: PlanningScene, arms: Arms) -> str:
+    wanted = set(arms.joint_names)
+    for group in scene.model.groups.values():
+        if set(group.joint_names) == wanted:
+            return group.name
+    raise InputError(
+        f"no planning group has the joints of {arms.groups[0]!r} and {arms.groups[1]!r}",
+        cure="add one under 'groups' in robot.yaml",
+    )

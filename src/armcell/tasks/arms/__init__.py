@@ -1,0 +1,18 @@
+"""Tasks of two arms: side by side at their own pace, or on one object."""
+
+from armcell.tasks.arms.carry import Carrying, CarrySettings, move_together, shifted
+from armcell.tasks.arms.context import ArmContext
+from armcell.tasks.arms.screw import ScrewSettings, screw
+from armcell.tasks.arms.side_by_side import SideBySide, side_by_side
+
+__all__ = [
+    "ArmContext",
+    "CarrySettings",
+    "Carrying",
+    "ScrewSettings",
+    "SideBySide",
+    "move_together",
+    "screw",
+    "shifted",
+    "side_by_side",
+]

@@ -1,0 +1,481 @@
+"""One object in two hands: grasp both ends, carry it through poses, put it down, let go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import neighbours
+from armcell.collision.arms import Arms, merged, without_arm
+from armcell.control.admittance import Admittance, AdmittanceSettings
+from armcell.control.coupled import execute_coupled
+from armcell.core import (
+    SE3,
+    SO3,
+    CartesianRequest,
+    ErrorCode,
+    Goal,
+    InputError,
+    JointGoal,
+    JointState,
+    JointTrajectory,
+    Outcome,
+    PlanRequest,
+)
+from armcell.core.checks import require
+from armcell.grasping import OPENING_FACTOR, OPENING_MARGIN, grip_force
+from armcell.kinematics import ik_solver, kinematic_tree
+from armcell.planning import plan_cartesian, plan_together
+from armcell.planning.arms.carry import Carried, plan_carry
+from armcell.scene import PlanningScene
+from armcell.tasks.context import StageReport, TaskContext
+from armcell.tasks.steps import staged
+from armcell.timing import reversed_in_time, synchronized
+
+Array = NDArray[np.float64]
+SLIP_EVERY = 10  # ticks between two looks at where the object is in the hand
+DONE = Outcome(ErrorCode.SUCCESS)
+
+
+@dataclass(frozen=True)
+class CarrySettings:
+    """Of carrying one object with two arms."""
+
+    velocity: float = 0.3  # shares of the joints' limits
+    acceleration: float = 0.15
+    max_speed: float = 0.2  # [m/s] of the object
+    max_off: float = 5e-4  # [m] of the hands' relative pose from the grasps': more stops both arms
+    max_turn: float = 1.7453e-3  # [rad] of the same: 0.1 degree
+    max_squeeze: float = 30.0  # [N] that the hands push or pull against each other: more stops both arms
+    approach: float = 0.1  # [m] straight before the grasp
+    settle: float = 0.4  # [s] after closing and after opening
+    admittance: AdmittanceSettings = AdmittanceSettings()
+
+    def __post_init__(self) -> None:
+        for name in ("max_off", "max_turn", "max_squeeze", "approach", "max_speed"):
+            require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
+
+
+@dataclass
+class CarryRecord:
+    """The worst of every tick since the grasp."""
+
+    off_m: float = 0.0
+    turn_rad: float = 0.0
+    squeeze_n: float = 0.0
+    slip_m: float = 0.0
+    ticks: int = 0
+
+    def as_dict(self) -> dict[str, float]:
+        return {
+            "relative_error_mm": 1000 * self.off_m, "relative_error_deg": float(np.rad2deg(self.turn_rad)),
+            "squeeze_N": self.squeeze_n, "slip_mm": 1000 * self.slip_m, "ticks": self.ticks,
+        }  # fmt: skip
+
+
+@dataclass
+class _Held:
+    """What was true when both grippers had closed."""
+
+    carried: Carried  # by set points
+    T_hands: SE3  # from the first hand to the second, measured
+    T_first_object: SE3  # measured
+    supports: tuple[str, ...]
+    q: Array = field(default_factory=lambda: np.zeros(0))  # set points of both arms now
+
+
+class Carrying:
+    """An object for two arms. Every method returns an `Outcome`; the first that fails has stopped both.
+
+    Args:
+        both: the group of both arms' joints.
+        ends: by arm group, the object's subframe that its tcp goes to. The tcp's z axis points along the
+            subframe's, its fingers close along the subframe's y; turned by half a turn is as good.
+    """
+
+    def __init__(
+        self, ctx: TaskContext, both: str, item: str, ends: Mapping[str, str],
+        settings: CarrySettings = CarrySettings(),
+    ):  # fmt: skip
+        model, found = ctx.scene().model, ctx.scene().object(item)
+        if len(ends) != 2:
+            raise InputError(f"{item!r} is given to {len(ends)} arms, two are needed")
+        for end in ends.values():
+            if end not in found.subframes:
+                raise InputError(
+                    f"object {item!r} has no subframe {end!r}", cure=f"{sorted(found.subframes)}"
+                )
+        if not found.movable:
+            raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+        self.ctx, self.both, self.item, self.ends, self.settings = ctx, both, item, dict(ends), settings
+        self.groups: tuple[str, str] = tuple(ends)  # type: ignore[assignment]
+        self.grippers = {g: model.gripper(arm_group=g) for g in ends}
+        self.tips = {g: self.grippers[g].tcp_link for g in ends}
+        self.names = model.group(both).joint_names
+        self.tree = kinematic_tree(model)
+        self.record = CarryRecord()
+        self._held: _Held | None = None
+
+    # --- both hands on it ---
+    def grasp(self, route: Sequence[SE3] = ()) -> Outcome:
+        """Both arms to the ends, together, and close.
+
+        Args:
+            route: poses the object will be carried through; postures that cannot are not taken.
+        """
+        if self._held is not None:
+            raise InputError(f"{self.item!r} is in both hands already")
+        scene = self.ctx.scene()
+        why = "no grasp was tried"
+        for hands in self._hands(scene):
+            if isinstance(hands, str):
+                why = hands
+                continue
+            approaches, at_grasp, grasps = hands
+            if route:
+                trial = self._attached(scene.with_state(at_grasp))
+                carried = Carried(self.item, grasps, self.tips)
+                ahead = self._plan(trial, carried, scene.object(self.item).T_world_object, route)
+                if not ahead.ok:
+                    why = ahead.message
+                    continue
+            return self._take(approaches, why)
+        return self._told(Outcome(ErrorCode.PLANNING_FAILED, f"grasp {self.item} with both arms: {why}"))
+
+    def _hands(self, scene: PlanningScene):
+        """Approaches of both arms that can be made together, with the state at the grasp; or why not."""
+        item = scene.object(self.item)
+        options = {}
+        for group in self.groups:
+            options[group] = list(self._approaches(scene, group, item.T_world_object))
+            if not options[group]:
+                yield f"{group} has no straight way to {self.ends[group]!r}"
+                return
+        start = scene.state
+
+        def far(pair) -> float:
+            return sum(
+                float(np.abs(a.positions[0] - start.reindexed(a.joint_names).positions).max())
+                for a, _ in pair
+            )
+
+        arms = Arms(scene, self.groups)
+        for pair in sorted(product(*options.values()), key=far):
+            motions = synchronized([trajectory for trajectory, _ in pair])
+            if not arms.certify(motions[0], motions[1], clearance=0.01, evidence=False).free:
+                yield "the hands come too near each other"
+                continue
+            state = motions[0].end.as_dict() | motions[1].end.as_dict()
+            yield (
+                motions,
+                JointState.from_mapping(state),
+                {g: T for g, (_, T) in zip(self.groups, pair, strict=True)},
+            )
+
+    def _approaches(self, scene: PlanningScene, group: str, T_world_object: SE3):
+        """Straight motions of one arm to its end of the object, each with T_object_tcp."""
+        gripper, s = self.grippers[group], self.settings
+        other = next(g for g in self.groups if g != group)
+        alone = without_arm(self._opened(scene), other).with_allowed(self.item, gripper.hand_links)
+        ik = ik_solver(alone.model, group, gripper.tcp_link)
+        for turn in (0.0, np.pi):
+            T = scene.object(self.item).subframes[self.ends[group]] @ SE3(
+                SO3.exp((0.0, 0.0, turn)), np.zeros(3)
+            )
+            target = T_world_object @ T
+            for q in ik.nearest(target, alone.positions, among=8):
+                at = alone.with_state(JointState(ik.joint_names, q))
+                back = target @ SE3.from_xyz(0.0, 0.0, -s.approach)
+                near = self.ctx.settings.near
+                result = plan_cartesian(
+                    at, CartesianRequest(group, (back,), gripper.tcp_link, velocity_scaling=near.velocity,
+                                         acceleration_scaling=near.acceleration),
+                )  # fmt: skip
+                if result.ok and result.trajectory is not None:
+                    yield reversed_in_time(result.trajectory), T
+
+    def _opened(self, scene: PlanningScene) -> PlanningScene:
+        for group, gripper in self.grippers.items():
+            q = np.array([gripper.joint_position(self._opening(group))])
+            scene = scene.with_state(JointState((gripper.joint_name,), q))
+        return scene
+
+    def _opening(self, group: str) -> float:
+        item, gripper = self.ctx.scene().object(self.item), self.grippers[group]
+        width = item.extent(item.subframes[self.ends[group]].rotation.matrix[:, 1])
+        return min(max(width * OPENING_FACTOR, width + OPENING_MARGIN), gripper.max_width)
+
+    def _take(self, approaches: Sequence[JointTrajectory], why: str) -> Outcome:
+        ctx, driver = self.ctx, self.ctx.driver
+        scene = ctx.scene()
+        supports = tuple(neighbours(scene, self.item))
+        widths = {g: self._opening(g) for g in self.groups}
+        item = scene.object(self.item)
+        outcome = self._grip("open both", widths, 0.3)
+        goals = {
+            g: JointGoal(JointState(a.joint_names, a.positions[0]))
+            for g, a in zip(self.groups, approaches, strict=True)
+        }
+        outcome = outcome and move_together(self.ctx, self.both, goals, "both to the ends")
+        if not outcome:
+            return self._told(outcome)
+        for group in self.groups:
+            driver.expect_contact(self.item, self.grippers[group].finger_links)
+        outcome = self._play("approach both", merged(approaches[0], approaches[1]))
+        force = {g: grip_force(item, self.grippers[g]) for g in self.groups}
+        outcome = outcome and self._grip(
+            "close both", dict.fromkeys(self.groups, 0.0), self.settings.settle, force
+        )
+        if not outcome:
+            return self._told(outcome)
+        for group in self.groups:
+            reading = driver.gripper(self.grippers[group].name)
+            if reading.held != self.item:
+                text = f"{group} has not got {self.item}: its fingers are {1000 * reading.width:.0f} mm apart"
+                return self._told(Outcome(ErrorCode.CONTROL_FAILED, text))
+        driver.watch_object(self.item, supports)
+        q = np.concatenate([a.positions[-1] for a in approaches])
+        order = [n for a in approaches for n in a.joint_names]
+        q = q[[order.index(n) for n in self.names]]
+        T_object = driver.object_poses()[self.item]
+        hands, measured = self._hands_at(q), self._measured()
+        grasps = {g: T_object.inv() @ hands[g] for g in self.groups}
+        first, second = self.groups
+        self._held = _Held(
+            Carried(self.item, grasps, self.tips), measured[first].inv() @ measured[second],
+            measured[first].inv() @ T_object, supports, q,
+        )  # fmt: skip
+        self._admittance = Admittance(self.settings.admittance)
+        ctx.emit("grasp", f"both hands hold {self.item}")
+        return DONE
+
+    # --- with the object ---
+    def move(self, *poses: SE3, name: str = "carry") -> Outcome:
+        """Carry the object through poses (T_world_object), at rest in each."""
+        held = self._known()
+        start = self._hands_at(held.q)[self.groups[0]] @ held.carried.grasps[self.groups[0]].inv()
+        scene = self._attached(self.ctx.scene().with_state(JointState(self.names, held.q)))
+        result = self._plan(scene, held.carried, start, poses)
+        report = StageReport(name, "carry", result.planning_time)
+        if not result.ok or result.trajectory is None:
+            return self._told(Outcome(result.code, f"{name}: {result.message}", result.evidence))
+        report.clearance_m = result.min_clearance
+        self.ctx.driver.expect_contact(self.item, held.supports)
+        outcome = self._play(name, result.trajectory, report, self._correct, self._watch)
+        if outcome.ok:
+            held.q = self._corrected(result.trajectory.positions[-1], self._admittance.offset)
+        return self._told(outcome)
+
+    def shift(
+        self, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0, name: str = "carry"
+    ):
+        """Carry the object by so much [m] in world directions, turned about the vertical meanwhile."""
+        here = (
+            self._hands_at(self._known().q)[self.groups[0]]
+            @ self._known().carried.grasps[self.groups[0]].inv()
+        )
+        return self.move(shifted(here, x, y, z, turn_deg), name=name)
+
+    def release(self) -> Outcome:
+        """Open both hands and draw them straight back."""
+        self._known()
+        widths = {}
+        for group, gripper in self.grippers.items():
+            now = self.ctx.driver.gripper(gripper.name).width
+            widths[group] = min(now + 0.02, gripper.max_width)
+        self.record.slip_m = max(self.record.slip_m, self._slip())
+        outcome = self._grip("open both", widths, self.settings.settle)
+        self.ctx.driver.unwatch_object(self.item)
+        self._held = None
+        if not outcome:
+            return self._told(outcome)
+        scene = self.ctx.scene()
+        retreats = []
+        for group, gripper in self.grippers.items():
+            other = next(g for g in self.groups if g != group)
+            alone = without_arm(scene, other).with_allowed(self.item, gripper.hand_links)
+            back = scene.frame_pose(gripper.tcp_link) @ SE3.from_xyz(0, 0, -self.settings.approach)
+            near = self.ctx.settings.near
+            result = plan_cartesian(
+                alone, CartesianRequest(group, (back,), gripper.tcp_link, velocity_scaling=near.velocity,
+                                        acceleration_scaling=near.acceleration),
+            )  # fmt: skip
+            if not result.ok or result.trajectory is None:
+                return self._told(
+                    Outcome(result.code, f"retreat of {group}: {result.message}", result.evidence)
+                )
+            retreats.append(result.trajectory)
+        outcome = self._play("retreat both", merged(*synchronized(retreats)))
+        for gripper in self.grippers.values():
+            self.ctx.driver.expect_contact(self.item, gripper.finger_links, expected=False)
+        return self._told(outcome)
+
+    # --- inside ---
+    def _known(self) -> _Held:
+        if self._held is None:
+            raise InputError(f"{self.item!r} is not in both hands", cure="grasp it first")
+        return self._held
+
+    def _attached(self, scene: PlanningScene) -> PlanningScene:
+        """The object in the first hand; both hands and what it rests on may touch it."""
+        first, second = (self.grippers[g] for g in self.groups)
+        supports = self._held.supports if self._held is not None else neighbours(scene, self.item)
+        scene = scene.with_attached(self.item, first.tcp_link, first.hand_links)
+        return scene.with_allowed(self.item, (*second.hand_links, *supports))
+
+    def _plan(self, scene: PlanningScene, carried: Carried, start: SE3, poses: Sequence[SE3]):
+        s = self.settings
+        return plan_carry(scene, self.both, carried, start, poses, s.velocity, s.acceleration, s.max_speed)
+
+    def _hands_at(self, q: Array) -> dict[str, SE3]:
+        full = self.ctx.driver.joint_state().positions.copy()
+        full[self.ctx.scene().model.columns(self.names)] = q
+        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+
+    def _measured(self) -> dict[str, SE3]:
+        full = self.ctx.driver.joint_state().positions
+        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+
+    def squeeze(self) -> Array:
+        """Force (3,) [N] that the second hand feels more than its half: what the hands do to each other."""
+        first, second = (self.ctx.driver.wrench(self.grippers[g].name)[:3] for g in self.groups)
+        return (second - first) / 2
+
+    def _correct(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
+        offset = self._admittance.update(self.squeeze(), self.ctx.driver.period)
+        return self._corrected(q, offset), v
+
+    def _corrected(self, q: Array, offset: Array) -> Array:
+        """Set points with the second hand moved by an offset (3,) [m], by its Jacobian."""
+        if not offset.any():
+            return q
+        group = self.groups[1]
+        names = self.ctx.scene().model.group(group).joint_names
+        at = [self.names.index(n) for n in names]
+        full = self.ctx.driver.joint_state().positions.copy()
+        full[self._columns] = q
+        J = self.tree.jacobian(full, self.tips[group], names)
+        out = q.copy()
+        out[at] += np.linalg.lstsq(J, np.concatenate([offset, np.zeros(3)]), rcond=1e-6)[0]
+        return out
+
+    @property
+    def _columns(self) -> list[int]:
+        return self.ctx.base.model.columns(self.names)
+
+    def _slip(self) -> float:
+        held = self._known()
+        here = self._measured()[self.groups[0]].inv() @ self.ctx.driver.object_poses()[self.item]
+        return held.T_first_object.distance_to(here)[0]
+
+    def _watch(self) -> Outcome | None:
+        """Every tick: the hands' relative pose, the squeeze, and whether the object is still there."""
+        held, s, r = self._known(), self.settings, self.record
+        hands = self._measured()
+        off, turn = held.T_hands.distance_to(hands[self.groups[0]].inv() @ hands[self.groups[1]])
+        force = float(np.linalg.norm(self._admittance.force))
+        r.off_m, r.turn_rad = max(r.off_m, off), max(r.turn_rad, turn)
+        r.squeeze_n, r.ticks = max(r.squeeze_n, force), r.ticks + 1
+        if r.ticks % SLIP_EVERY == 0:
+            r.slip_m = max(r.slip_m, self._slip())
+        if off > s.max_off or turn > s.max_turn:
+            text = f"the hands are {1000 * off:.2f} mm and {np.rad2deg(turn):.3f} degrees off their grasps"
+            return Outcome(ErrorCode.CONTROL_FAILED, text, {"off_m": off, "turn_rad": turn})
+        if force > s.max_squeeze:
+            return Outcome(ErrorCode.CONTROL_FAILED, f"the hands squeeze {self.item} with {force:.0f} N")
+        return None
+
+    def _grip(
+        self, name: str, widths: Mapping[str, float], settle: float, force: Mapping[str, float] | None = None
+    ) -> Outcome:
+        """Drive both grippers at once, and wait for both."""
+        ctx, driver = self.ctx, self.ctx.driver
+
+        def act() -> Outcome:
+            for group, width in widths.items():
+                g = self.grippers[group]
+                driver.command_gripper(g.name, width, g.max_force if force is None else force[group])
+            end = driver.now + ctx.settings.gripper_timeout
+            while driver.now < end and not ctx.cancel.is_set():
+                ctx.advance(0.02)
+                if all(self._there(g, w, None if force is None else force[g]) for g, w in widths.items()):
+                    break
+            ctx.advance(settle)
+            return Outcome(ErrorCode.PREEMPTED, "cancelled") if ctx.cancel.is_set() else DONE
+
+        return staged(ctx, StageReport(name), act)
+
+    def _there(self, group: str, width: float, force: float | None) -> bool:
+        reading = self.ctx.driver.gripper(self.grippers[group].name)
+        if force is None:
+            return abs(reading.width - width) < 1e-3
+        return reading.held == self.item and reading.force_per_finger >= 0.8 * force
+
+    def _play(
+        self, name: str, trajectory: JointTrajectory, report: StageReport | None = None,
+        correct: Callable | None = None, watch: Callable | None = None,
+    ) -> Outcome:  # fmt: skip
+        return play(
+            self.ctx,
+            _reordered(trajectory, self.names),
+            report or StageReport(name, "cartesian"),
+            correct,
+            watch,
+        )
+
+    def _told(self, outcome: Outcome) -> Outcome:
+        return replace(outcome, evidence={**outcome.evidence, **self.record.as_dict()})
+
+
+def move_together(
+    ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
+) -> Outcome:
+    """Two arms to a goal each; they start and arrive together."""
+    s, scene = ctx.settings, ctx.scene()
+    template = PlanRequest(
+        next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
+        velocity_scaling=s.free.velocity, acceleration_scaling=s.free.acceleration, seed=ctx.seed,
+    )  # fmt: skip
+    pair = plan_together(scene, goals, both, template=template)
+    if not pair.ok or pair.trajectory is None:
+        ctx.emit("error", f"{name}: {pair.message}")
+        return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
+    report = StageReport(name, pair.how, pair.planning_time)
+    return play(ctx, _reordered(pair.trajectory, scene.model.group(both).joint_names), report)
+
+
+def play(
+    ctx: TaskContext, trajectory: JointTrajectory, report: StageReport,
+    correct: Callable | None = None, watch: Callable | None = None,
+) -> Outcome:  # fmt: skip
+    """A motion of coupled arms as a stage."""
+
+    def act() -> Outcome:
+        ctx.announce(trajectory)
+        return execute_coupled(
+            ctx.driver, trajectory, correct, watch, settings=ctx.settings.execution, cancel=ctx.cancel,
+            progress=lambda _: ctx.observe(),
+        )  # fmt: skip
+
+    return staged(ctx, report, act)
+
+
+def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
+    """A pose moved in world directions and turned about the vertical through its origin."""
+    turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
+    return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))
+
+
+def _reordered(trajectory: JointTrajectory, names: tuple[str, ...]) -> JointTrajectory:
+    if trajectory.joint_names == names:
+        return trajectory
+    at = [trajectory.joint_names.index(n) for n in names]
+    v, a = trajectory.velocities, trajectory.accelerations
+    return JointTrajectory(
+        names, trajectory.times, trajectory.positions[:, at],
+        None if v is None else v[:, at], None if a is None else a[:, at],
+    )  # fmt: skip

@@ -1,0 +1,71 @@
+"""Values changed by their path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armcell.cell import load
+from armcell.cell.values import parsed, with_values
+from armcell.core import InputError, UnknownNameError
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return load("panda_pick")
+
+
+def test_the_scene_has_them(cell):
+    other = with_values(
+        cell,
+        {
+            "objects.cube.mass": 0.42,
+            "objects.cube.box.2": 0.06,
+            "objects.wall.pose.x": 0.6,
+            "objects.wall.pose.yaw": 0.1,
+            "physics.arm_kp": 4000.0,
+            "settings.attempts": 2,
+            "padding": 0.01,
+        },
+    )
+    scene, before = other.scene(), cell.scene()
+    assert scene.objects["cube"].mass == 0.42 and before.objects["cube"].mass == 0.1
+    assert scene.objects["cube"].shapes[0][0].z == 0.06
+    T = scene.objects["wall"].T_world_object
+    assert T.translation[0] == 0.6 and T.rotation.rpy[2] == pytest.approx(0.1)
+    assert np.array_equal(T.translation[1:], before.objects["wall"].T_world_object.translation[1:])
+    assert (other.physics.arm_kp, other.settings.attempts, scene.padding) == (4000.0, 2, 0.01)
+    assert cell.physics.arm_kp != 4000.0
+    drawn, drawn_before = other.draw(3)["cube"], cell.draw(3)["cube"]
+    assert drawn.pop("mass") == 0.42 and drawn_before.pop("mass") != 0.42
+    assert drawn == drawn_before  # nothing else of the seed's draw is another
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [
+        ("objects.cub.mass", 1.0, "did you mean 'objects.cube.mass'"),
+        ("object.cube.mass", 1.0, "did you mean 'objects.cube.mass'"),
+        ("objects.cube.masss", 1.0, "masss"),
+        ("objects.cube.mass", -1.0, "mass"),
+        ("objects.cube.box.7", 1.0, "7 of objects.cube.box.7"),
+        ("objects.wall.pose.w", 1.0, "x, y, z"),
+        ("physics.arm_kpp", 1.0, "arm_kp"),
+        ("padding.x", 1.0, "padding.x"),
+        ("nothing", 1.0, "nothing"),
+        ("objects.cube.mass", "heavy", "objects/cube/mass"),
+    ],
+)
+def test_what_cannot_be_set_is_named(cell, path, value, told):
+    with pytest.raises(InputError) as caught:
+        with_values(cell, {path: value})
+    assert told in str(caught.value)
+
+
+def test_as_text():
+    assert parsed("objects.cube.mass=0.3") == ("objects.cube.mass", 0.3)
+    assert parsed("a.b=[1, 2]") == ("a.b", [1, 2])
+    for wrong in ("a", "=3", "a=[1"):
+        with pytest.raises(InputError):
+            parsed(wrong)
+    assert issubclass(UnknownNameError, InputError)
