@@ -172,6 +172,10 @@ def _judged(
     lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # and on the way, however the hand is turned
     patch = contacts[:, :, 7].min(1)
     needed = force * holding_factor(friction, item.material.torsional_friction, lever, patch)
+    if (
+        item.thread is not None
+    ):  # both pads push along their faces at half the width, and across their patches
+        needed = np.maximum(needed, item.thread.torque / (friction * width + 2 * patch))
     slanted = np.maximum(slope, twist)
     quality = (
         np.clip(1 - (slanted / friction) ** 2, 0, 1)

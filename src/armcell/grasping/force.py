@@ -11,7 +11,7 @@ from armcell.scene import CollisionObject
 Array = NDArray[np.float64]
 
 SAFETY = 3.0
-MIN_FORCE = 2.0  # [N] per finger
+MIN_FORCE = 5.0  # [N] per finger
 LIFT_ACCELERATION = 3.0  # [m/s^2] the held object must stand besides gravity
 
 
