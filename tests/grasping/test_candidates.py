@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tests.grasping.solids import FINE, solid, surface, world_surface
 from armcell.core import SE3, SO3, Box, Cylinder, Mesh, PointCloud, Sphere, UnknownNameError
 from armcell.grasping import generators, grasp_candidates, hand_of, nearest_miss, needed_force
 from armcell.model import load_robot
-from armcell.scene import CollisionObject, Material, library_object, mesh_object
+from armcell.scene import CollisionObject, Material, Thread, library_object, mesh_object
 
 ROBOTS = ("panda", "ur10_gripper")
 STANDING = SE3.from_xyz_rpy((0.5, 0.1, 0.3), (0.0, 0.0, 0.7))
@@ -186,7 +187,7 @@ def test_force_grows_with_mass_and_falls_with_friction(hand):
 
     by_mass = [force(m, 0.6) for m in np.linspace(0.01, 3.0, 15)]
     by_friction = [force(0.6, mu) for mu in np.linspace(0.15, 1.5, 15)]
-    assert by_mass == sorted(by_mass) and 2.0 <= by_mass[0] < by_mass[-1]
+    assert by_mass == sorted(by_mass) and 5.0 <= by_mass[0] < by_mass[-1]
     assert by_friction == sorted(by_friction, reverse=True) and by_friction[-1] < by_friction[0]
 
 
@@ -197,6 +198,13 @@ def test_force_is_what_the_gripper_can_do_and_holds_the_weight_if_it_can(mass, f
         assert 0 < grasp.force <= hand.gripper.max_force
         if grasp.force < hand.gripper.max_force:  # two pads, Coulomb
             assert 2 * friction * grasp.force > mass * 9.81
+
+
+def test_a_screw_is_gripped_for_its_torque_too(hand):
+    loose = held(0.05, 0.8)
+    screw = replace(loose, thread=Thread("plate", 0.0015, 0.005, 0.3))
+    by_weight, by_torque = (grasp_candidates(x, hand)[0][0].force for x in (loose, screw))
+    assert by_torque > 2 * by_weight and 2 * by_torque * 0.8 * 0.025 + 2 * by_torque * 0.01 > 0.3
 
 
 def test_too_heavy_is_rejected_with_both_forces(hand):

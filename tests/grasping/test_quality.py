@@ -89,7 +89,7 @@ def test_a_point_without_torsion_is_no_force_closure():
 
 
 def test_held_at_its_middle_is_better_than_at_its_end(hand):
-    rod = solid(Cylinder(0.01, 0.2))
+    rod = solid(Cylinder(0.01, 0.2), mass=0.3)
     grasps = {g.name: g for g in grasp_candidates(rod, hand, on_support=False)[0]}
     middle, end = next((grasps[n], grasps[f"{n} +60 mm"]) for n in grasps if f"{n} +60 mm" in grasps)
     assert grasp_quality(rod, middle).epsilon > 1.05 * grasp_quality(rod, end).epsilon

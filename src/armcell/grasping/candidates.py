@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
 from armcell.grasping import kernel
 from armcell.grasping.contact import PadContact
-from armcell.grasping.force import SAFETY, grip_force, holding_factor, needed_force
+from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface, surface_of
 from armcell.scene import CollisionObject
@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and least
 KEPT = 64  # sets of fitted candidates remembered
 SOFT_PATCH = 1.5e-3  # [m] radius of a contact patch that is worth half of a large one
+EDGE = 1.7  # of a patch's radius of gyration: how far out its edge is
 FAR_LEVER = 0.04  # [m] of the weight, at which a grasp is worth half
 
 
@@ -164,13 +165,25 @@ def _judged(
     # The line through both contacts, and how far beside it the weight pulls: the pads' torsion holds that.
     a = contacts[:, 0, :3]
     axis = contacts[:, 1, :3] - a
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    apart = np.maximum(np.linalg.norm(axis, axis=1), 1e-9)
+    axis /= apart[:, None]
     twist = np.sqrt(1 - axis[:, 1] ** 2) / np.maximum(np.abs(axis[:, 1]), 1e-6)
-    arm = np.cross(np.einsum("kji,kj->ki", R, fitted.surface.centre_of_mass - at) - a, axis)
-    tilting = np.abs(np.einsum("ki,ki->k", arm, R.transpose(0, 2, 1) @ up))  # standing still
+    up_tcp = R.transpose(0, 2, 1) @ up
+    mass_at = np.einsum("kji,kj->ki", R, fitted.surface.centre_of_mass - at) - a
+    arm = np.cross(mass_at, axis)
+    tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # standing still
     lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # and on the way, however the hand is turned
-    patch = contacts[:, :, 7].min(1)
-    needed = force * holding_factor(friction, item.material.torsional_friction, lever, patch)
+    patch, rub = contacts[:, :, 7].min(1), item.material.torsional_friction
+    # Beyond the pads, as a tray held by its rim, it peels them off: friction at both, and pressing unevenly.
+    along = np.einsum("ki,ki->k", mass_at, axis)
+    beyond = np.maximum(np.maximum(-along, along - apart), 0.0)
+    level = np.sqrt(1 - np.einsum("ki,ki->k", axis, up_tcp).clip(-1, 1) ** 2)
+    peeling = 2 * friction * force * beyond * level / (friction * apart + 2 * EDGE * patch + rub)
+    least = force * holding_factor(friction, rub, tilting, patch) + peeling
+    needed = force * holding_factor(friction, rub, lever, patch) + peeling
+    if item.thread is not None:  # the pads push along their faces at half the width, and across their patches
+        twisting = item.thread.torque / (friction * width + 2 * patch)
+        least, needed = np.maximum(least, twisting), np.maximum(needed, twisting)
     slanted = np.maximum(slope, twist)
     quality = (
         np.clip(1 - (slanted / friction) ** 2, 0, 1)
@@ -191,15 +204,15 @@ def _judged(
             has, holds = np.degrees(np.arctan((float(slanted[i]), friction)))
             text = f"slips off: the surface is {has:.0f} deg slanted, friction holds {holds:.0f} deg"
             rejected.append(Rejection(name, text, 3, float(np.radians(has - holds))))
-        elif needed[i] > gripper.max_force:
-            beside = 1000 * float(lever[i])
-            text = f"needs {needed[i]:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"
-            excess = float(needed[i]) / gripper.max_force
+        elif least[i] > gripper.max_force:
+            beside = 1000 * float(tilting[i] + beyond[i])
+            text = f"needs {least[i]:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"
+            excess = float(least[i]) / gripper.max_force
             rejected.append(Rejection(name, f"{text} {gripper.max_force:.0f} N", 4, excess))
         else:
             pose, opening = SE3(SO3(R[i]), at[i]), float(fitted.measures[good[i], 1])
             pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))
-            hold = grip_force(float(needed[i]), gripper)
+            hold = firm_force(float(needed[i]), gripper)
             found.append(Grasp(name, pose, float(width[i]), opening, hold, float(score[i]), contacts=pads))
     return found, rejected
 

@@ -11,7 +11,7 @@ from armcell.scene import CollisionObject
 Array = NDArray[np.float64]
 
 SAFETY = 3.0
-MIN_FORCE = 2.0  # [N] per finger
+MIN_FORCE = 5.0  # [N] per finger
 LIFT_ACCELERATION = 3.0  # [m/s^2] the held object must stand besides gravity
 
 
@@ -35,6 +35,11 @@ def needed_force(item: CollisionObject) -> float:
     return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))
 
 
-def grip_force(needed: float, gripper: Gripper) -> float:
+def firm_force(needed: float, gripper: Gripper) -> float:
     """Force per finger [N] to grip with: what is needed with a safety factor, if the gripper has it."""
     return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
+
+
+def grip_force(item: CollisionObject, gripper: Gripper) -> float:
+    """Force per finger [N] to grip an object with at its middle."""
+    return firm_force(needed_force(item), gripper)

@@ -15,7 +15,7 @@ import numpy as np
 
 from armcell.cell import LiveCell
 from armcell.core import ErrorCode, ExecutionResult, InputError
-from armcell.grasping import grip_force, needed_force
+from armcell.grasping import grip_force
 from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
@@ -175,7 +175,7 @@ class GripperNode:
         item = between[0]
         self._say(f"the arm rests with {item.name} between the fingers: the gripper closes")
         self._expect_contact(gripper)
-        force = grip_force(needed_force(item), gripper)
+        force = grip_force(item, gripper)
         joints = (gripper.joint_name, *self._live.model.group(gripper.arm_group).joint_names)
         make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: E731
         self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))

@@ -17,7 +17,6 @@ from armcell.grasping import (
     grasp_candidates,
     grip_force,
     hand_of,
-    needed_force,
     place_candidates,
     pre_opening,
 )
@@ -176,7 +175,7 @@ class PickPlaceNode:
         opening = _posture(message.pre_grasp_posture, gripper)
         if opening is None:
             opening = pre_opening(width, gripper)
-        force = grip_force(needed_force(body), gripper)
+        force = grip_force(body, gripper)
         if message.max_contact_force > 0:
             force = min(force, float(message.max_contact_force))
         ahead = T_world_tcp.rotation.matrix[:, 2] * self._settings.approach_distance

@@ -27,7 +27,7 @@ from armcell.core import (
     PlanRequest,
 )
 from armcell.core.checks import require
-from armcell.grasping import grip_force, needed_force, pre_opening
+from armcell.grasping import grip_force, pre_opening
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.planning import plan_cartesian, plan_together
 from armcell.planning.arms.carry import Carried, plan_carry
@@ -226,7 +226,7 @@ class Carrying:
         for group in self.groups:
             driver.expect_contact(self.item, self.grippers[group].finger_links)
         outcome = self._play("approach both", merged(approaches[0], approaches[1]))
-        force = {g: grip_force(needed_force(item), self.grippers[g]) for g in self.groups}
+        force = {g: grip_force(item, self.grippers[g]) for g in self.groups}
         outcome = outcome and self._grip(
             "close both", dict.fromkeys(self.groups, 0.0), self.settings.settle, force
         )
