@@ -144,7 +144,7 @@ class Cell:
         """A live cell, to be used in a `with` block.
 
         Args:
-            mode: "sim" (physics) or "fake" (follows exactly, no physics).
+            mode: "sim" (physics), "fake" (follows exactly, no physics) or "real" (the block `real`'s arms).
             seed: draw of the randomised values and seed of the planners; nominal cell and 0 when None.
             time_scale: None runs as fast as it can; 1.0 in real time.
             scene: begin in this one instead of the cell's own.
@@ -153,7 +153,8 @@ class Cell:
         """
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
-        options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras)
+        extra = {"real": self.spec.real}
+        options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras, extra)
         return LiveCell(
             self.name, scene, factory(scene, options), settings or self.settings, observers, seed or 0
         )

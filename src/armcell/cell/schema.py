@@ -162,6 +162,7 @@ class CellSpec(Strict):
     task: list[StepSpec] = []
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
+    real: dict[str, Any] = {}  # of the UR driver's RealSettings
 
     @field_validator("robot", mode="before")
     @classmethod

@@ -10,6 +10,7 @@ import typer
 from armcell import __version__
 from armcell.cli import (
     bench,
+    bringup,
     check,
     check_state,
     doctor,
@@ -21,6 +22,7 @@ from armcell.cli import (
     serve,
     setup,
     topic,
+    ur_controller,
     view,
 )
 from armcell.cli.console import err
@@ -74,6 +76,9 @@ app.add_typer(bench.app, name="bench")
 app.add_typer(msg.app, name="msg")
 app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
+app.command("ur-controller", epilog=ur_controller.EXAMPLES)(ur_controller.ur_controller)
+app.command("bringup")(bringup.bringup)
+app.command("ur-dashboard")(ur_controller.ur_dashboard)
 app.add_typer(topic.app, name="topic")
 
 
