@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from tests.control.ur.emulated import dashboard, emulator, free_hosts
 
-from armcell.__main__ import main
+from armcell.cli.main import main
 from armcell.cell import cell_names, load
 from armcell.cell.cell import LIBRARY
 
