@@ -8,9 +8,7 @@ import time
 
 import numpy as np
 
-from armcell.control import DriverOptions, drivers, execute
-from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.ur_controller import ControllerSettings, Rack
+from armcell.control import ControllerSettings, DashboardClient, DriverOptions, Rack, drivers, execute
 from armcell.core import JointTrajectory
 from armcell.model import load_robot
 from armcell.scene import PlanningScene

@@ -39,7 +39,7 @@ def test_both_modes_of_a_cell_are_registered():
 
 
 def test_unknown_mode_names_the_known():
-    with pytest.raises(UnknownNameError, match="fake, sim"):
+    with pytest.raises(UnknownNameError, match="fake, real, sim"):
         drivers["simm"]
 
 
