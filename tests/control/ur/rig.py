@@ -36,6 +36,8 @@ def pair():
 
 
 def made(model, arms: dict, **settings):
+    # Wide, for machines that other programs fill; test_safety.py sets its own.
+    settings = {"max_state_age": 0.3, "watchdog": 0.5, **settings}
     options = DriverOptions(extra={"real": {"arms": arms, **settings}})
     return drivers["real"](PlanningScene.of(model), options)
 

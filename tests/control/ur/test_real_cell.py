@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from tests.control.ur.emulated import dashboard, emulator, free_hosts
 
-from armcell.cli.main import main
 from armcell.cell import cell_names, load
 from armcell.cell.cell import LIBRARY
+from armcell.cli.main import main
 
 pytestmark = pytest.mark.slow
 
