@@ -89,7 +89,14 @@ def test_wrong_usage_names_the_option_and_a_near_one(capsys):
             ("explain", "panda_pick", "--pose", "0", "0", "1", "--group", "leg"),
             "unknown planning group 'leg'",
         ),
-        (("run", "panda_pick", "--headless", "--mode", "real"), "unknown mode 'real'; known: fake, sim"),
+        (
+            ("run", "panda_pick", "--headless", "--mode", "reel"),
+            "unknown mode 'reel'; known: fake, real, sim",
+        ),
+        (("run", "panda_pick", "--headless", "--mode", "real"), "the cell has no real arms"),
+        (("bringup", "panda_pick", "--yes"), "the cell has no real arms"),
+        (("ur-controller", "--host", "127.0.9.9", "--host", "127.0.9.9"), "two arms have the same address"),
+        (("ur-controller", "--model", "UR99"), "unknown UR model 'UR99'; known: UR10, UR10e"),
     ],
 )
 def test_wrong_input_is_one_line_and_status_1(capsys, arguments, reason):

@@ -288,6 +288,15 @@ def test_16_live_octomap(printed):
 
 
 @pytest.mark.slow
+def test_22_real_arm_over_the_wire(printed):
+    said = printed("22_real_arm_over_the_wire.py")
+    assert number(r"full speed: SUCCESS in ([\d.]+) s", said) < 2.5
+    assert 2.9 < number(r"slider at 50 %: SUCCESS in ([\d.]+) s", said) < 4.5
+    assert "stopped: CONTROL_FAILED: stopped: arm: protective stop" in said and "resumed: SUCCESS" in said
+    assert "arm: resumed: after protective stop" in said
+
+
+@pytest.mark.slow
 def test_24_two_programs_over_ros_tcp(printed):
     said = printed("24_two_programs_over_ros_tcp.py")
     assert "sensed 8 joints of panda" in said and "simulator: done" in said

@@ -180,7 +180,7 @@ class Cell:
         """A live cell, to be used in a `with` block.
 
         Args:
-            mode: "sim" (physics) or "fake" (follows exactly, no physics).
+            mode: "sim" (physics), "fake" (follows exactly, no physics) or "real" (the block `real`'s arms).
             seed: draw of the randomised values and seed of the planners; nominal cell and 0 when None.
             time_scale: None runs as fast as it can; 1.0 in real time.
             scene: begin in this one instead of the cell's own.
@@ -189,7 +189,9 @@ class Cell:
         """
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
-        options = DriverOptions(seed or 0, time_scale, self.physics, self.cameras, self.decals)
+        options = DriverOptions(
+            seed or 0, time_scale, self.physics, self.cameras, self.decals, extra={"real": self.spec.real}
+        )
         driver, seen = factory(scene, options), None
         shown: Any = driver
         if self.spec.perception is not None:

@@ -254,6 +254,7 @@ class CellSpec(Strict):
     script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
+    real: dict[str, Any] = {}  # of the UR driver's RealSettings
 
     @field_validator("robot", mode="before")
     @classmethod

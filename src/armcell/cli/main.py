@@ -10,6 +10,7 @@ import typer
 from armcell import __version__
 from armcell.cli import (
     bench,
+    bringup,
     campaign,
     check,
     check_state,
@@ -26,6 +27,7 @@ from armcell.cli import (
     setup,
     step_response,
     topic,
+    ur_controller,
     view,
 )
 from armcell.cli.console import err
@@ -91,6 +93,9 @@ app.add_typer(bench.app, name="bench")
 app.add_typer(msg.app, name="msg")
 app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
+app.command("ur-controller", epilog=ur_controller.EXAMPLES)(ur_controller.ur_controller)
+app.command("bringup")(bringup.bringup)
+app.command("ur-dashboard")(ur_controller.ur_dashboard)
 app.add_typer(topic.app, name="topic")
 app.add_typer(service.app, name="service")
 

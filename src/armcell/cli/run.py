@@ -33,7 +33,9 @@ def run(
         show_default=False,
     ),
     seed: int = typer.Option(0, min=0, help="Draw of the randomised values, and seed of the planners."),
-    mode: str = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics."),
+    mode: str = typer.Option(
+        "sim", help="sim: physics. fake: follows exactly, no physics. real: the cell's real arms."
+    ),
     view: bool = typer.Option(False, "--view", help="Show the cell live in the browser, in real time."),
     json_file: Path | None = typer.Option(
         None, "--json", metavar="FILE", help="Write the run's numbers as JSON."

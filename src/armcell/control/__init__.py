@@ -1,15 +1,24 @@
-"""Make it move: the Driver protocol, the drivers, the executor."""
+"""Make it move: the Driver protocol, the drivers, the executor, the supervisor, an emulated controller."""
 
 from armcell.control import drivers as _registered  # noqa: F401  (fills the table)
 from armcell.control.driver import ContactRecord, Driver, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.executor import ExecutionSettings, execute, playing
+from armcell.control.safety import Fault, SafetyEvent, Supervisor
+from armcell.control.ur_controller import ControllerSettings, Rack
 
 __all__ = [
     "ContactRecord",
+    "ControllerSettings",
+    "DashboardClient",
     "Driver",
     "DriverOptions",
     "ExecutionSettings",
+    "Fault",
     "GripperReading",
+    "Rack",
+    "SafetyEvent",
+    "Supervisor",
     "WeldRecord",
     "drivers",
     "execute",

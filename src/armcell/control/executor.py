@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from armcell.control.driver import Driver
+from armcell.control.following import Follower, Tolerances, follow_to_end
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
 from armcell.core.checks import require
 from armcell.planning import explain_start
@@ -24,6 +25,7 @@ class ExecutionSettings:
     goal_tolerance: float = 0.005  # [rad or m]
     goal_speed: float = 0.02  # [rad/s or m/s] below which the arm counts as at rest
     settle_time: float = 1.0  # [s] to reach the goal after the trajectory's end
+    stall_time: float = 5.0  # [s] without progress until a robot that plays it itself is given up
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -86,6 +88,9 @@ def playing(
             code, text, {"joint": joint, "error": worst}, began, began,
             explainer=partial(explain_start, measured, start, tolerance, code, text),
         )  # fmt: skip
+    if isinstance(driver, Follower):
+        watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
+        return follow_to_end(driver, driver, trajectory, watched, cancel, progress)
     tracking = 0.0
 
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:

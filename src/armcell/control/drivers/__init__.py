@@ -1,5 +1,5 @@
 """Drivers by mode. Importing this package registers them."""
 
-from armcell.control.drivers import fake, sim
+from armcell.control.drivers import fake, sim, ur
 
-__all__ = ["fake", "sim"]
+__all__ = ["fake", "sim", "ur"]

@@ -1,0 +1,303 @@
+"""Staged bring-up of a cell's real arms: each step is explained, confirmed, done and written down.
+
+The order is that of docs/real_ur.md: network, identity, remote control and power, geometry, joint zero and
+direction, slow single joints, a short line against its preview, one arm while the other stands, all slowly.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armcell.cell.cell import Cell
+from armcell.control import execute
+from armcell.control.drivers.ur import UrDriver
+from armcell.control.drivers.ur.dashboard import DashboardClient
+from armcell.control.drivers.ur.identity import Identity, check_identity, check_ready, check_swapped, identify
+from armcell.control.drivers.ur.network import measure_network
+from armcell.control.drivers.ur.settings import real_settings
+from armcell.control.ur_wire.kinematics import frames_of
+from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
+from armcell.kinematics import kinematic_tree
+from armcell.planning import plan, plan_cartesian
+from armcell.scene import PlanningScene
+
+SMALL = np.deg2rad(3.0)  # of the single joint motions
+SLOW = 0.05  # velocity and acceleration scaling
+LINE = 0.10  # [m]
+LINE_TOLERANCE = 0.003  # [m] between the line as previewed and as driven
+ZERO_TOLERANCE = 0.02  # [m] between the tool's place by the robot and by the cell's model
+POWER_TIME = 30.0  # [s] for power and brakes
+
+Confirm = Callable[[str, str], bool]
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What the record keeps of a step."""
+
+    name: str
+    arm: str
+    wall: float  # [s] since the epoch
+    outcome: str  # "done", "declined" or "failed"
+    text: str
+
+
+class BringUp:
+    """One run of it.
+
+    Args:
+        confirm: asked before each step with its name and what will happen; False ends the bring-up.
+        tell: gets each step's result.
+        record: JSON file, written after every step.
+    """
+
+    def __init__(self, cell: Cell, confirm: Confirm, tell: Tell, record: Path | None = None):
+        self.cell, self._confirm, self._tell, self._record = cell, confirm, tell, record
+        try:
+            self.settings = real_settings(cell.spec.real, cell.model)
+        except InputError as error:
+            raise InputError(error.reason, file=cell.file, element=error.element, cure=error.cure) from None
+        self.steps: list[Step] = []
+        self._found: dict[str, Identity] = {}
+
+    def run(self) -> bool:
+        """All steps; False when one was declined or failed."""
+        arms = self.settings.arms
+        steps: list[tuple[str, str, str, Callable[[], str]]] = []
+        for name, arm in arms.items():
+            steps.append(("network", name, f"measures latency and jitter to {arm.host}; nothing moves",
+                          lambda name=name: self._network(name)))  # fmt: skip
+        steps.append(("identity", "all", "asks every robot who it is; nothing moves", self._identity))
+        for name in arms:
+            steps.append(("power", name, "powers the arm on and releases its brakes (they click, the arm may "
+                          "sag a millimetre)", lambda name=name: self._power(name)))  # fmt: skip
+        for name in arms:
+            steps.append(("geometry", name, "compares the robot's tool pose with the cell's model; nothing "
+                          "moves. Look: does the arm stand as in the viewer?",
+                          lambda name=name: self._geometry(name)))  # fmt: skip
+        if not self._all(steps):
+            return False
+        try:
+            with self.cell.connect("real") as live:
+                driver = live.driver
+                assert isinstance(driver, UrDriver)
+                steps = []
+                for name in arms:
+                    text = (
+                        f"turns each joint by +{np.rad2deg(SMALL):.0f} degrees and back, at {SLOW:.0%} speed"
+                    )
+                    steps.append(("joints", name, f"{text}. Hand on the emergency stop",
+                                  lambda name=name: self._joints(driver, live.scene, name)))  # fmt: skip
+                for name in arms:
+                    others = [n for n in arms if n != name]
+                    still = f" while {', '.join(others)} stands still" if others else ""
+                    steps.append(("line", name, f"moves the tool {LINE * 100:.0f} cm and back{still}, "
+                                  "slowly, and compares with the preview",
+                                  lambda name=name: self._line(driver, live.scene, name)))  # fmt: skip
+                if len(arms) > 1:
+                    steps.append(("together", "all", "moves all arms at the same time, slowly",
+                                  lambda: self._together(driver, live.scene)))  # fmt: skip
+                return self._all(steps)
+        except ArmcellError as error:
+            self._note("connect", "all", "failed", str(error))
+            return False
+
+    def _all(self, steps: list[tuple[str, str, str, Callable[[], str]]]) -> bool:
+        for name, arm, text, act in steps:
+            if not self._confirm(f"{name} ({arm})", text):
+                self._note(name, arm, "declined", "")
+                return False
+            try:
+                self._note(name, arm, "done", act())
+            except ArmcellError as error:
+                self._note(name, arm, "failed", str(error))
+                return False
+        return True
+
+    def _note(self, name: str, arm: str, outcome: str, text: str) -> None:
+        self.steps.append(Step(name, arm, time.time(), outcome, text))
+        self._tell(f"{name} ({arm}): {outcome}" + (f": {text}" if text else ""))
+        if self._record is not None:
+            lines: list[dict[str, Any]] = [asdict(s) for s in self.steps]
+            self._record.write_text(json.dumps({"cell": self.cell.name, "steps": lines}, indent=1) + "\n")
+
+    # --- the steps ---
+    def _network(self, name: str) -> str:
+        arm = self.settings.arms[name]
+        found = identify(arm.host)
+        report = measure_network(arm.host, found.model.frequency)
+        if report.worst_gap > self.settings.max_state_age:
+            raise InputError(
+                f"{report}: a gap longer than {self.settings.max_state_age * 1000:.0f} ms would stop the arm",
+                cure="a cable instead of WLAN, a switch of its own for the robots, no other load here",
+            )
+        return str(report)
+
+    def _identity(self) -> str:
+        arms = self.settings.arms
+        self._found = {name: identify(arm.host) for name, arm in arms.items()}
+        check_swapped(arms, self._found)
+        told = []
+        for name, found in self._found.items():
+            check_identity(name, arms[name], found)
+            told.append(
+                f"{name} is a {found.model.name}, serial {found.serial}, calibration {found.calibration}, "
+                f"software {'.'.join(map(str, found.version))}"
+            )
+        unnamed = [n for n in arms if arms[n].serial is None]
+        if unnamed:
+            told.append(
+                f"write 'serial' of {', '.join(unnamed)} into the cell file, so that arms cannot be swapped"
+            )
+        return "; ".join(told)
+
+    def _power(self, name: str) -> str:
+        host = self.settings.arms[name].host
+        found = identify(host)
+        if found.robot_mode == "RUNNING":
+            check_ready(name, found)
+            return "was on"
+        try:
+            check_ready(name, found)
+        except InputError as error:
+            if "not running" not in error.reason:
+                raise
+        with DashboardClient(host) as dashboard:
+            dashboard.ask("power on")
+            end = time.monotonic() + POWER_TIME
+            released = False
+            while time.monotonic() < end:
+                mode = dashboard.word("robotmode")
+                if mode == "RUNNING":
+                    return "on, brakes released"
+                if mode == "IDLE" and not released:
+                    dashboard.ask("brake release")
+                    released = True
+                time.sleep(0.2)
+        raise InputError(f"{host} is not running after {POWER_TIME:g} s", cure="look at the pendant")
+
+    def _geometry(self, name: str) -> str:
+        """The flange by the robot's own calibrated geometry, and by the cell's model, at the same joints."""
+        found, model = self._found[name], self.cell.model
+        q = self._measured(name)
+        group = model.group(name)
+        state = self.cell.scene().positions.copy()
+        state[model.columns(group.joint_names)] = q
+        tree = kinematic_tree(model)
+        base = model.joints[group.joint_names[0]].parent
+        last = {model.joints[group.joint_names[-1]].child}
+        for joint in model.joints.values():  # parents come first
+            if not joint.movable and joint.parent in last:
+                last.add(joint.child)
+        theirs = frames_of(found.geometry, q)[6, :3, 3] * (-1.0, -1.0, 1.0)  # base_link is turned by pi
+        # Models name the flange differently (tool0, ee_link): it is the one of the fixed links that fits.
+        T_base_world = tree.link_pose(state, base).inv()
+        error = min(
+            float(np.linalg.norm((T_base_world @ tree.link_pose(state, link)).translation - theirs))
+            for link in last
+        )
+        if error > ZERO_TOLERANCE:
+            raise InputError(
+                f"the flange is {error * 1000:.0f} mm from where the cell's model has it",
+                cure="wrong robot model in the cell, or a joint's zero is off (pendant: joint calibration)",
+            )
+        return (
+            f"flange {error * 1000:.1f} mm from the cell's nominal model (factory calibration explains some)"
+        )
+
+    def _measured(self, name: str) -> np.ndarray:
+        from armcell.control.drivers.ur.rtde_client import RtdeClient
+
+        client = RtdeClient(self.settings.arms[name].host, 125.0)
+        client.connect()
+        try:
+            assert client.latest is not None
+            return np.array(client.latest.actual_q)
+        finally:
+            client.close()
+
+    def _joints(self, driver: UrDriver, scene: Callable[[], PlanningScene], name: str) -> str:
+        names = self.cell.model.group(name).joint_names
+        moved = []
+        for i, joint in enumerate(names):
+            start = driver.joint_state().reindexed(names).positions
+            sign = 1.0
+            target = start.copy()
+            target[i] += sign * SMALL
+            self._go(driver, scene(), name, target)
+            seen = driver.joint_state().reindexed(names).positions - start
+            if abs(seen[i] - SMALL) > 0.2 * SMALL or np.abs(np.delete(seen, i)).max() > 0.1 * SMALL:
+                raise InputError(f"{joint}: {np.rad2deg(seen).round(2).tolist()} degrees were measured")
+            moved.append(f"{joint} {np.rad2deg(seen[i]):+.2f}")
+            self._go(driver, scene(), name, start)
+        return ", ".join(moved) + " degrees. Did each turn the way the viewer shows?"
+
+    def _line(self, driver: UrDriver, scene: Callable[[], PlanningScene], name: str) -> str:
+        model = self.cell.model
+        names, tip = model.group(name).joint_names, model.group(name).tip_link
+        assert tip is not None
+        now = scene()
+        start = driver.joint_state().reindexed(names).positions
+        pose = now.frame_pose(tip)
+        reasons = []
+        for shift in ((0, 0, LINE), (0, 0, -LINE), (0, LINE, 0), (0, -LINE, 0), (-LINE, 0, 0), (LINE, 0, 0)):
+            request = CartesianRequest(
+                name, (pose.shifted(*shift),), tip, velocity_scaling=SLOW, acceleration_scaling=SLOW
+            )
+            result = plan_cartesian(now, request)
+            if result.ok and result.trajectory is not None:
+                break
+            reasons.append(result.message)
+        else:
+            raise InputError(
+                f"no line of {LINE * 100:.0f} cm is free: {reasons[0]}", cure="move the arm by hand"
+            )
+        trajectory = result.trajectory
+        worst = 0.0
+
+        def look(_: float) -> None:
+            nonlocal worst
+            here = scene().frame_pose(tip).translation
+            along = (here - pose.translation) @ np.array(shift) / LINE**2
+            nearest = pose.translation + np.clip(along, 0, 1) * np.array(shift)
+            worst = max(worst, float(np.linalg.norm(here - nearest)))
+
+        done = execute(driver, trajectory, progress=look)
+        if not done.ok:
+            raise InputError(f"line: {done.message}")
+        if worst > LINE_TOLERANCE:
+            raise InputError(f"the tool was {worst * 1000:.1f} mm off the previewed line")
+        self._go(driver, scene(), name, start)
+        return (
+            f"at most {worst * 1000:.2f} mm off the previewed line, {done.max_tracking_error:.4f} rad behind"
+        )
+
+    def _together(self, driver: UrDriver, scene: Callable[[], PlanningScene]) -> str:
+        arms = list(self.settings.arms)
+        names = [n for arm in arms for n in self.cell.model.group(arm).joint_names]
+        groups = [g.name for g in self.cell.model.groups.values() if set(g.joint_names) == set(names)]
+        if not groups:
+            return "the model has no group of all arms: skipped"
+        start = driver.joint_state().reindexed(names).positions
+        target = start + np.tile([0, 0, 0, 0, 0, SMALL], len(arms))
+        for goal in (target, start):
+            self._go(driver, scene(), groups[0], goal, names)
+        return "all arms moved and came back"
+
+    def _go(self, driver: UrDriver, scene: PlanningScene, group: str, q: np.ndarray, names=None) -> None:
+        names = tuple(names or self.cell.model.group(group).joint_names)
+        goal = JointGoal(JointState(names, q))
+        result = plan(scene, PlanRequest(group, (goal,), velocity_scaling=SLOW, acceleration_scaling=SLOW))
+        if not result.ok or result.trajectory is None:
+            raise InputError(f"no plan: {result.message}", cure="is the scene as the cell file says?")
+        done = execute(driver, result.trajectory)
+        if not done.ok:
+            raise InputError(f"motion failed: {done.message}")

@@ -1,0 +1,96 @@
+"""`armcell ur-controller`: an emulated Universal Robots controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from armcell.cli.console import console
+from armcell.core import InputError
+
+EXAMPLES = """
+Examples:
+
+  armcell ur-controller --model UR10e --host 127.0.0.2     one arm, joints follow without physics
+
+  armcell ur-controller --cell six_axis_pick               the cell's arm, in physics
+
+  armcell ur-controller --model UR10 --host 127.0.0.2 --host 127.0.0.3    two arms in one process
+
+  armcell ur-dashboard 127.0.0.2 "armcell protective stop"    buttons and faults ("armcell help" lists them)
+"""
+
+
+def ur_controller(
+    model: str = typer.Option("UR10", help="UR10 (CB3, 125 Hz) or UR10e (e-Series, 500 Hz)."),
+    host: list[str] = typer.Option(
+        ["127.0.0.2"], help="Address to serve; give it once per arm. A UR's ports are fixed."
+    ),
+    serial: list[str] = typer.Option([], help="Serial number per arm. Default: 20260001, 20260002, ..."),
+    cell: str | None = typer.Option(None, help="Put the arms into this cell's physics, one host per arm."),
+    seed: int | None = typer.Option(None, min=0, help="Draw of the cell's randomised values."),
+    calibration: int | None = typer.Option(
+        None, min=0, help="Seed of each arm's deviation from nominal geometry. Default: none."
+    ),
+    local: bool = typer.Option(False, "--local", help="Begin in local control (e-Series)."),
+    trace: Path | None = typer.Option(
+        None, metavar="FILE", help="Write every control step of every arm (ur_controller.controller.TRACE)."
+    ),
+    off: bool = typer.Option(False, "--off", help="Begin powered off."),
+) -> int:
+    """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C."""
+    from armcell.control.ur_controller import ControllerSettings, Rack, WorldPlant
+
+    hosts = list(host)
+    if len(set(hosts)) != len(hosts):
+        raise InputError("two arms have the same address", cure="such as --host 127.0.0.2 --host 127.0.0.3")
+    plants: list = [None] * len(hosts)
+    if cell is not None:
+        from armcell.cell import load
+        from armcell.sim import SimWorld
+
+        loaded = load(cell)
+        arms = [g.name for g in loaded.model.groups.values() if g.tip_link and len(g.joint_names) == 6]
+        if len(arms) != len(hosts):
+            raise InputError(
+                f"cell {cell!r} has {len(arms)} arms ({', '.join(arms)}), {len(hosts)} addresses are given",
+                cure="give --host once per arm",
+            )
+        world = SimWorld(loaded.scene(seed), loaded.physics)
+        plants = [WorldPlant(world, arm, leads=i == 0) for i, arm in enumerate(arms)]
+    serials = [*serial, *(f"2026{i + 1:04d}" for i in range(len(serial), len(hosts)))]
+    settings = [
+        ControllerSettings(
+            model, h, s, None if calibration is None else calibration + i, remote=not local, powered=not off
+        )
+        for i, (h, s) in enumerate(zip(hosts, serials))
+    ]
+    file = trace.open("wb", buffering=0) if trace is not None else None
+    rack = Rack(settings, plants, file)
+    for each in settings:
+        ports = "dashboard 29999, script 30001-30003, RTDE 30004, gripper 63352"
+        console.print(f"{each.model} (serial {each.serial}) at {each.host}: {ports}", soft_wrap=True)
+    console.print("an emulator, not a robot; Ctrl-C ends it")
+    try:
+        rack.run()
+    finally:
+        rack.close()
+        if file is not None:
+            file.close()
+    return 0
+
+
+def ur_dashboard(
+    host: str = typer.Argument(..., help="The robot's address."),
+    command: list[str] = typer.Argument(..., help='What to send, such as "robotmode" or "power on".'),
+) -> int:
+    """Send a command to a robot's dashboard (real or emulated) and print its answer.
+
+    Often needed: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
+    """
+    from armcell.control.drivers.ur.dashboard import DashboardClient
+
+    with DashboardClient(host) as dashboard:
+        console.print(dashboard.ask(" ".join(command)), markup=False, highlight=False)
+    return 0

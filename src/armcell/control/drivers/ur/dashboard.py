@@ -1,0 +1,84 @@
+"""The dashboard's client: power, brakes, stops and who the robot is."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+
+from armcell.core import ArmcellError, InputError
+
+PORT = 29999
+
+
+class DashboardClient:
+    """A connection to a robot's dashboard. Connect and disconnect by `with`."""
+
+    def __init__(self, host: str, port: int = PORT, timeout: float = 3.0):
+        self.host, self._port, self._timeout = host, port, timeout
+
+    def __enter__(self) -> DashboardClient:
+        """
+        Raises:
+            InputError: nobody there, or not a UR robot.
+        """
+        try:
+            self._socket = socket.create_connection((self.host, self._port), self._timeout)
+        except OSError as error:
+            raise InputError(
+                f"no robot answers at {self.host}:{self._port} ({error.strerror or error})",
+                cure="check the address on the pendant (Settings, System, Network), the cable, and that this "
+                f"computer is in the same subnet: ping {self.host}",
+            ) from None
+        self._file = self._socket.makefile("rwb")
+        try:
+            greeting = self._line()
+        except (OSError, ArmcellError):
+            greeting = ""
+        if "Universal Robots Dashboard" not in greeting:
+            self.__exit__()
+            raise InputError(
+                f"{self.host}:{self._port} is not a Universal Robots dashboard (it says {greeting[:60]!r})",
+                cure="check the address",
+            )
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        with contextlib.suppress(OSError):  # its last bytes may not be sendable any more
+            self._file.close()
+        self._socket.close()
+
+    def _line(self) -> str:
+        line = self._file.readline(4096)
+        if not line.endswith(b"\n"):
+            raise ArmcellError(f"the dashboard of {self.host} closed the connection")
+        return line.decode("utf-8", "replace").strip()
+
+    def ask(self, command: str) -> str:
+        """Send a command; its answer, one line.
+
+        Raises:
+            ArmcellError: no answer.
+        """
+        try:
+            self._file.write(command.encode() + b"\n")
+            self._file.flush()
+            return self._line()
+        except OSError as error:
+            raise ArmcellError(f"the dashboard of {self.host} does not answer {command!r}: {error}") from None
+
+    def word(self, command: str) -> str:
+        """The answer's last word: `Robotmode: RUNNING` gives RUNNING."""
+        return (self.ask(command).rsplit(maxsplit=1) or [""])[-1]
+
+    def version(self) -> tuple[int, ...]:
+        """Of the controller's software: major, minor, bugfix."""
+        found = re.search(r"(\d+)\.(\d+)\.(\d+)", self.ask("PolyscopeVersion"))
+        if found is None:
+            raise ArmcellError(f"the dashboard of {self.host} does not tell its version")
+        return tuple(int(n) for n in found.groups())
+
+    def in_remote_control(self) -> bool | None:
+        """None where the controller knows no such thing (CB3)."""
+        answer = self.ask("is in remote control").lower()
+        return answer == "true" if answer in ("true", "false") else None

@@ -1,0 +1,274 @@
+"""Mode `real`: one or several Universal Robots arms behind the Driver protocol."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.drivers.ur.arm import UrArm
+from armcell.control.drivers.ur.gripper import SocketGripper, ToolGripper, UrGripper
+from armcell.control.drivers.ur.heart import Heart
+from armcell.control.drivers.ur.identity import check_identity, check_ready, check_swapped, identify
+from armcell.control.drivers.ur.motion import Forwarded, Streamed
+from armcell.control.drivers.ur.settings import real_settings
+from armcell.control.safety import Fault, SafetyEvent, Supervisor
+from armcell.core import SE3, InputError, JointState, JointTrajectory
+from armcell.kinematics import kinematic_tree
+from armcell.scene import PlanningScene
+
+log = logging.getLogger(__name__)
+
+
+class UrDriver:
+    """Drives real arms. Objects are where the scene says until a gripper takes them along.
+
+    After a stop of any arm nothing moves until `resume()`.
+    """
+
+    name = "real"
+    is_simulated = False
+
+    def __init__(self, scene: PlanningScene, options: DriverOptions):
+        if options.time_scale not in (None, 1.0):
+            raise InputError(
+                f"time scale {options.time_scale:g}: a real robot has its own clock",
+                cure="leave out the time scale; use the speed slider",
+            )
+        self._scene, self._model = scene, scene.model
+        self._tree = kinematic_tree(scene.model)
+        self.settings = real_settings(options.extra.get("real", {}), scene.model)
+        self.period = 0.01
+        self.arms: dict[str, UrArm] = {}
+        self._grippers: dict[str, UrGripper] = {}
+
+    def __enter__(self) -> UrDriver:
+        """Connect to every arm. Nothing moves.
+
+        Raises:
+            InputError: wrong address, model or robot, local control, a stop, a port in use, with the cure.
+        """
+        self._began = time.monotonic()
+        wanted = self.settings.arms
+        found = {name: identify(arm.host) for name, arm in wanted.items()}
+        check_swapped(wanted, found)
+        for name, arm in wanted.items():
+            check_identity(name, arm, found[name])
+            check_ready(name, found[name])
+        self._supervisor: Supervisor | None = None
+        with ExitStack() as undo:
+            self._heart = Heart(self._beat)
+            self._heart.start()
+            undo.callback(self._heart.stop)
+            for name, arm in wanted.items():
+                joints = self._model.group(name).joint_names
+                made = UrArm(name, joints, arm, self.settings, found[name], self._heart, self._look)
+                self.arms[name] = made
+                undo.callback(made.close)
+                made.connect()
+            for gripper in self._model.grippers.values():
+                if gripper.arm_group in wanted and (how := wanted[gripper.arm_group].gripper):
+                    arm = self.arms[gripper.arm_group]
+                    tool: UrGripper = (
+                        SocketGripper(arm.settings.host, how.port, gripper)
+                        if how.kind == "socket"
+                        else ToolGripper(arm, gripper)
+                    )
+                    self._grippers[gripper.name] = tool
+                    undo.callback(tool.close)
+            undo.pop_all()
+        self._column = {
+            g.name: self._model.columns((g.joint_name,))[0] for g in self._model.grippers.values()
+        }
+        self._q = np.array(self._scene.positions, dtype=float)
+        self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
+        self._held: dict[str, tuple[str, SE3]] = {}
+        self._forces: dict[str, float] = {}
+        self._supervisor = Supervisor(self.arms)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._supervisor = None
+        for arm in self.arms.values():
+            arm.close()
+        self._heart.stop()
+        for gripper in self._grippers.values():
+            gripper.close()
+        self.arms.clear()
+        self._grippers.clear()
+
+    def _beat(self) -> None:
+        for arm in list(self.arms.values()):
+            arm.beat()
+        self._look()
+
+    def _look(self) -> None:
+        supervisor = self._supervisor
+        if supervisor is not None:
+            supervisor.check()
+
+    # --- state ---
+    @property
+    def now(self) -> float:
+        return time.monotonic() - self._began
+
+    def joint_state(self) -> JointState:
+        q, v = self._q.copy(), np.zeros(self._model.dof)
+        for arm in self.arms.values():
+            columns, state = self._model.columns(arm.joint_names), arm.state
+            q[columns], v[columns] = state.actual_q, state.actual_qd
+        for name in self._grippers:
+            g = self._model.gripper(name)
+            q[self._column[name]] = g.joint_position(self._grippers[name].read()[0])
+        return JointState(self._model.joint_names, q, v, time=self.now)
+
+    def advance(self, duration: float) -> None:
+        time.sleep(duration)
+        for name in self._grippers:
+            self._carry(name)
+
+    # --- motion ---
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
+        """Stream a target to the arms whose joints these are. Nothing is sent after a stop."""
+        sent = JointState(joint_names, positions, velocities, time=self.now)  # type: ignore[arg-type]
+        if self.fault() is None:
+            for arm in self._arms_of(joint_names):
+                arm.servo(sent.reindexed(arm.joint_names).positions)
+        return sent
+
+    def follow(self, trajectory: JointTrajectory) -> Forwarded | Streamed:
+        """One arm plays its trajectory itself; several get it streamed by one clock."""
+        fault = self.fault()
+        if fault is not None:
+            raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
+        arms = self._arms_of(trajectory.joint_names)
+        return Forwarded(arms[0], trajectory) if len(arms) == 1 else Streamed(arms, trajectory, self.fault)
+
+    def _arms_of(self, joint_names: Iterable[str]) -> list[UrArm]:
+        names = set(joint_names)
+        arms = [a for a in self.arms.values() if names & set(a.joint_names)]
+        covered = {n for a in arms for n in a.joint_names}
+        if names != covered:
+            odd = sorted(names ^ covered)
+            raise InputError(
+                f"a motion of real arms needs all joints of each, and no others: {', '.join(odd)}",
+                cure=f"arms in the cell file's 'real': {', '.join(self.arms)}",
+            )
+        return arms
+
+    def stop(self) -> None:
+        """Stop every arm where it is; each then holds the measured position."""
+        for arm in self.arms.values():
+            arm.cancel()
+
+    def fault(self) -> Fault | None:
+        """Why nothing may move: what has stopped the arms and was not resumed."""
+        return self._supervisor.check() if self._supervisor is not None else None
+
+    @property
+    def safety_events(self) -> list[SafetyEvent]:
+        """Every stop and resume so far, with time and cause."""
+        return list(self._supervisor.events) if self._supervisor is not None else []
+
+    def resume(self) -> None:
+        """Let the arms move again after a stop. They stay where they are; old goals are forgotten.
+
+        Raises:
+            InputError: something still stops an arm; says what helps.
+        """
+        if self._supervisor is None or self._supervisor.check() is None:
+            return
+        for arm in self.arms.values():
+            arm.prepare_resume()
+        for arm in self.arms.values():
+            arm.start_program()
+        self._supervisor.clear()
+
+    @property
+    def speed_fraction(self) -> float:
+        """What sliders and pauses leave of the speed: the slowest arm's, 0 to 1."""
+        return min((arm.scaling for arm in self.arms.values()), default=1.0)
+
+    # --- gripper and objects ---
+    def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        self._model.gripper(gripper)
+        if gripper not in self._grippers:
+            raise InputError(
+                f"gripper {gripper!r} has no connection",
+                cure="add 'gripper: {kind: socket}' or '{kind: tool_io}' to its arm under 'real: arms:'",
+            )
+        if not (np.isfinite(width) and np.isfinite(force)):
+            raise InputError(f"gripper target {width} m, {force} N")
+        if width > self._grippers[gripper].read()[0] + 1e-3:
+            self._held.pop(gripper, None)
+        self._forces[gripper] = force
+        self._grippers[gripper].drive(width, force)
+
+    def gripper(self, gripper: str) -> GripperReading:
+        g = self._model.gripper(gripper)
+        if gripper not in self._grippers:
+            return GripperReading(g.width(float(self._q[self._column[gripper]])), 0.0)
+        self._carry(gripper)
+        width, holds = self._grippers[gripper].read()
+        held = self._held.get(gripper)
+        if not holds or held is None:
+            return GripperReading(width, 0.0)
+        return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
+
+    def wrench(self, gripper: str) -> NDArray[np.float64]:
+        """Not known: what a UR sends as TCP force was never compared with ours in frame and sign.
+
+        Raises:
+            InputError: always; a zero would make two arms squeeze what they carry.
+        """
+        raise InputError(
+            "mode real does not feel forces yet", cure="carry and screw run in the modes sim and fake"
+        )
+
+    def _carry(self, gripper: str) -> None:
+        """An object between fingers that hold something goes with them."""
+        holds = self._grippers[gripper].read()[1]
+        T_world_tcp = self._tree.link_pose(
+            self.joint_state().positions, self._model.gripper(gripper).tcp_link
+        )
+        if not holds:
+            self._held.pop(gripper, None)
+        elif gripper in self._held:
+            item, T_tcp_object = self._held[gripper]
+            self._poses[item] = T_world_tcp @ T_tcp_object
+        else:
+            for item, pose in self._poses.items():
+                low, high = self._scene.object(item).bounds()
+                point = pose.inv().apply(T_world_tcp.translation)
+                if np.all(point >= low) and np.all(point <= high):
+                    self._held[gripper] = (item, T_world_tcp.inv() @ pose)
+                    break
+
+    def object_poses(self) -> dict[str, SE3]:
+        return dict(self._poses)
+
+    # A real robot sees no contacts but by its own protective stops.
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        pass
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        pass
+
+    def unwatch_object(self, name: str) -> None:
+        pass
+
+    def unwanted_contacts(self) -> list[ContactRecord]:
+        return []
+
+    def welds(self) -> list[WeldRecord]:
+        return []
+
+
+drivers.register("real")(UrDriver)

@@ -1,0 +1,81 @@
+"""A trajectory under way on real arms: played by one robot itself, or streamed to several by one clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from armcell.control.drivers.ur.arm import UrArm
+from armcell.control.drivers.ur.program import CANCELLED, DONE, RUNNING
+from armcell.control.safety import Fault
+from armcell.core import JointTrajectory
+
+
+class Forwarded:
+    """Played by the robot, whose clock the speed slider and a pause slow."""
+
+    def __init__(self, arm: UrArm, trajectory: JointTrajectory):
+        self._arm, self._started = arm, time.monotonic()
+        self._before = arm.clock()
+        arm.forward(trajectory)
+
+    def clock(self) -> float:
+        now = self._arm.clock()
+        if now == self._before and time.monotonic() - self._started < 0.3:
+            return 0.0  # still that of the trajectory before
+        self._before = -1.0
+        return now
+
+    def state(self) -> str:
+        return self._arm.result
+
+    def paused(self) -> bool:
+        return self._arm.scaling <= 0.0
+
+    def cancel(self) -> None:
+        self._arm.cancel()
+
+
+class Streamed:
+    """Sent point by point to several arms. When one slows, pauses or stops, all do: one clock for all."""
+
+    def __init__(self, arms: Sequence[UrArm], trajectory: JointTrajectory, fault: Callable[[], Fault | None]):
+        self._arms, self._trajectory, self._fault = arms, trajectory, fault
+        self._clock, self._state = 0.0, RUNNING
+        self._cancel = threading.Event()
+        threading.Thread(target=self._stream, name="ur stream", daemon=True).start()
+
+    def _stream(self) -> None:
+        period = max(arm.step for arm in self._arms)
+        duration, first = self._trajectory.duration, float(self._trajectory.times[0])
+        due = last = time.monotonic()
+        names = self._trajectory.joint_names
+        columns = [[names.index(n) for n in arm.joint_names] for arm in self._arms]
+        while self._fault() is None and not self._cancel.is_set():
+            now = time.monotonic()
+            elapsed, last = min(now - last, 4 * period), now  # a late thread does not make the arms jump
+            self._clock = min(self._clock + elapsed * min(arm.scaling for arm in self._arms), duration)
+            q, _, _ = self._trajectory.sample(first + self._clock)
+            for arm, own in zip(self._arms, columns):
+                arm.servo(q[own])
+            if self._clock >= duration:
+                self._state = DONE
+                return
+            due = max(due + period, now)
+            time.sleep(max(due - time.monotonic(), 0.0))
+        self._state = CANCELLED
+        for arm in self._arms:
+            arm.cancel()
+
+    def clock(self) -> float:
+        return self._clock
+
+    def state(self) -> str:
+        return self._state
+
+    def paused(self) -> bool:
+        return any(arm.scaling <= 0.0 for arm in self._arms)
+
+    def cancel(self) -> None:
+        self._cancel.set()

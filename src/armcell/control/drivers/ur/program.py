@@ -1,0 +1,225 @@
+"""Our program on the robot: its text, the server it connects back to, and the messages it takes."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+
+from armcell.core import ArmcellError, InputError, JointTrajectory
+
+SCALE = 1_000_000
+KEEP_ALIVE, SERVO, TRAJECTORY, CANCEL, PAYLOAD, TCP, TOOL_OUT, STANDARD_OUT, END = range(9)
+RUNNING, DONE, CANCELLED = "running", "done", "cancelled"
+_RESULTS = {0: DONE, 1: CANCELLED, 2: "starved of points", 3: "faster than a joint can be"}
+_COMMAND, _POINT = struct.Struct(">8i"), struct.Struct(">20i")
+SCRIPT_PORT = 30002
+
+
+@dataclass(frozen=True)
+class ProgramSettings:
+    """What the robot's side is told once."""
+
+    watchdog: float = 0.1  # [s] without a command until a moving arm stops by itself
+    idle_watchdog: float = 2.0  # [s] the same for one that rests: a busy computer is no danger then
+    stop_deceleration: float = 15.0  # [rad/s^2] of its stops
+    lookahead: float = 0.03  # [s] of servoj, 0.03 to 0.2
+    gain: int = 1000  # of servoj, 100 to 2000
+
+
+def program_text(host: str, port: int, session: int, settings: ProgramSettings) -> str:
+    """The script with its blanks filled in."""
+    text = (files("armcell.control.drivers.ur") / "armcell.script").read_text()
+    values = {
+        "HOST": host, "PORT": port, "SESSION": session, "WATCHDOG": settings.watchdog,
+        "IDLE_WATCHDOG": settings.idle_watchdog,
+        "STOP_DECELERATION": settings.stop_deceleration, "LOOKAHEAD": settings.lookahead,
+        "GAIN": settings.gain,
+    }  # fmt: skip
+    for name, value in values.items():
+        text = text.replace("{{" + name + "}}", str(value))
+    return text
+
+
+def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
+    """A trajectory's points behind its first, as the program takes them, at least two steps [s] apart.
+
+    All carry the trajectory's number. Points that are nearer are left out; the quintics between the others
+    take position, velocity and acceleration of the trajectory.
+    """
+    times = trajectory.times - trajectory.times[0]
+    kept, last = [], 0.0
+    for t in times[1:-1]:
+        if t - last >= 2.0 * step and times[-1] - t >= 2.0 * step:
+            kept.append(float(t))
+            last = float(t)
+    kept.append(float(times[-1]))
+    messages, before = [], 0
+    for t in kept:
+        q, v, a = trajectory.sample(float(trajectory.times[0]) + t)
+        stamp = round(t * SCALE)
+        values = [round(float(x) * SCALE) for x in (*q, *v, *a)]
+        messages.append(_POINT.pack(*values, stamp - before, number))
+        before = stamp
+    return messages
+
+
+class ProgramLink:
+    """The computer's end: listens, uploads the program, and talks to it.
+
+    Args:
+        port: to listen on; every arm needs its own.
+    """
+
+    def __init__(self, arm: str, robot: str, port: int, own_host: str | None, settings: ProgramSettings):
+        self._arm, self._robot, self._own_host, self._settings = arm, robot, own_host, settings
+        self._server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._server.bind((own_host or "", port))
+        except OSError as error:
+            self._server.close()
+            raise InputError(
+                f"arm {arm!r}: port {port} for the robot's connection is not free ({error.strerror})",
+                cure="another arm or another armcell uses it: give each arm its own 'port' in the cell file",
+            ) from None
+        self._server.listen(4)
+        self._reverse: socket.socket | None = None
+        self._points: socket.socket | None = None
+        self._sending = threading.Lock()
+        self.result = DONE  # of the last trajectory
+        self._session, self._number = 0, 0
+
+    @property
+    def connected(self) -> bool:
+        return self._reverse is not None
+
+    def start(self, timeout: float = 5.0) -> int:
+        """Upload the program and wait until it has connected back; returns the session's number.
+
+        Raises:
+            InputError: it did not, with what to look at.
+        """
+        self.close_links()
+        self._session += 1
+        port = self._server.getsockname()[1]
+        try:
+            with socket.create_connection((self._robot, SCRIPT_PORT), 3.0) as upload:
+                host = self._own_host or upload.getsockname()[0]
+                upload.sendall(program_text(host, port, self._session, self._settings).encode())
+                found = self._accept(timeout)
+        except OSError as error:
+            raise InputError(
+                f"arm {self._arm!r}: the program could not be sent to {self._robot}:{SCRIPT_PORT} ({error})",
+                cure="check the address; e-Series: remote control must be on",
+            ) from None
+        if set(found) != {1, 2}:
+            for link in found.values():
+                link.close()
+            raise InputError(
+                f"arm {self._arm!r}: the program on {self._robot} did not connect back to {host}:{port} "
+                f"within {timeout:g} s",
+                cure=f"let port {port} through this computer's firewall; give 'own_host', the address the "
+                "robot can reach; look at the pendant's log",
+            )
+        self._reverse, self._points = found[1], found[2]
+        threading.Thread(
+            target=self._results, args=(found[2],), name=f"points {self._arm}", daemon=True
+        ).start()
+        return self._session
+
+    def _accept(self, timeout: float) -> dict[int, socket.socket]:
+        found: dict[int, socket.socket] = {}
+        end = time.monotonic() + timeout
+        while set(found) != {1, 2} and (left := end - time.monotonic()) > 0:
+            self._server.settimeout(left)
+            try:
+                link, (peer, _) = self._server.accept()
+                link.settimeout(1.0)
+                number = struct.unpack(">i", _exactly(link, 4))[0]
+            except (TimeoutError, ArmcellError):
+                continue
+            if peer == self._robot or peer.startswith("127."):
+                link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                found[number] = link
+            else:
+                link.close()
+        return found
+
+    def _results(self, link: socket.socket) -> None:
+        """Receives results; sees the program's end."""
+        link.settimeout(None)
+        try:
+            while True:
+                number, result = divmod(struct.unpack(">i", _exactly(link, 4))[0], 10)
+                if number == self._number:
+                    self.result = _RESULTS.get(result, "failed")
+        except (OSError, ArmcellError):
+            if link is self._points:
+                self._forget()
+
+    def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
+        """A command with up to six values. Without a program nothing is sent."""
+        six = [round(float(v) * SCALE) for v in values] + [0] * (6 - len(values))
+        self._send(self._reverse, _COMMAND.pack(kind, *six, last))
+
+    def forward(self, trajectory: JointTrajectory, step: float) -> None:
+        """Have a trajectory run; `result` tells when it has ended."""
+        self._number = self._number % 1000 + 1
+        points = points_of(trajectory, step, self._number)
+        self.result = RUNNING
+        self.send(TRAJECTORY, (self._number,), len(points))
+        self._send(self._points, b"".join(points))
+
+    def _send(self, link: socket.socket | None, data: bytes) -> None:
+        if link is None:
+            return
+        try:
+            with self._sending:
+                link.sendall(data)
+        except OSError:
+            self._forget()
+
+    def _forget(self) -> None:
+        self._reverse = self._points = None
+        if self.result == RUNNING:
+            self.result = CANCELLED
+
+    def close_links(self) -> None:
+        for link in (self._reverse, self._points):
+            if link is not None:
+                with contextlib.suppress(OSError):  # the robot may have been quicker
+                    link.shutdown(socket.SHUT_RDWR)
+                link.close()
+        self._forget()
+
+    def close(self) -> None:
+        self.close_links()
+        self._server.close()
+
+
+def _exactly(link: socket.socket, count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        part = link.recv(count - len(data))
+        if not part:
+            raise ArmcellError("closed")
+        data += part
+    return data
+
+
+def split(trajectory: JointTrajectory, names: Sequence[str]) -> JointTrajectory:
+    """The part of a trajectory that belongs to these joints, in their order."""
+    columns = [trajectory.joint_names.index(n) for n in names]
+    part = lambda a: None if a is None else np.asarray(a)[:, columns]  # noqa: E731
+    return JointTrajectory(
+        tuple(names), trajectory.times, np.asarray(trajectory.positions)[:, columns],
+        part(trajectory.velocities), part(trajectory.accelerations),
+    )  # fmt: skip

@@ -1,0 +1,158 @@
+"""RTDE's client: the robot's state as it comes, and values to it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from armcell.control.ur_wire import rtde
+from armcell.core import InputError
+
+STATE_VARIABLES = (
+    "timestamp", "actual_q", "actual_qd", "target_q", "target_qd", "actual_current", "actual_TCP_pose",
+    "actual_TCP_force", "robot_mode", "safety_mode", "safety_status_bits", "runtime_state",
+    "speed_scaling", "target_speed_fraction", "actual_digital_input_bits", "actual_digital_output_bits",
+    "output_int_register_24", "output_int_register_25", "output_double_register_24",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """One packet: values by RTDE's names, and when it came (monotonic clock)."""
+
+    values: dict[str, Any]
+    received: float  # [s]
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self.values[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+class RtdeClient:
+    """One connection with a thread that receives.
+
+    Args:
+        on_state: called from that thread with every packet.
+    """
+
+    def __init__(
+        self, host: str, frequency: float, inputs: Sequence[Sequence[str]] = (),
+        on_state: Callable[[RobotState], None] | None = None, port: int = rtde.PORT,
+    ):  # fmt: skip
+        self.host, self.frequency = host, frequency
+        self._port, self._inputs, self._on_state = port, inputs, on_state
+        self.latest: RobotState | None = None
+        self.error: str | None = None  # why the connection ended
+        self._buffer = bytearray()
+        self._recipes: list[rtde.Recipe] = []
+        self._sending = threading.Lock()
+
+    def connect(self, timeout: float = 3.0) -> None:
+        """Negotiate, start, and wait for the first state.
+
+        Raises:
+            InputError: nobody there, something else than RTDE, or an input another client holds.
+        """
+        try:
+            self._socket = socket.create_connection((self.host, self._port), timeout)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._negotiate()
+        except (OSError, struct.error, rtde.RtdeError) as error:
+            raise InputError(
+                f"no RTDE at {self.host}:{self._port}: {error}",
+                cure="check the address; on the pendant: Settings, Security, Services: enable RTDE",
+            ) from None
+        self._socket.settimeout(1.0)
+        self._open = True
+        self._thread = threading.Thread(target=self._receive, name=f"rtde {self.host}", daemon=True)
+        self._thread.start()
+        end = time.monotonic() + timeout
+        while self.latest is None and self.error is None and time.monotonic() < end:
+            time.sleep(0.005)
+        if self.latest is None:
+            raise InputError(f"{self.host} sends no RTDE data ({self.error or 'silence'})", cure="restart it")
+
+    def _negotiate(self) -> None:
+        if self._ask(rtde.VERSION, struct.pack(">H", 2)) != b"\x01":
+            raise rtde.RtdeError("protocol version 2 was refused")
+        answer = self._ask(
+            rtde.SETUP_OUTPUTS, struct.pack(">d", self.frequency) + ",".join(STATE_VARIABLES).encode()
+        )
+        types = answer[1:].decode().split(",")
+        missing = [n for n, t in zip(STATE_VARIABLES, types) if t == "NOT_FOUND"]
+        if missing:
+            raise rtde.RtdeError(f"the controller does not know {', '.join(missing)}: update its software")
+        self._output_id, self._output = answer[0], rtde.Recipe(STATE_VARIABLES, types)
+        for names in self._inputs:
+            answer = self._ask(rtde.SETUP_INPUTS, ",".join(names).encode())
+            kinds = answer[1:].decode().split(",")
+            if answer[0] == 0:
+                bad = ", ".join(f"{n} ({k})" for n, k in zip(names, kinds) if k in ("IN_USE", "NOT_FOUND"))
+                raise rtde.RtdeError(f"inputs refused: {bad}; another RTDE client or a fieldbus holds them")
+            self._recipes.append(rtde.Recipe(names, kinds))
+        if self._ask(rtde.START, b"") != b"\x01":
+            raise rtde.RtdeError("the controller did not start to send")
+
+    def _ask(self, kind: int, payload: bytes) -> bytes:
+        self._socket.sendall(rtde.frame(kind, payload))
+        while True:
+            for answer, body in rtde.frames(self._buffer):
+                if answer == kind:
+                    return body
+            self._fill()
+
+    def _fill(self) -> None:
+        data = self._socket.recv(65536)
+        if not data:
+            raise rtde.RtdeError("the robot closed the connection")
+        self._buffer += data
+
+    def _receive(self) -> None:
+        try:
+            while self._open:
+                newest: RobotState | None = None
+                for kind, body in rtde.frames(self._buffer):
+                    if kind == rtde.DATA and body[:1] == bytes([self._output_id]):
+                        newest = RobotState(self._output.unpack(body[1:]), time.monotonic())
+                if newest is not None:
+                    self.latest = newest
+                    if self._on_state is not None:
+                        self._on_state(newest)
+                try:
+                    self._fill()
+                except TimeoutError:
+                    continue  # silence is judged by the state's age
+        except (OSError, rtde.RtdeError, struct.error) as error:
+            self.error = str(error) or type(error).__name__
+
+    @property
+    def age(self) -> float:
+        """Of the latest state [s]."""
+        return time.monotonic() - self.latest.received if self.latest is not None else float("inf")
+
+    def send(self, recipe: int, values: Sequence[Any]) -> None:
+        """Values of an input recipe, counted from 0 in the order given.
+
+        Raises:
+            OSError: the connection is gone.
+        """
+        data = bytes([recipe + 1]) + self._recipes[recipe].pack(values)
+        with self._sending:
+            self._socket.sendall(rtde.frame(rtde.DATA, data))
+
+    def close(self) -> None:
+        self._open = False
+        if hasattr(self, "_socket"):
+            with contextlib.suppress(OSError):  # the other side may have been quicker
+                self._socket.shutdown(socket.SHUT_RDWR)
+            self._socket.close()
+        if hasattr(self, "_thread") and self._thread is not threading.current_thread():
+            self._thread.join(timeout=2.0)

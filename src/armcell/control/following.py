@@ -1,0 +1,153 @@
+"""Executing a trajectory that the robot itself plays: it is handed over, watched, and judged as any other."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from armcell.control.driver import Driver
+from armcell.control.safety import Fault
+from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
+
+
+class Following(Protocol):
+    """A trajectory under way."""
+
+    def clock(self) -> float:
+        """How far along the trajectory the robot is [s]; slider and pause slow it."""
+        ...
+
+    def state(self) -> str:
+        """running, done, cancelled, or why the robot gave it up."""
+        ...
+
+    def paused(self) -> bool: ...
+
+    def cancel(self) -> None: ...
+
+
+@runtime_checkable
+class Follower(Protocol):
+    """A driver whose robot plays trajectories itself."""
+
+    def follow(self, trajectory: JointTrajectory) -> Following:
+        """Start it.
+
+        Raises:
+            InputError: the robot may not move, or other joints than the arms' are asked for.
+        """
+        ...
+
+    def fault(self) -> Fault | None:
+        """Why nothing may move, or None."""
+        ...
+
+
+CANCEL_TIME = 2.0  # [s] within which a cancelled arm must rest
+LATENCY = 0.06  # [s] by which the measured state may be behind the trajectory's clock
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Of a motion: as ExecutionSettings has them."""
+
+    path_tolerance: float  # [rad]
+    goal_tolerance: float  # [rad]
+    goal_speed: float  # [rad/s]
+    settle_time: float  # [s]
+    stall_time: float  # [s]
+
+
+def follow_to_end(
+    driver: Driver,
+    follower: Follower,
+    trajectory: JointTrajectory,
+    settings: Tolerances,
+    cancel: threading.Event | None,
+    progress: Callable[[float], None] | None,
+) -> ExecutionResult:
+    """The part of `execute` behind the check of the start. Arguments as there."""
+    names, began, duration = trajectory.joint_names, driver.now, trajectory.duration
+    first = float(trajectory.times[0])
+    tracking, advanced_at, furthest, done_at = 0.0, began, 0.0, None
+
+    def state() -> tuple[np.ndarray, float]:
+        measured = driver.joint_state().reindexed(names)
+        speed = 0.0 if measured.velocities is None else float(np.max(np.abs(measured.velocities)))
+        return measured.positions, speed
+
+    def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:
+        if code is not ErrorCode.SUCCESS:
+            driver.stop()
+        error = float(np.max(np.abs(state()[0] - trajectory.positions[-1])))
+        return ExecutionResult(code, text, evidence, began, driver.now, tracking, error)
+
+    def stopped_by(fault: Fault) -> ExecutionResult:
+        return ended(fault.code, f"stopped: {fault}", arm=fault.arm, kind=fault.kind)
+
+    fault = follower.fault()
+    if fault is not None:
+        return stopped_by(fault)
+    following = follower.follow(trajectory)
+    while True:
+        driver.advance(driver.period)
+        fault = follower.fault()
+        if fault is not None:
+            return stopped_by(fault)
+        if cancel is not None and cancel.is_set():
+            return _cancelled(driver, following, state, ended)
+        t = following.clock()
+        q, speed = state()
+        errors = np.min(
+            [
+                np.abs(q - trajectory.sample(first + max(t - late, 0.0))[0])
+                for late in (0.0, LATENCY / 2, LATENCY)
+            ],
+            axis=0,
+        )
+        worst = int(np.argmax(errors))
+        tracking = max(tracking, float(errors[worst]))
+        if errors[worst] > settings.path_tolerance:
+            following.cancel()
+            text = f"{names[worst]} left the path by {errors[worst]:.3f} at {t:.2f} s"
+            text += f" (tolerance {settings.path_tolerance:g})"
+            return ended(ErrorCode.CONTROL_FAILED, text, joint=names[worst], error=float(errors[worst]))
+        if progress:
+            progress(min(t / duration, 1.0) if duration > 0 else 1.0)
+        if t > furthest or following.paused():
+            furthest, advanced_at = max(t, furthest), driver.now
+        if following.state() == "running":
+            if driver.now - advanced_at > settings.stall_time:
+                following.cancel()
+                text = f"no progress for {settings.stall_time:g} s at {t:.2f} of {duration:.2f} s"
+                return ended(ErrorCode.TIMED_OUT, text)
+            continue
+        if following.state() != "done":
+            return ended(ErrorCode.CONTROL_FAILED, f"the robot ended the trajectory: {following.state()}")
+        done_at = driver.now if done_at is None else done_at
+        left = np.abs(q - trajectory.positions[-1])
+        worst = int(np.argmax(left))
+        if left[worst] <= settings.goal_tolerance and speed <= settings.goal_speed:
+            return ended(ErrorCode.SUCCESS, "")
+        if driver.now - done_at > settings.settle_time:
+            text = f"{names[worst]} ended {left[worst]:.4f} from the goal"
+            text += f" (tolerance {settings.goal_tolerance:g})"
+            return ended(ErrorCode.CONTROL_FAILED, text, joint=names[worst], error=float(left[worst]))
+
+
+def _cancelled(
+    driver: Driver, following: Following, state: Callable, ended: Callable[..., ExecutionResult]
+) -> ExecutionResult:
+    """Cancel, and wait until the arm rests."""
+    at = following.clock()
+    following.cancel()
+    end = driver.now + CANCEL_TIME
+    while driver.now < end:
+        driver.advance(driver.period)
+        if following.state() != "running" and state()[1] < 0.005:
+            break
+    return ended(ErrorCode.PREEMPTED, f"cancelled at {at:.2f} s")

@@ -1,0 +1,186 @@
+"""Sockets of the emulated controller, in one thread, with faults on demand."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from armcell.core import ArmcellError
+
+MAX_WAITING = 1 << 20  # bytes a client may be behind before it is cut off
+
+
+@dataclass
+class Faults:
+    """What is wrong with the network. Times are of the monotonic clock."""
+
+    frozen_until: float = 0.0  # nothing comes or goes
+    refused_until: float = 0.0  # new connections are closed
+    delay: float = 0.0  # [s] of everything sent
+    garbage: int = 0  # so many next messages are random bytes
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    @property
+    def frozen(self) -> bool:
+        return time.monotonic() < self.frozen_until
+
+    @property
+    def refusing(self) -> bool:
+        return time.monotonic() < self.refused_until
+
+
+class Link:
+    """One TCP connection."""
+
+    def __init__(self, sock: socket.socket, network: Network):
+        sock.setblocking(False)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket, self._network, self.open = sock, network, True
+        self.received = bytearray()
+        self._out: list[tuple[float, bytes]] = []
+        self._waiting = 0
+
+    def send(self, data: bytes) -> None:
+        if self.open:
+            if self._network.faults.garbage > 0:
+                self._network.faults.garbage -= 1
+                data = self._network.faults.rng.bytes(len(data))
+            self._out.append((time.monotonic() + self._network.faults.delay, data))
+            self._waiting += len(data)
+            if self._waiting > MAX_WAITING:
+                self.close()
+            self.flush()
+
+    def flush(self) -> None:
+        if not self._out or self._network.faults.frozen:
+            return
+        now = time.monotonic()
+        while self._out and self._out[0][0] <= now:
+            due, data = self._out[0]
+            try:
+                sent = self.socket.send(data)
+            except BlockingIOError:
+                return
+            except OSError:
+                self.close()
+                return
+            self._waiting -= sent
+            if sent < len(data):
+                self._out[0] = (due, data[sent:])
+                return
+            self._out.pop(0)
+
+    def read(self) -> None:
+        """Take in what has arrived; a frozen network leaves it lying."""
+        try:
+            data = self.socket.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            self.received += data
+        else:
+            self.close()
+
+    def close(self) -> None:
+        if self.open:
+            self.open = False
+            self._network.forget(self)
+            self.socket.close()
+
+
+class Network:
+    """Listening ports and connections of one controller."""
+
+    def __init__(self, selector: selectors.BaseSelector):
+        self.faults = Faults()
+        self._selector = selector
+        self._listening: list[socket.socket] = []
+        self.links: dict[Link, Callable[[Link], None] | None] = {}
+
+    def listen(
+        self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None]
+    ) -> int:
+        """Serve a port; returns its number.
+
+        Raises:
+            ArmcellError: the port is taken.
+        """
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            sock.bind((host, port))
+        except OSError as error:
+            sock.close()
+            raise ArmcellError(
+                f"{host}:{port} cannot be served: {error.strerror} (another emulator or robot program "
+                "uses it, or the address is not this machine's: choose another --host, such as 127.0.0.3)"
+            ) from None
+        sock.listen(8)
+        sock.setblocking(False)
+        self._listening.append(sock)
+
+        def accept() -> None:
+            try:
+                connection, _ = sock.accept()
+            except OSError:
+                return
+            if self.faults.refusing:
+                connection.close()
+                return
+            link = Link(connection, self)
+            self._add(link, on_data)
+            begin(link)
+
+        self._selector.register(sock, selectors.EVENT_READ, accept)
+        return sock.getsockname()[1]
+
+    def connect(self, host: str, port: int) -> Link | None:
+        """A connection out, as a program's socket_open makes it; None when nobody answers."""
+        try:
+            sock = socket.create_connection((host, port), timeout=0.05)
+        except OSError:
+            return None
+        link = Link(sock, self)
+        self._add(link, None)
+        return link
+
+    def _add(self, link: Link, on_data: Callable[[Link], None] | None) -> None:
+        self.links[link] = on_data
+
+        def ready() -> None:
+            if self.faults.frozen:
+                return
+            link.read()
+            if on_data is not None and link.received:
+                on_data(link)
+
+        self._selector.register(link.socket, selectors.EVENT_READ, ready)
+
+    def forget(self, link: Link) -> None:
+        if self.links.pop(link, "gone") != "gone":
+            self._selector.unregister(link.socket)
+
+    def flush(self) -> None:
+        for link in list(self.links):
+            link.flush()
+
+    def drop(self, seconds: float) -> None:
+        """Cut every connection; new ones are refused for a while [s]."""
+        self.faults.refused_until = time.monotonic() + seconds
+        for link in list(self.links):
+            link.close()
+
+    def close(self) -> None:
+        for link in list(self.links):
+            link.close()
+        for sock in self._listening:
+            self._selector.unregister(sock)
+            sock.close()
+        self._listening.clear()

@@ -1,0 +1,79 @@
+"""Emulated controllers for tests: in a process of their own, as a robot is."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+
+SRC = os.path.join(os.path.dirname(__file__), "..", "..", "..", "src")
+PORTS = (29999, 30001, 30002, 30003, 30004)
+
+
+def free_hosts(count: int) -> list[str]:
+    """Loopback addresses whose UR ports are free; tests of other workers and worktrees use some as well."""
+    found: list[str] = []
+    start = 10 + os.getpid() % 200
+    for third in range(20, 60):
+        host = f"127.0.{third}.{start}"
+        try:
+            for port in PORTS:
+                with socket.socket() as probe:
+                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                    probe.bind((host, port))
+        except OSError:
+            continue
+        found.append(host)
+        if len(found) == count:
+            return found
+    raise RuntimeError("no free loopback addresses")
+
+
+@contextmanager
+def emulator(*options: str, hosts: list[str]):
+    """`armcell ur-controller` at these addresses."""
+    command = [sys.executable, "-m", "armcell", "ur-controller", *options]
+    for host in hosts:
+        command += ["--host", host]
+    environment = {**os.environ, "PYTHONPATH": os.path.abspath(SRC)}
+    process = subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    with suppress(PermissionError):  # a busy machine must not make the robot late, nor the driver
+        os.setpriority(os.PRIO_PROCESS, process.pid, -15)
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
+    try:
+        for host in hosts:
+            _wait(process, host)
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _wait(process: subprocess.Popen, host: str) -> None:
+    end = time.monotonic() + 120  # the first start on a machine may compile
+    while time.monotonic() < end:
+        if process.poll() is not None:
+            raise RuntimeError(process.communicate()[0])
+        try:
+            socket.create_connection((host, 29999), 1.0).close()
+            return
+        except OSError:
+            time.sleep(0.1)
+    raise RuntimeError("the emulator did not come up")
+
+
+def dashboard(host: str, *commands: str) -> list[str]:
+    """Answers of the dashboard, by a plain socket."""
+    with socket.create_connection((host, 29999), 5.0) as sock, sock.makefile("rw", newline="\n") as file:
+        file.readline()
+        answers = []
+        for command in commands:
+            file.write(command + "\n")
+            file.flush()
+            answers.append(file.readline().strip())
+        return answers

@@ -1,0 +1,64 @@
+"""Mode `real` end to end: the cell file's arms are emulated in physics, in a process of their own."""
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.control.ur.emulated import dashboard, emulator, free_hosts
+
+from armcell.cell import cell_names, load
+from armcell.cell.cell import LIBRARY
+from armcell.cli.main import main
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def cell(tmp_path):
+    """six_axis_pick with a real arm, and the arm's address."""
+    assert "six_axis_pick" in cell_names()
+    (host,) = free_hosts(1)
+    text = (LIBRARY / "six_axis_pick" / "cell.yaml").read_text()
+    # The ages are for a machine that other programs fill; the defaults are 0.05 and 0.1 s.
+    text += "\nreal:\n  max_state_age: 0.3\n  watchdog: 0.5\n  arms:\n"
+    text += f"    arm: {{host: {host}, model: UR10, gripper: {{kind: socket}}}}\n"
+    file = tmp_path / "cell.yaml"
+    file.write_text(text)
+    return file, host
+
+
+def test_the_same_task_on_a_robot_over_the_wire(cell, tmp_path):
+    file, host = cell
+    with emulator("--cell", "six_axis_pick", "--seed", "0", hosts=[host]):
+        out = tmp_path / "result.json"
+        assert main(["run", str(file), "--mode", "real", "--headless", "--json", str(out)]) == 0
+        messages = dashboard(host, "armcell messages")[0]
+    result = json.loads(out.read_text())
+    assert result["success"] and result["mode"] == "real"
+    assert [s["name"] for s in result["stages"]].count("open") == 2
+    assert "protective stop" not in messages  # physics saw no unwanted touch
+
+
+def test_bring_up(cell, tmp_path, capsys):
+    file, host = cell
+    record = tmp_path / "bringup.json"
+    with emulator("--cell", "six_axis_pick", "--off", "--calibration", "4", hosts=[host]):
+        status = main(["bringup", str(file), "--yes", "--record", str(record)])
+    steps = json.loads(record.read_text())["steps"]
+    assert status == 0, steps
+    assert [s["name"] for s in steps] == ["network", "identity", "power", "geometry", "joints", "line"]
+    assert all(s["outcome"] == "done" for s in steps)
+
+
+def test_bring_up_stops_at_the_wrong_model(cell, tmp_path, capsys):
+    file, host = cell
+    with emulator("--model", "UR10e", hosts=[host]):
+        assert main(["bringup", str(file), "--yes", "--record", str(tmp_path / "r.json")]) == 1
+    assert "is a UR10e, the cell file says UR10" in " ".join(capsys.readouterr().out.split())
+
+
+def test_real_needs_addresses(capsys):
+    assert load("six_axis_pick").spec.real == {}
+    assert main(["run", "six_axis_pick", "--mode", "real", "--headless"]) == 1
+    assert "the cell has no real arms" in capsys.readouterr().err
+    assert not Path("bringup.json").exists()
