@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.control.drivers.ur.arm import UrArm
