@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import armcell
-from armcell.cell import run_task
-from armcell.core import InputError
+from armcell.cell import load, run_task
+from armcell.core import ErrorCode, InputError
 
 FILE = Path(armcell.__file__).parent / "cell" / "library" / "panda_pick" / "cell.yaml"
 SLIPPERY = "    movable: true\n    mass: 0.5\n    friction: 0.03\n"
 RUN = """
 import json, sys
 import armcell
-from armcell.cell import run_task
+from armcell.cell import load, run_task
 cell = armcell.load(sys.argv[1])
 with cell.connect(sys.argv[2], seed=4) as live:
     print(json.dumps(run_task(cell, live, 4, sys.argv[2]), allow_nan=False, sort_keys=True))
@@ -160,3 +160,14 @@ def test_moves_only(tmp_path):
     assert [s["name"] for s in result["stages"]] == [f"move to {state}", "hold"]
     assert result["slip_m"] is None and result["placement_error_m"] is None
     assert np.isfinite(result["min_clearance_m"])
+
+
+def test_after_a_stop_nothing_moves_before_resume():
+    with load("panda_pick").connect("fake") as live:
+        live.stop()
+        before = live.driver.joint_state().positions
+        for _ in range(2):
+            assert live.arm.move_to("extended").code is ErrorCode.PREEMPTED
+        assert np.array_equal(live.driver.joint_state().positions, before)
+        live.resume()
+        assert live.arm.move_to("extended").ok

@@ -205,8 +205,12 @@ class LiveCell:
         return self.ctx.reports
 
     def stop(self) -> None:
-        """Stop the running motion; from another thread. The next call moves again."""
+        """Stop the running motion, from any thread. Until `resume()` every call is PREEMPTED."""
         self.ctx.cancel.set()
+
+    def resume(self) -> None:
+        """Let the cell move again after `stop()`."""
+        self.ctx.cancel.clear()
 
     def scene(self) -> PlanningScene:
         """The planning scene as measured now."""
