@@ -13,6 +13,8 @@ from armcell.planning.arms.carry import Carried, plan_carry
 from armcell.tasks import checked
 from armcell.tasks.arms import CarrySettings, shifted
 
+pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second
+
 ENDS = {"left_arm": "front_end", "right_arm": "back_end"}
 
 
@@ -124,7 +126,6 @@ def test_misuse(cell):
             plan_carry(scene, "both_arms", Carried("rod", {}, {}), SE3.identity(), [])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_rod_in_physics(cell, seed):
     with cell.connect("sim", seed=seed) as live:
@@ -136,7 +137,6 @@ def test_the_rod_in_physics(cell, seed):
     assert m["squeeze_N"] <= 30 and m["slip_mm"] <= 1.0 and m["placed_off_mm"] <= 2.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_screwing_in_physics(seed):
     cell = armcell.load("dual_ur10_screw")

@@ -10,6 +10,8 @@ import armcell
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.tasks import checked
 
+pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second
+
 
 @pytest.fixture(scope="module")
 def cell():
@@ -191,7 +193,6 @@ def test_misuse(cell):
             live.side_by_side(left_arm=tour(SAME), middle_arm=tour(SAME))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_sorting_in_physics(seed):
     from armcell.cell import run_task

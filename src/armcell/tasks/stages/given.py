@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from armcell.collision import neighbours
-from armcell.core import SE3, PlanResult
+from armcell.core import SE3, ErrorCode, PlanResult
 from armcell.grasping import RELEASE_GAP, Grasp
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.grasp import finger_state, reachable
+from armcell.tasks.stages.grasp import approaches, reachable
 from armcell.tasks.stages.moves import moved, straight, with_contacts
-from armcell.tasks.steps import Expect, Grip, Motion, StillHeld
+from armcell.tasks.steps import Expect, Motion, StillHeld
 from armcell.timing import reversed_in_time
 
 UNDER = 0.006  # [m] what is that near to a place is what the object will stand on
@@ -31,12 +32,12 @@ class Way:
     offset: Vector  # [m]
     least: float = 0.0
 
-    def taken(self, result: PlanResult) -> bool:
-        """Whether enough of it can be done."""
-        length = float(np.linalg.norm(self.offset))
-        return result.ok or (
-            result.trajectory is not None and 0 < self.least <= result.fraction * length + 1e-6
-        )
+    def judged(self, result: PlanResult) -> PlanResult:
+        """A motion along it, successful where enough of it can be done."""
+        done = result.fraction * float(np.linalg.norm(self.offset))
+        if result.trajectory is not None and 0 < self.least <= done + 1e-6:
+            return replace(result, code=ErrorCode.SUCCESS)
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,37 +60,12 @@ class ChooseGivenGrasp:
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         for grasp in self.grasps:
-            yield from self._approaches(draft, planning, grasp)
+            back = partial(self._backwards, grasp.way_in)
+            yield from approaches(draft, planning, self.name, self.object, self.gripper, grasp, back)
 
-    def _approaches(self, draft: Draft, planning: Planning, grasp: GivenGrasp) -> Iterator[Draft]:
-        gripper = self.gripper
-        opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
-        scene = opened.with_allowed(self.object, gripper.hand_links)
-        T_world_tcp = scene.object(self.object).T_world_object @ grasp.T_object_tcp
-        found = False
-        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
-            at_grasp = scene.with_state(arm)
-            back = _moved_by(T_world_tcp, grasp.way_in.offset, -1.0)
-            result = straight(at_grasp, gripper.arm_group, gripper.tcp_link, back, self.speed)
-            if not grasp.way_in.taken(result) or result.trajectory is None:
-                planning.reject("approach", grasp.name, result.message)
-                continue
-            found = True
-            approach = reversed_in_time(result.trajectory)
-            yield draft.then(
-                Grip("open", gripper, grasp.opening, gripper.max_force),
-                Expect(self.object, gripper.finger_links),
-                scene=opened,
-                grasp=grasp,
-                candidate=grasp.name,
-                pre_grasp=approach.positions[0],
-                approach=Motion(
-                    "approach", approach, "cartesian", result.planning_time, result.min_clearance
-                ),
-                after_approach=at_grasp,
-            )
-        if found:
-            planning.reject(self.name, grasp.name, "no complete plan with this grasp")
+    def _backwards(self, way: Way, at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
+        back = _moved_by(T_world_tcp, way.offset, -1.0)
+        return way.judged(straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +83,10 @@ class Lift:
         gripper = self.gripper
         scene = with_contacts(draft.scene, ((self.object, self.supports),))
         target = _moved_by(scene.frame_pose(gripper.tcp_link), grasp.way_out.offset)
-        result = straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
-        if not grasp.way_out.taken(result) or result.trajectory is None:
+        result = grasp.way_out.judged(
+            straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
+        )
+        if not result.ok or result.trajectory is None:
             planning.reject(self.name, grasp.name, result.message)
             return
         yield moved(draft, self.name, result)
@@ -147,8 +125,10 @@ class ChooseGivenPlace:
         for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, place.name):
             at_place = scene.with_state(arm)
             up = _moved_by(T_world_tcp, place.down.offset, -1.0)
-            result = straight(at_place, gripper.arm_group, gripper.tcp_link, up, self.speed)
-            if not place.down.taken(result) or result.trajectory is None:
+            result = place.down.judged(
+                straight(at_place, gripper.arm_group, gripper.tcp_link, up, self.speed)
+            )
+            if not result.ok or result.trajectory is None:
                 planning.reject("lower", place.name, result.message)
                 continue
             lower = reversed_in_time(result.trajectory)
@@ -180,8 +160,9 @@ class Leave:
         tcp = scene.frame_pose(gripper.tcp_link)
         back = tcp.rotation.matrix @ np.array([0.0, 0.0, -self.distance])
         away = place.away or Way((float(back[0]), float(back[1]), float(back[2])), self.distance / 2)
-        result = straight(scene, gripper.arm_group, gripper.tcp_link, _moved_by(tcp, away.offset), self.speed)
-        if not away.taken(result) or result.trajectory is None:
+        target = _moved_by(tcp, away.offset)
+        result = away.judged(straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed))
+        if not result.ok or result.trajectory is None:
             planning.reject(self.name, place.name, result.message)
             return
         yield moved(draft, self.name, result)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,41 +72,54 @@ class ChooseGrasp:
     def _approaches(
         self, draft: Draft, planning: Planning, grasp: Grasp, proof: Proof | None
     ) -> Iterator[Draft]:
-        gripper = self.gripper
-        opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
-        scene = opened.with_allowed(self.object, gripper.hand_links)
-        T_world_tcp = scene.object(self.object).T_world_object @ grasp.T_object_tcp
-        found = False
-        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name):
-            at_grasp = scene.with_state(arm)
+        def back(at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
             result = self._backwards(at_grasp, T_world_tcp, self.distance)
             least = planning.settings.least_approach
             if not result.ok and self.distance > least:
                 result = self._backwards(at_grasp, T_world_tcp, least)
-            if not result.ok or result.trajectory is None:
-                planning.reject("approach", grasp.name, result.message)
-                continue
-            found = True
-            approach = reversed_in_time(result.trajectory)
-            yield draft.then(
-                Grip("open", gripper, grasp.opening, gripper.max_force),
-                Expect(self.object, gripper.finger_links),
-                scene=opened,
-                grasp=grasp,
-                proof=proof,
-                candidate=grasp.name,
-                pre_grasp=approach.positions[0],
-                approach=Motion(
-                    "approach", approach, "cartesian", result.planning_time, result.min_clearance
-                ),
-                after_approach=at_grasp,
-            )
-        if found:
-            planning.reject(self.name, grasp.name, "no complete plan with this grasp")
+            return result
+
+        for found in approaches(draft, planning, self.name, self.object, self.gripper, grasp, back):
+            yield found.then(proof=proof)
 
     def _backwards(self, at_grasp: PlanningScene, T_world_tcp: SE3, distance: float) -> PlanResult:
         back = shifted(T_world_tcp, (0.0, 0.0, -distance), in_own_frame=True)
         return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
+
+
+def approaches(
+    draft: Draft, planning: Planning, stage: str, item: str, gripper: Gripper, grasp: Grasp,
+    back: Callable[[PlanningScene, SE3], PlanResult],
+) -> Iterator[Draft]:  # fmt: skip
+    """Ways to come to a grasp, each ending in another arm state; what cannot be is rejected by reason.
+
+    Args:
+        back: plans the approach backwards, from (the scene at the grasp, T_world_tcp there).
+    """
+    opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
+    scene = opened.with_allowed(item, gripper.hand_links)
+    T_world_tcp = scene.object(item).T_world_object @ grasp.T_object_tcp
+    found = False
+    for arm in reachable(scene, gripper, T_world_tcp, planning, stage, grasp.name):
+        at_grasp = scene.with_state(arm)
+        result = back(at_grasp, T_world_tcp)
+        if not result.ok or result.trajectory is None:
+            planning.reject("approach", grasp.name, result.message)
+            continue
+        found = True
+        approach = reversed_in_time(result.trajectory)
+        yield draft.then(
+            Grip("open", gripper, grasp.opening, gripper.max_force),
+            Expect(item, gripper.finger_links),
+            scene=opened,
+            grasp=grasp,
+            candidate=grasp.name,
+            pre_grasp=approach.positions[0],
+            approach=Motion("approach", approach, "cartesian", result.planning_time, result.min_clearance),
+            after_approach=at_grasp,
+        )
+    if found:
+        planning.reject(stage, grasp.name, "no complete plan with this grasp")
 
 
 @dataclass(frozen=True, eq=False)
