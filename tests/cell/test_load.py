@@ -174,5 +174,5 @@ def test_connecting_twice_gives_two_cells(small):
 
 
 def test_unknown_mode_lists_the_known(small):
-    with pytest.raises(UnknownNameError, match="fake, sim"):
-        small.connect("real")
+    with pytest.raises(UnknownNameError, match="fake, real, sim"):
+        small.connect("hologram")

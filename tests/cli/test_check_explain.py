@@ -44,7 +44,7 @@ UNSOUND = {
                 "pick cube", "out of reach"),
     "fixed": (cell_with("box: [0.05, 0.05, 0.05], pose: [0.5, 0, 0.024]"), "pick cube", "movable: true"),
     "no room for it": (
-        cell_with(GOOD, "  post: {cylinder: [0.02, 0.2], pose: [0.4, 0.3, 0.1]}\n",
+        cell_with(GOOD, "  post: {cylinder: [0.005, 0.2], pose: [0.4, 0.3, 0.1]}\n",
                   "task: [{pick: cube}, {place: {object: cube, on: post}}]\n"), "place cube", "does not fit"),
 }  # fmt: skip
 

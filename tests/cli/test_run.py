@@ -132,7 +132,7 @@ def test_a_runs_folder_that_cannot_be_made(capsys, here):
 
 
 def test_a_run_that_cannot_begin_leaves_no_folder(capsys, here):
-    said = call(capsys, "run", "panda_pick", "--mode", "real")
+    said = call(capsys, "run", "panda_pick", "--mode", "hologram")
     assert said.status == 1 and "unknown mode" in said.err
     assert not list(here.glob("runs/*"))
 
@@ -141,7 +141,7 @@ def test_a_task_that_turns_out_impossible_is_reported_like_any_failure(capsys, h
     text = (
         "robot: panda\nstart: {arm: home, hand: open}\nobjects:\n"
         "  table: {box: [1, 1, 0.1], pose: [0.5, 0, -0.051]}\n"
-        "  post: {cylinder: [0.02, 0.2], pose: [0.4, 0.3, 0.1]}\n"
+        "  post: {cylinder: [0.005, 0.2], pose: [0.4, 0.3, 0.1]}\n"
         "  cube: {box: [0.05, 0.05, 0.05], pose: [0.5, 0, 0.024], movable: true}\n"
         "task: [{pick: cube}, {place: {object: cube, on: post}}]\n"
     )
