@@ -13,7 +13,7 @@ from armcell.cell.grasp_trials import Row, summary
 @pytest.mark.slow
 def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
     (tmp_path / "parts").mkdir()
-    trimesh.creation.box((120, 50, 90)).export(tmp_path / "parts" / "block.stl")
+    trimesh.creation.box((90, 50, 60)).export(tmp_path / "parts" / "block.stl")
     trimesh.creation.torus(45, 12).export(tmp_path / "parts" / "ring.ply")
     said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path / "parts", "--scale", "0.001",
                 "--candidates", "4", "--proof-trials", "3", "--json", tmp_path / "out.json")  # fmt: skip
