@@ -36,6 +36,7 @@ def run(live, bus: Bus, cameras: CameraPublisher, seconds: float, tf=None) -> No
         cameras.publish(tf)
 
 
+@pytest.mark.slow
 def test_pictures_clouds_and_info_at_their_rate(cell):
     bus = Bus()
     with cell.connect() as live:
