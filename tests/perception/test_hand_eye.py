@@ -106,8 +106,8 @@ def test_end_to_end_with_a_panda(mount):
         q[columns] = base + rng.uniform(-0.35, 0.35, 7)
         world.set_positions(q)
         sight = find_markers(take_image(world, camera, depth=False), family, size, [0])
-        # half a pixel: a finger hides a corner
-        if sight.ok and not sight[0].ambiguous and sight[0].error_px < 0.3 and len(hands) < 15:
+        # in one of them a finger hides a corner: its pose is 2 rad wrong
+        if sight.ok and not sight[0].ambiguous and not sight[0].hidden and len(hands) < 15:
             hands.append(world.link_pose("panda_hand"))
             markers.append(sight[0].T_camera_marker)
     assert len(hands) == 15
