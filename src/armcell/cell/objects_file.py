@@ -53,8 +53,6 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         given["mass"] = spec.mass
     if spec.friction is not None:
         given["material"] = Material(spec.friction)
-    if spec.thread is not None:
-        given["thread"] = Thread(**spec.thread.model_dump())
     pose = SE3.from_mapping(spec.pose, "pose")
     if spec.model is not None:
         item = library_object(spec.model, name, pose, scale=spec.mesh_scale, sizes=spec.sizes, **given)

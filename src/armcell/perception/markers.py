@@ -19,6 +19,7 @@ from armcell.core import (
     Outcome,
     UnknownNameError,
 )
+from armcell.perception.usable import stale
 
 F64 = NDArray[np.float64]
 
@@ -97,13 +98,9 @@ def find_markers(
     cv2, dictionary = _dictionary(family)
     expected = tuple(sorted(set(wanted)))
     name = f"camera {image.camera!r}"
-    if now is not None and now - image.time > max_age:
-        return MarkerSight(
-            ErrorCode.SENSOR_INFO_STALE,
-            f"{name}: the newest picture is {now - image.time:.2f} s old, more than {max_age:g} s "
-            "(is the camera frozen? restart it, or raise max_age)",
-            missing=expected, time=image.time,
-        )  # fmt: skip
+    old = stale(image, max_age, now)
+    if old is not None:
+        return MarkerSight(old.code, old.message, old.evidence, missing=expected, time=image.time)
     if image.rgb is None:
         return MarkerSight(
             ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, f"{name} gave no colour, markers need it",
