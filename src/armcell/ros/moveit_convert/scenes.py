@@ -167,9 +167,7 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
     # Attached ones first, as MoveIt has it: what is attached and removed from the world in one diff is held.
     for attached in message.robot_state.attached_collision_objects:
         add(attached_changes(attached, now, scene))
-    for item in world.collision_objects:
-        add(object_changes(item, now, scene))
-    add(_octomap(world.octomap))
+    add(_world(world, now, scene))
     add(_allowed(message.allowed_collision_matrix, now))
     if message.link_padding or message.link_scale:
         add([
@@ -185,6 +183,26 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
         if c.id in now.objects or c.id in now.attached
     )
     return SceneDiff(tuple(changes))
+
+
+def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
+    """The changes that a moveit_msgs/PlanningSceneWorld makes: it replaces the world, octomap and all.
+
+    Raises:
+        InputError: something that cannot be meant, or a frame that is not there.
+    """
+    empty = SceneDiff.of(RemoveAllObjects(), *([SetOctomap(None)] if OCTOMAP in scene.objects else []))
+    return empty + SceneDiff(tuple(_world(message, empty.applied_to(scene), scene)))
+
+
+def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
+    """The changes of a PlanningSceneWorld, each seen in the scene as the ones before leave it."""
+    changes: list[Change] = []
+    for item in message.collision_objects:
+        more = object_changes(item, now, known)
+        now = SceneDiff(tuple(more)).applied_to(now)
+        changes += more
+    return [*changes, *_octomap(message.octomap)]
 
 
 def _frames(transforms: Any, scene: PlanningScene) -> list[Change]:
