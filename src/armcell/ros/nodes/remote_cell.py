@@ -41,6 +41,7 @@ GRIP_TIMEOUT = 6.0  # [s]
 GRIP_START = 0.4  # [s] in which fingers may begin to move
 HELD_MARGIN = 0.01  # [m] around an object in which the tcp of the hand that holds it is
 POLL = 0.01  # [s]
+BEGINS = ("executing", "refused")  # first words about a motion
 
 
 class RemoteCell:
@@ -81,6 +82,7 @@ class RemoteCell:
             for g in grippers
         }
         self._said: list[str] = []
+        self._announces = False  # the simulator says when a motion begins
 
     def close(self) -> None:
         self._closed.set()
@@ -110,6 +112,7 @@ class RemoteCell:
     def _on_status(self, message: Any) -> None:
         with self._lock:
             self._said.append(message.data)
+            self._announces |= message.data.startswith(BEGINS)
 
     def _pose_callback(self, name: str) -> Callable[[Any], None]:
         def take(message: Any) -> None:
@@ -256,8 +259,7 @@ class RemoteCell:
             if work.cancel.is_set():
                 self.stop_joints(names)
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
-            with self._lock:
-                said = list(self._said)
+            said = self._said_of_this_one()
             for text in said:
                 what, _, why = text.partition(": ")
                 if what == "done":
@@ -275,6 +277,14 @@ class RemoteCell:
             time.sleep(POLL)
         text = f"the simulator did not arrive: {error:.3f} from the end"
         return ExecutionResult(ErrorCode.CONTROL_FAILED, text)
+
+    def _said_of_this_one(self) -> list[str]:
+        """What was said since the motion began: that the one before it has stopped may come late."""
+        with self._lock:
+            said = list(self._said)
+            if not self._announces:
+                return said
+        return said[next((i for i, text in enumerate(said) if text.startswith(BEGINS)), len(said)) :]
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
         if not (np.isfinite(width) and np.isfinite(force)):
