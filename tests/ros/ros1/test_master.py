@@ -166,7 +166,10 @@ def test_several_calls_in_one(master):
     assert [answer[2] for answer in many()] == [0, 1]
 
 
-BOMB = '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa">]><methodCall><methodName>&a;</methodName></methodCall>'
+BOMB = (
+    '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa">]>'
+    "<methodCall><methodName>&a;</methodName></methodCall>"
+)
 
 
 @pytest.mark.parametrize(
