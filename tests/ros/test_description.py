@@ -21,7 +21,9 @@ def test_a_robot_read_from_its_parameters_is_the_same(cell, tmp_path):
     file.write_text(bus.parameters.get("/robot_description"))
     again = with_srdf_text(load_urdf(file), bus.parameters.get("/robot_description_semantic"), file)
     assert again.joint_names == model.joint_names
-    assert {n: g.joint_names for n, g in again.groups.items()} == {n: g.joint_names for n, g in model.groups.items()}
+    assert {n: g.joint_names for n, g in again.groups.items()} == {
+        n: g.joint_names for n, g in model.groups.items()
+    }
     q = np.random.default_rng(0).uniform(model.lower, model.upper)
     one, other = kinematic_tree(model), kinematic_tree(again)
     assert set(again.links) == set(model.links)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, NamedTuple
 
 import typer
 
-from armcell.cli.console import console, err
+from armcell.cli.console import err
 from armcell.core import InputError
 
 ROS1 = typer.Option(
@@ -24,10 +24,17 @@ REMAP = typer.Argument(
 )  # fmt: skip
 
 
+class Wire(NamedTuple):
+    """What the bus is joined to: what is said when the cell is ready, and on the status line."""
+
+    ready: str
+    status: Callable[[], str]
+
+
 def join(
-    stack: ExitStack, bus: Any, name: str, own_master: bool | None, remap: list[str] | None, bind: str | None,
-) -> Callable[[], str]:  # fmt: skip
-    """Join a graph until the stack is closed; gives what the status line says of it.
+    stack: ExitStack, bus: Any, name: str, own_master: bool | None, remap: list[str] | None, bind: str | None
+) -> Wire:
+    """Join a graph until the stack is closed.
 
     Raises:
         InputError: there is no master, an address cannot be listened on, a remapping is none.
@@ -39,7 +46,6 @@ def join(
     if not settings.is_local:
         err(f"{settings.bind}: every machine in the network can move the cell (no password, no encryption)")
     own = "its own master" if graph.master else "the master"
-    console.print(f"ROS 1: node {graph.node.name} at {own}, {graph.node.master}; Ctrl-C ends it", markup=False)
 
     def status() -> str:
         """Raises InputError when the node was asked to end."""
@@ -47,13 +53,15 @@ def join(
             raise InputError(f"the ROS 1 node has to end: {graph.reason}")
         now = graph.status()
         peers = ", ".join(now.peers[:3]) + (" ..." if len(now.peers) > 3 else "")
-        gone = "" if now.reachable else "  master gone"
-        troubles = (f"  dropped {now.dropped}" if now.dropped else "") + (
-            f"  mistakes {now.mistakes}" if now.mistakes else ""
-        )
-        return f"ROS 1 {now.node}  {peers or 'no other node'}{gone}{troubles}"
+        words = [
+            f"ROS 1 {now.node}  {peers or 'no other node'}",
+            "" if now.reachable else "master gone",
+            f"dropped {now.dropped}" if now.dropped else "",
+            f"mistakes {now.mistakes}" if now.mistakes else "",
+        ]
+        return "  ".join(word for word in words if word)
 
-    return status
+    return Wire(f"ROS 1: node {graph.node.name} at {own}, {graph.node.master}", status)
 
 
 def check_remap(ros1: bool, remap: list[str] | None, own_master: bool | None) -> None:

@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.text import Text
 
 from armcell.cli.console import console, err, errors
-from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, check_remap
+from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
 from armcell.core import InputError
 
@@ -64,30 +64,33 @@ def serve(
     from armcell.ros import Bus, Schema
 
     bus = Bus(Schema(types) if types is not None else None)
-    told: list[Callable[[], str]] = []
+    wires: list[Wire] = []
     with ExitStack() as stack:  # a port in use is said before the cell is loaded
         if unity:
-            told.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
+            wires.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
         if ros1:
-            told.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
+            wires.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
+
+        def ready() -> None:  # services answer from here on, not from when the port is open
+            for wire in wires:
+                console.print(f"{wire.ready}; Ctrl-C ends it", markup=False)
 
         def status() -> str:
-            return "  ".join(tell() for tell in told)
+            return "  ".join(wire.status() for wire in wires)
 
         if plan_only:
-            return _plan_only(cell, bus, seed, seconds, status)
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, plan=True, auto_grip=auto_grip)
+            return _plan_only(cell, bus, seed, seconds, status, ready)
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready, True, auto_grip)
 
 
-def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Callable[[], str]:
-    """Serve Unity until the stack is closed; gives what the status line says of it."""
+def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Wire:
+    """Serve Unity until the stack is closed."""
     from armcell.ros.tcp import RosTcpServer, ServerSettings
 
     server = stack.enter_context(RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol)))
     host, number = server.address
     if bind not in ("127.0.0.1", "localhost"):
         err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
-    console.print(f"Unity can connect to {host}:{number}; Ctrl-C ends it", markup=False)
 
     def status() -> str:
         clients = server.clients()
@@ -95,7 +98,7 @@ def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str
         dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
         return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
 
-    return status
+    return Wire(f"Unity can connect to {host}:{number}", status)
 
 
 def sim(
@@ -160,15 +163,16 @@ def sim(
 
 
 def _sim_ros1(
-    cell: str, own_master: bool | None, remap: list[str], mode: str, seed: int, time_scale: float, rate: float,
-    seconds: float | None,
+    cell: str, own_master: bool | None, remap: list[str], mode: str, seed: int, time_scale: float,
+    rate: float, seconds: float | None,
 ) -> int:  # fmt: skip
     from armcell.ros import Bus
 
     bus = Bus()
     with ExitStack() as stack:
-        status = join_ros1(stack, bus, "armcell_sim", own_master, remap, None)
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status)
+        wire = join_ros1(stack, bus, "armcell_sim", own_master, remap, None)
+        ready = lambda: console.print(f"{wire.ready}; Ctrl-C ends it", markup=False)  # noqa: E731
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, wire.status, ready)
 
 
 def address(text: str) -> tuple[str, int]:
@@ -185,7 +189,7 @@ def address(text: str) -> tuple[str, int]:
 
 def _run(
     cell: str, bus: Any, mode: str, seed: int, time_scale: float, rate: float, seconds: float | None,
-    status: Callable[[], str], joined: Callable[[], None] = lambda: None, plan: bool = False,
+    status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
     auto_grip: bool = False,
 ) -> int:  # fmt: skip
     from armcell.cell import load
@@ -196,7 +200,7 @@ def _run(
     line = _StatusLine(bus, lambda: served.node.executed, status)
     try:
         served.start()
-        joined()
+        ready()
         with line:
             _until(seconds, line, served.thread)
     except KeyboardInterrupt:
@@ -208,14 +212,23 @@ def _run(
     return 0
 
 
-def _plan_only(cell: str, bus: Any, seed: int, seconds: float | None, status: Callable[[], str]) -> int:
+def _plan_only(
+    cell: str,
+    bus: Any,
+    seed: int,
+    seconds: float | None,
+    status: Callable[[], str],
+    ready: Callable[[], None],
+) -> int:
     from armcell.cell import load
     from armcell.ros.nodes import ServedPlanner
 
     line = _StatusLine(bus, lambda: None, status)
     try:
-        with ServedPlanner(load(cell), bus, seed), line:
-            _until(seconds, line, None)
+        with ServedPlanner(load(cell), bus, seed):
+            ready()
+            with line:
+                _until(seconds, line, None)
     except KeyboardInterrupt:
         pass
     return 0

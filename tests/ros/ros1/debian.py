@@ -66,7 +66,9 @@ class Debian:
     def start(self, *arguments: str, **options) -> subprocess.Popen:
         log = (self.folder / f"{len(self._started)}.log").open("w")
         options.setdefault("env", self.environment)
-        process = subprocess.Popen(arguments, stdout=log, stderr=subprocess.STDOUT, cwd=self.folder, **options)
+        process = subprocess.Popen(
+            arguments, stdout=log, stderr=subprocess.STDOUT, cwd=self.folder, **options
+        )
         self._started.append(process)
         return process
 

@@ -34,17 +34,21 @@ arm = [(n, q) for n, q in zip(state.name, state.position) if "finger" not in n]
 def goal(shift, seconds, names=None):
     g = ours.MADE["control_msgs/FollowJointTrajectoryGoal"]()
     g.trajectory.joint_names = names or [n for n, _ in arm]
-    here = dict(zip(*(lambda s: (s.name, s.position))(rospy.wait_for_message("/joint_states", JointState))))
+    now = rospy.wait_for_message("/joint_states", JointState)
+    here = dict(zip(now.name, now.position))
     start = [here[n] for n, _ in arm]
     ends = ((0.0, start), (seconds, [start[0] + shift] + start[1:]))
-    g.trajectory.points = [Point(positions=q, velocities=[0.0] * 7, time_from_start=rospy.Duration(t)) for t, q in ends]
+    g.trajectory.points = [
+        Point(positions=q, velocities=[0.0] * 7, time_from_start=rospy.Duration(t)) for t, q in ends
+    ]
     return g
 told = []
 found = {}
 before = rospy.wait_for_message("/joint_states", JointState).position[0]
 client.send_goal(goal(0.4, 2.0), feedback_cb=told.append)
 client.wait_for_result(rospy.Duration(20))
-found["state"], found["code"], found["feedback"] = client.get_state(), client.get_result().error_code, len(told)
+found["state"], found["code"] = client.get_state(), client.get_result().error_code
+found["feedback"] = len(told)
 rospy.sleep(0.3)
 found["moved"] = rospy.wait_for_message("/joint_states", JointState).position[0] - before
 client.send_goal(goal(-0.4, 4.0))
@@ -54,8 +58,8 @@ client.wait_for_result(rospy.Duration(10))
 found["cancelled"] = client.get_state()
 client.send_goal_and_wait(goal(0.1, 1.0, ["nonsense"] * 7), rospy.Duration(10))
 found["unknown joint"] = [client.get_state(), client.get_result().error_code]
-found["stamps grow"] = all(b > a for a, b in zip(*(lambda t: (t, t[1:]))(
-    [rospy.wait_for_message("/joint_states", JointState).header.stamp.to_sec() for _ in range(5)])))
+stamps = [rospy.wait_for_message("/joint_states", JointState).header.stamp for _ in range(5)]
+found["stamps grow"] = all(b > a for a, b in zip(stamps, stamps[1:]))
 print(json.dumps(found))
 """
 
@@ -71,7 +75,9 @@ found = {"urdf": rospy.get_param("/robot_description")[:6],
          "srdf": "panda_arm" in rospy.get_param("/robot_description_semantic"),
          "scaling": rospy.get_param("/robot_description_planning/default_velocity_scaling_factor")}
 clients = {}
-for name, kind in (("move_group", "MoveGroup"), ("execute_trajectory", "ExecuteTrajectory"), ("pickup", "Pickup"), ("place", "Place")):
+ACTIONS = {"move_group": "MoveGroup", "execute_trajectory": "ExecuteTrajectory", "pickup": "Pickup",
+           "place": "Place"}
+for name, kind in ACTIONS.items():
     clients[name] = actionlib.SimpleActionClient("/" + name, msg(kind + "Action"))
     assert clients[name].wait_for_server(rospy.Duration(20)), name
 def service(name, kind, **fields):
@@ -93,7 +99,8 @@ diff = msg("PlanningScene")(is_diff=True)
 diff.robot_state.is_diff = True
 diff.world.collision_objects = [box]
 found["applied"] = service("/apply_planning_scene", "ApplyPlanningScene", scene=diff).success
-found["box there"] = "box" in [o.id for o in service("/get_planning_scene", "GetPlanningScene").scene.world.collision_objects]
+scene = service("/get_planning_scene", "GetPlanningScene").scene
+found["box there"] = "box" in [o.id for o in scene.world.collision_objects]
 state = rospy.wait_for_message("/joint_states", JointState, timeout=10)
 now = dict(zip(state.name, state.position))
 names = [n for n in state.name if "finger" not in n]
@@ -140,7 +147,8 @@ p = ik.pose_stamped.pose
 p.position.x, p.position.y, p.position.z, p.orientation.x = 0.4, 0.1, 0.4, 1.0
 answer = service("/compute_ik", "GetPositionIK", ik_request=ik)
 found["ik"] = [answer.error_code.val, len(answer.solution.joint_state.name)]
-found["planners"] = [d.name for d in service("/query_planner_interface", "QueryPlannerInterfaces").planner_interfaces]
+planners = service("/query_planner_interface", "QueryPlannerInterfaces").planner_interfaces
+found["planners"] = [d.name for d in planners]
 print(json.dumps(found))
 """
 
@@ -172,7 +180,9 @@ def graph(tmp_path_factory):
         pytest.skip(f"no real ROS 1: {why}")
     real = Debian(tmp_path_factory.mktemp("ros"))
     services = [s for s in S.services if s.startswith("moveit_msgs/")]
-    (real.folder / "md5.json").write_text(str({s.split("/")[1]: S.md5(s) for s in services}).replace("'", '"'))
+    (real.folder / "md5.json").write_text(
+        str({s.split("/")[1]: S.md5(s) for s in services}).replace("'", '"')
+    )
     real.start_master()
     yield real
     real.close()

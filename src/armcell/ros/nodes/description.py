@@ -1,7 +1,7 @@
 """The robot's descriptions as parameters, where ROS programs look for them: RViz, moveit_commander.
 
-`/robot_description` (URDF), `/robot_description_semantic` (SRDF), `/robot_description_planning` (joint limits,
-default scaling) and `/robot_description_kinematics`.
+`/robot_description` (URDF), `/robot_description_semantic` (SRDF), `/robot_description_planning` (joint
+limits, default scaling) and `/robot_description_kinematics`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,14 @@ def _link(robot: Any, link: Link) -> None:
         _origin(inertial, link.inertial.T_link_com)
         etree.SubElement(inertial, "mass", value=_number(link.inertial.mass))
         I = link.inertial.inertia
-        values = {"ixx": I[0, 0], "ixy": I[0, 1], "ixz": I[0, 2], "iyy": I[1, 1], "iyz": I[1, 2], "izz": I[2, 2]}
+        values = {
+            "ixx": I[0, 0],
+            "ixy": I[0, 1],
+            "ixz": I[0, 2],
+            "iyy": I[1, 1],
+            "iyz": I[1, 2],
+            "izz": I[2, 2],
+        }
         etree.SubElement(inertial, "inertia", {k: _number(v) for k, v in values.items()})
     for visual in link.visuals:
         shown = etree.SubElement(element, "visual")
@@ -77,9 +84,7 @@ def _shape(geometry: Any, shape: Shape) -> None:
     elif isinstance(shape, Sphere):
         etree.SubElement(geometry, "sphere", radius=_number(shape.radius))
     elif isinstance(shape, Cylinder):
-        etree.SubElement(
-            geometry, "cylinder", radius=_number(shape.radius), length=_number(shape.length)
-        )
+        etree.SubElement(geometry, "cylinder", radius=_number(shape.radius), length=_number(shape.length))
 
 
 def _joint(robot: Any, joint: Joint) -> None:
