@@ -31,7 +31,7 @@ from armcell.ros.ros2.topics import Incoming, Outgoing
 
 logger = logging.getLogger(__name__)
 LOOK = 0.1  # [s] at the latest, discovery is looked at
-QOS_LOOK = 1.0  # [s] between two looks for those who cannot talk to us
+PERIOD = 1.0  # [s] between two looks even if nobody came or went, and for those who cannot talk to us
 SHUT_DOWN = 5.0  # [s]
 ACTION_TOPICS = {
     "/goal": "ActionGoal", "/result": "ActionResult", "/feedback": "ActionFeedback",
@@ -186,15 +186,15 @@ class Ros2Bridge:
     # --- following the bus ---
     def _run(self) -> None:
         context = self._joined()
-        seen, next_qos = (-1, -1), 0.0
+        seen, next_look = (-1, -1), 0.0
         while not self._stop.is_set():
             version = self.bus.wait_change(seen[0], LOOK)
-            now = (version, context.graph.version)
-            if now != seen:
+            now, due = (version, context.graph.version), time.monotonic() >= next_look
+            if now != seen or due:
                 seen = now
                 self._look(context)
-            if time.monotonic() >= next_qos:
-                next_qos = time.monotonic() + QOS_LOOK
+            if due:
+                next_look = time.monotonic() + PERIOD
                 for part in (*self._out.values(), *self._in.values()):
                     part.look()
 
@@ -245,11 +245,10 @@ class Ros2Bridge:
                 self._servers[name] = (type_name, self._serve(context, name, type_name))
 
     def _serve(self, context: Context, name: str, type_name: str) -> Server:
-        def on_request(request: Any, asked: Asked) -> None:
+        def on_request(server: Server, request: Any, asked: Asked) -> None:
             server.reply(asked, self.bus.call(name, request))
 
-        server = Server(context, name, type_name, on_request)
-        return server
+        return Server(context, name, type_name, on_request)
 
     # --- actions: ROS 1's five topics on the bus ---
     def _action_names(self, infos: Mapping[str, TopicInfo]) -> dict[str, str]:
@@ -276,7 +275,7 @@ class Ros2Bridge:
         ):
             parts: dict[str, Any] = table  # type: ignore[assignment]
             for name, part in list(parts.items()):
-                if wanted.get(name) != part.type:
+                if wanted.get(name) != part.type and not part.busy:
                     parts.pop(name).close()
             for name, type_name in wanted.items():
                 if name not in parts:

@@ -47,6 +47,8 @@ class Goal:
 class ActionServing:
     """One action. What the bus's server says arrives in a thread of its own, in order."""
 
+    busy = False  # its server is on the bus: when that has gone, nothing more will come of its goals
+
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
         self._goals: dict[bytes, Goal] = {}
@@ -69,24 +71,27 @@ class ActionServing:
                 ("status", "actionlib_msgs/GoalStatusArray"),
             )
         ]
-        self._servers = [
-            Server(context, name + names.SEND_GOAL, f"{type_name}_SendGoal", self._on_goal, "action"),
-            Server(context, name + names.CANCEL_GOAL, "action_msgs/CancelGoal", self._on_cancel),
-            Server(context, name + names.GET_RESULT, f"{type_name}_GetResult", self._on_get, "action"),
-        ]
         self._thread = threading.Thread(target=self._receive, name=f"ros2 action {name}", daemon=True)
         self._thread.start()
         self._tell()
+        # The one that takes goals comes last: then everything is there for them.
+        self._get_server = Server(
+            context, name + names.GET_RESULT, f"{type_name}_GetResult", self._on_get, "action"
+        )
+        self._servers = [
+            Server(context, name + names.CANCEL_GOAL, "action_msgs/CancelGoal", self._on_cancel),
+            Server(context, name + names.SEND_GOAL, f"{type_name}_SendGoal", self._on_goal, "action"),
+        ]
 
     def close(self) -> None:
         """Whoever waits for a result is told that the goal was aborted."""
-        for server in self._servers[:2]:
+        for server in self._servers:
             server.close()
         with self._lock:
             running = [g for g in self._goals.values() if not g.is_over]
         for goal in running:
             self._end(goal, ABORTED, self._context.codec.new(f"{self.type}Result"))
-        self._servers[2].close()
+        self._get_server.close()
         for member in (*self._attached, self._goal, self._cancel):
             member.close()
         self._inbox.put(None)
@@ -95,7 +100,7 @@ class ActionServing:
         self._context.drop(self._feedback, self._status)
 
     # --- what ROS 2 clients ask, in the pool's threads ---
-    def _on_goal(self, request: Any, asked: Asked) -> None:
+    def _on_goal(self, server: Server, request: Any, asked: Asked) -> None:
         codec, bus = self._context.codec, self._context.bus
         uuid, stamp = bytes(request.goal_id.uuid), bus.stamp()
         with self._lock:
@@ -104,14 +109,14 @@ class ActionServing:
             accepted = uuid not in self._goals and running < MAX_GOALS
             if accepted:
                 self._goals[uuid] = Goal(uuid, stamp)
-        self._servers[0].reply(asked, codec.new(f"{self.type}_SendGoal_Response", accepted, stamp))
+        server.reply(asked, codec.new(f"{self.type}_SendGoal_Response", accepted, stamp))
         if accepted:
             goal_id = bus.schema.new("actionlib_msgs/GoalID", stamp, uuid.hex())
             goal = bus.schema.new(f"{self.type}ActionGoal", bus.header(), goal_id, request.goal)
             self._tell()
             self._goal.publish(goal)
 
-    def _on_cancel(self, request: Any, asked: Asked) -> None:
+    def _on_cancel(self, server: Server, request: Any, asked: Asked) -> None:
         """By id; by time (every goal up to the stamp); by both; or all, when neither is given."""
         codec, info = self._context.codec, request.goal_info
         uuid, stamp = bytes(info.goal_id.uuid), info.stamp.to_nsec()
@@ -131,12 +136,12 @@ class ActionServing:
         elif not chosen:
             code = REJECTED
         infos = [self._info(goal) for goal in chosen]
-        self._servers[1].reply(asked, codec.new("action_msgs/CancelGoalResponse", code, infos))
+        server.reply(asked, codec.new("action_msgs/CancelGoalResponse", code, infos))
         self._tell()
         for goal in chosen:
             self._cancel.publish(self._context.bus.schema.new("actionlib_msgs/GoalID", id=goal.uuid.hex()))
 
-    def _on_get(self, request: Any, asked: Asked) -> None:
+    def _on_get(self, server: Server, request: Any, asked: Asked) -> None:
         uuid = bytes(request.goal_id.uuid)
         with self._lock:
             goal = self._goals.get(uuid)
@@ -144,7 +149,7 @@ class ActionServing:
                 goal.waiting.append(asked)
                 return
         if goal is None:
-            self._servers[2].refuse(asked)  # status 0: unknown
+            server.refuse(asked)  # status 0: unknown
         else:
             self._answer(goal, [asked])
 
@@ -197,7 +202,7 @@ class ActionServing:
     def _answer(self, goal: Goal, waiting: list[Asked]) -> None:
         response = self._context.codec.new(f"{self.type}_GetResult_Response", goal.status, goal.result)
         for asked in waiting:
-            self._servers[2].reply(asked, response)
+            self._get_server.reply(asked, response)
 
     def _tell(self) -> None:
         """Publish the status of all goals."""

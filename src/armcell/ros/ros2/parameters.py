@@ -64,11 +64,10 @@ class ParameterServices:
             server.close()
 
     def _serve(self, name: str, type_name: str, answer: Callable[[Any], Any]) -> Server:
-        def on_request(request: Any, asked: Asked) -> None:
+        def on_request(server: Server, request: Any, asked: Asked) -> None:
             server.reply(asked, self._new(f"{type_name}Response", answer(request)))
 
-        server = Server(self._context, name, type_name, on_request, profile=PARAMETERS)
-        return server
+        return Server(self._context, name, type_name, on_request, profile=PARAMETERS)
 
     def _new(self, name: str, *values: Any) -> Any:
         return self._context.codec.new(name, *values)

@@ -1,7 +1,7 @@
 """How far discovery reaches, and the domain's number: ROS 2's environment variables, as ROS 2 reads them.
 
-Source: docs.ros.org, "Improved Dynamic Discovery"; the XML is what rmw_cyclonedds_cpp makes of them, except
-that LOCALHOST here uses the loopback interface alone.
+Source: docs.ros.org, "Improved Dynamic Discovery"; the XML is what rmw_cyclonedds_cpp (Jazzy) makes of them.
+The loopback interface alone would not do: nodes that use another one ignore what comes from it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from armcell.core import InputError, UnknownNameError
 RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
 MAX_DOMAIN = 232  # above, UDP has no ports left
 MAX_PARTICIPANTS = 32  # of one machine, as rmw_cyclonedds_cpp looks for them
+ANNOUNCE = "1s"  # between two announcements (30 s by default): found soon by nodes that ask nobody, too
 WATERMARK = "64MB"  # unacknowledged data at which a writer stops; each keeps no more than its depth anyway
 
 
@@ -40,11 +41,9 @@ class Reach:
 
     def xml(self) -> str:
         """The configuration of Cyclone DDS."""
-        interfaces = multicast = peers = tag = ""
+        multicast = peers = tag = ""
         index = "auto"
         if self.range == "LOCALHOST":
-            if not self.peers:
-                interfaces = '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
             peers = '<Peer address="localhost"/>'
         if self.range in ("LOCALHOST", "OFF"):
             multicast = "<AllowMulticast>false</AllowMulticast>"
@@ -55,12 +54,13 @@ class Reach:
         discovery = (
             f"<ParticipantIndex>{index}</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS}</MaxAutoParticipantIndex>{tag}"
+            f"<SPDPInterval>{ANNOUNCE}</SPDPInterval>"
             f"{f'<Peers>{peers}</Peers>' if peers else ''}"
         )
         if self.range == "SYSTEM_DEFAULT":
             discovery = ""
         found = (
-            f"<CycloneDDS><Domain><General>{interfaces}{multicast}</General>"
+            f"<CycloneDDS><Domain><General>{multicast}</General>"
             f"<Discovery>{discovery}</Discovery>"
             f"<Internal><Watermarks><WhcHigh>{WATERMARK}</WhcHigh></Watermarks></Internal>"
             "</Domain></CycloneDDS>"

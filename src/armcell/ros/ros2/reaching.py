@@ -40,6 +40,11 @@ class ActionReaching:
         """Whether a server in the domain has been found."""
         return self._send.is_there and self._get.is_there
 
+    @property
+    def busy(self) -> bool:
+        """Whether a goal is under way: whoever sent it has to be told how it ends."""
+        return bool(self._goals)
+
     def close(self) -> None:
         self._server.close()
         for client in (self._send, self._cancel, self._get):

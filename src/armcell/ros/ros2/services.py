@@ -58,22 +58,25 @@ class Server:
     """Answers a service in the domain.
 
     Args:
-        on_request: given the request and who asked; answers by `reply`, now or later. In a pool's thread.
+        on_request: given this server, the request and who asked; answers by `reply`, now or later. In a
+            pool's thread.
     """
 
     def __init__(
-        self, context: Context, name: str, type_name: str, on_request: Callable[[Any, Asked], None],
+        self, context: Context, name: str, type_name: str, on_request: Callable[[Server, Any, Asked], None],
         kind: str = "srv", profile: Profile = SERVICES,
     ):  # fmt: skip
         self._context, self.name, self.type = context, name, type_name
         self._request, self._reply = (part(name, type_name, kind) for part in (names.request, names.reply))
         self._on_request = on_request
         self._ready: set[int] = set()
+        self._made = threading.Event()
         for part in (self._request, self._reply):
             context.codec.prepare(part.message)
         user_data = f"serviceid={context.service_id()};"
         self._writer = context.writer(self._reply, profile, user_data, wait=True)
         self._reader = context.reader(self._request, profile, self._take, user_data)
+        self._made.set()
 
     def close(self) -> None:
         self._context.drop(self._reader, self._writer)
@@ -89,8 +92,9 @@ class Server:
             self.refuse(asked)
 
     def _answer(self, asked: Asked, body: bytes) -> None:
+        self._made.wait()
         try:
-            self._on_request(self._context.codec.decode(self._request.message, body), asked)
+            self._on_request(self, self._context.codec.decode(self._request.message, body), asked)
         except ArmcellError as error:
             self._context.complain(f"service {self.name} {str(error)[:80]}", f"service {self.name}: {error}")
             self.refuse(asked)
@@ -150,8 +154,8 @@ class Client:
             context.codec.prepare(part.message)
         user_data = f"clientid={context.service_id()};"
         self._writer = context.writer(self._request, SERVICES, user_data, wait=True)
-        self._reader = context.reader(self._reply, SERVICES, self._take, user_data)
         self._own = self._writer.instance
+        self._reader = context.reader(self._reply, SERVICES, self._take, user_data)
 
     def close(self) -> None:
         self._context.drop(self._reader, self._writer)

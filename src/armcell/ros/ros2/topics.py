@@ -11,6 +11,8 @@ from armcell.ros.ros2.dds import OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE, R
 from armcell.ros.ros2.names import DdsName
 from armcell.ros.ros2.qos import TF_STATIC, Profile, offered, requested
 
+OTHER = "this definition of the message"  # ours, where everything else would fit
+
 
 def type_hash_data(context: Context, type_name: str) -> str:
     """The user data in which REP 2016's hash travels."""
@@ -57,8 +59,9 @@ class Outgoing:
         """Say who cannot listen, and why."""
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
-        if self._writer.newly_incompatible(OFFERED_INCOMPATIBLE):
-            missing = {lack for e in others for lack in self.profile.lacks(e.profile)} or {"another policy"}
+        same = [e for e in others if e.type == self._writer.name.type]
+        if self._writer.newly_incompatible(OFFERED_INCOMPATIBLE) and same:
+            missing = {lack for e in same for lack in self.profile.lacks(e.profile)} or {OTHER}
             self._context.complain(
                 f"offered {self.topic}",
                 f"{self.topic}: a ROS 2 subscriber asks for {' and '.join(sorted(missing))}, which is not "
@@ -120,8 +123,10 @@ class Incoming:
                 self._publisher.close()
                 self._publisher = context.bus.advertise(self.topic, self.type, wanted.latched, self._owner)
             self._reader = self._read()
-        elif self._reader.newly_incompatible(REQUESTED_INCOMPATIBLE):
-            missing = {lack for e in others for lack in e.profile.lacks(self.profile)} or {"another policy"}
+            return
+        same = [e for e in others if e.type == self._name.type]
+        if self._reader.newly_incompatible(REQUESTED_INCOMPATIBLE) and same:
+            missing = {lack for e in same for lack in e.profile.lacks(self.profile)} or {OTHER}
             context.complain(
                 f"requested {self.topic}",
                 f"{self.topic}: a ROS 2 publisher does not offer {' and '.join(sorted(missing))}: "
