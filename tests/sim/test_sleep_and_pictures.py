@@ -40,3 +40,13 @@ def test_pictures_of_a_sleeping_world_show_it():
         world.step(500)
         depths.append(take_image(world, camera, rgb=False).depth)
     np.testing.assert_allclose(depths[0], depths[1], atol=1e-3)
+
+
+def test_a_picture_is_whole_after_another_worlds_pictures_are_gone():
+    """A freed renderer may not take the buffers of the one that is in use."""
+    camera = Camera("above", look_at((0.8, 0.0, 1.0), (0.8, 0.001, 0.0)), 64, 48, 30.0)
+    first, second = SimWorld(scene(), cameras=[camera]), SimWorld(scene(), cameras=[camera])
+    take_image(first, camera, rgb=False)
+    before = take_image(second, camera, rgb=False).depth
+    first.render_cache = None
+    np.testing.assert_array_equal(take_image(second, camera, rgb=False).depth, before)
