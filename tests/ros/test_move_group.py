@@ -296,12 +296,13 @@ def test_execution_its_start_its_end_and_its_stops(bus):
     assert execute(bus, slow_plan(bus), stop_after=0.2) == (State.PREEMPTED, -7)
 
 
-def test_a_stop_takes_no_time(bus):
-    """The real one: about 0.09 s after the stop."""
+def test_a_stop_does_not_wait_for_the_motion_s_end(bus):
+    """The real one answers about 0.09 s after the stop."""
     planned = slow_plan(bus)
+    duration = planned.joint_trajectory.points[-1].time_from_start.to_sec()
     began = time.monotonic()
     execute(bus, planned, stop_after=0.1)
-    assert time.monotonic() - began < 1.0
+    assert time.monotonic() - began < duration / 4 and duration > 20
 
 
 def test_a_cancelled_goal_is_preempted(bus):
