@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from armcell.cell.cameras import camera_of, decal_of
+from armcell.cell.dropping import dropped
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
@@ -131,6 +132,13 @@ class Cell:
             for name in seen.objects:
                 if not spec.objects[name].movable:
                     raise self._fail("perception", f"object {name!r} is fixed", "give it 'movable: true'")
+        if spec.drop is not None:
+            for name in (*spec.drop.objects, spec.drop.into):
+                if name not in spec.objects:
+                    raise UnknownNameError("object", name, spec.objects, file=where, element="drop")
+                if spec.objects[name].movable == (name == spec.drop.into):
+                    must = "fixed" if name == spec.drop.into else "movable"
+                    raise self._fail("drop", f"object {name!r} must be {must}")
         for i, step in enumerate(spec.task):
             if step.look is not None and step.look not in spec.cameras:
                 raise UnknownNameError("camera", step.look, spec.cameras, file=where, element=f"task/{i}")
@@ -166,6 +174,8 @@ class Cell:
                 if error.file is not None:
                     raise
                 raise self._fail(f"objects/{name}", error.reason, error.cure) from None
+        if seed is not None and self.spec.drop is not None:
+            scene = dropped(scene, self.spec.drop.objects, self.spec.drop.into, seed)
         return scene
 
     def connect(
