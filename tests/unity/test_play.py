@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
+from armcell.cell import load
+from armcell.cell.cell import cell_names
 from armcell.core import SE3, JointTrajectory
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.ros import Bus, schema
 from armcell.ros.nodes import CellNode
+from armcell.ros.unity import export_unity
 
 pytestmark = pytest.mark.slow
 S = schema()
@@ -268,6 +271,20 @@ def test_a_finger_trajectory_closes_the_gripper(player, exported, scene):
     assert said[2:] == ["executing 2 points, 0.50 s", "done: holds cube"]
 
 
+def test_a_trajectory_of_arm_and_fingers(player, exported, scene):
+    """One trajectory may move both; the gripper's controller stays where it was led to."""
+    cell, _ = exported
+    names = (*ARM, "panda_finger_joint1")
+    goal = np.append(cell.scene().state.reindexed(ARM).positions + 0.1, 0.01)
+    lines = ["drives", player().message(0, "/planned_trajectory", to(names, goal, 1.0))]
+    rows = player().play(scene, lines, 2.0)
+    assert player().said(rows)[-1].startswith("done")
+    told = drives(rows)
+    np.testing.assert_array_equal(told["panda_finger_joint1"], told["panda_finger_joint2"])
+    half = told["panda_finger_joint1"][int(0.5 / STEP) - 1]
+    assert half == pytest.approx(0.025, abs=1e-5) and told["panda_finger_joint1"][-1] == pytest.approx(0.01)
+
+
 def test_mimic_fingers_follow(player, scene):
     lines = ["drives", player().message(0, "/gripper_command", S.new("std_msgs/Float64", 0.03))]
     rows = player().play(scene, lines, 2.0)
@@ -277,6 +294,27 @@ def test_mimic_fingers_follow(player, scene):
     assert (
         np.max(np.abs(np.diff(told["panda_finger_joint1"]))) <= 0.05 * STEP * 1.001
     )  # at the fingers' speed
+
+
+@pytest.mark.parametrize("name", cell_names())
+def test_every_cell_can_be_played(player, tmp_path, name):
+    """All joints are published where the cell starts; every gripper and movable object has its topics."""
+    cell = load(name)
+    export = export_unity(cell, tmp_path)
+    lines, grippers = [], list(cell.model.grippers.values())
+    for g in grippers:
+        topic = "/gripper_command" if len(grippers) == 1 else f"/{g.name}/gripper_command"
+        lines.append(player().message(0.1, topic, S.new("std_msgs/Float64", g.max_width / 2)))
+    rows = player().play(export.cell / "scene.json", lines, 1.5)
+    states = player().received(rows, "/joint_states")
+    assert states[0][1].name == list(cell.model.joint_names)
+    np.testing.assert_allclose(states[0][1].position, cell.scene().positions, atol=1e-6)
+    last = dict(zip(states[-1][1].name, states[-1][1].position))
+    for g in grippers:
+        assert g.width(last[g.joint_name]) == pytest.approx(g.max_width / 2, abs=1e-4)
+    movable = [o for o in cell.scene().objects.values() if o.movable]
+    topics = {words[0] for _, words in rows["out"] if words[0].startswith("/object_pose")}
+    assert topics == ({"/object_pose"} if len(movable) == 1 else {f"/object_pose/{o.name}" for o in movable})
 
 
 @pytest.mark.parametrize("ros2", [False, True])
