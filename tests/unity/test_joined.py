@@ -55,7 +55,7 @@ def test_the_planner_grasps_in_unity(player, exported, scene, ros2):
 
 @pytest.mark.slow
 def test_the_commands_of_the_readme(player, scene):
-    """`armcell serve ... --plan-only`, Unity, and `armcell service call /grasp`, each a process of its own."""
+    """`armcell serve ... --plan-only`, Unity, and `armcell service call /grasp`, each in a process."""
     command = [sys.executable, "-u", "-m", "armcell"]
     planner = subprocess.Popen(
         [*command, "serve", "panda_table", "--unity", "--port", "0", "--plan-only"],
