@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 
 import numpy as np
@@ -10,9 +11,10 @@ from scipy.interpolate import BPoly
 
 from armcell.cell import load
 from armcell.cell.cell import cell_names
-from armcell.core import SE3, JointTrajectory
+from armcell.core import SE3, ArmcellError, JointTrajectory
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.ros import Bus, schema
+from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes import CellNode
 from armcell.ros.unity import export_unity
 
@@ -156,6 +158,56 @@ def test_it_says_what_our_own_simulator_says(player, exported, scene):
 
     assert [plain(t) for t in mine] == [plain(t) for t in theirs]
     assert len(mine) == 12
+
+
+def test_bad_trajectories_are_refused_in_our_words(player, exported, scene):
+    """Hundreds of trajectories with something wrong in them, against `trajectory_from_message`."""
+    cell, _ = exported
+    rng, state = np.random.default_rng(0), cell.scene().state
+    start = state.reindexed(ARM).positions
+    Duration = S.message("builtin_interfaces/Duration")
+    lines, wanted = [], []
+    for i in range(300):
+        q = np.vstack([start + 0.01 * (k + 1) for k in range(3)])
+        times = np.array([0.1, 0.2, 0.3])
+        m = message(JointTrajectory(ARM, times, q, q * 0, q * 0))
+        for _ in range(int(rng.integers(0, 3))):
+            if not m.points or len(m.joint_names) < 7:
+                break
+            point, joint = m.points[int(rng.integers(len(m.points)))], int(rng.integers(7))
+            match int(rng.integers(7)):
+                case 0:
+                    m.joint_names[joint] = str(rng.choice(["panda_joint1", "", "panda_finger_joint2", "x"]))
+                case 1:
+                    field = str(rng.choice(["positions", "velocities", "accelerations"]))
+                    values = np.array(getattr(point, field))
+                    if len(values):
+                        values[joint % len(values)] = rng.choice([np.nan, np.inf, -np.inf, 7.0, -1e300])
+                    setattr(point, field, values)
+                case 2:
+                    point.positions = np.array(point.positions)[: int(rng.integers(8))]
+                case 3:
+                    point.velocities = np.append(point.velocities, rng.uniform(size=int(rng.integers(3))))
+                case 4:
+                    point.time_from_start = Duration.from_sec(float(rng.choice([-0.5, 0.0, 0.2, 0.3])))
+                case 5:
+                    m.joint_names = m.joint_names[:joint]
+                case 6:
+                    m.points = m.points[: int(rng.integers(4))]
+        try:
+            trajectory_from_message(m, cell.model, state)
+            wanted.append(None)
+        except ArmcellError as error:
+            wanted.append(f"refused: {str(error).split(' (did you mean')[0]}")
+        lines.append(player().message(i * 0.05, "/planned_trajectory", m))
+    rows = player().play(scene, lines, 300 * 0.05)
+    said = {}
+    for t, m in player().received(rows, "/trajectory_status"):
+        if m.data.startswith("refused"):
+            said[round(t / 0.05)] = m.data
+    plain = lambda text: text and re.sub(r"limits \[.*", "", text)  # noqa: E731  (3.7525 is rounded up or down)
+    assert [plain(said.get(i)) for i in range(300)] == [plain(text) for text in wanted]
+    assert 100 < sum(w is not None for w in wanted) < 290
 
 
 def test_a_newer_trajectory_takes_over_and_nothing_jumps(player, exported, scene):

@@ -73,16 +73,14 @@ namespace Armcell
             return v.dofCount > 0 ? v[0] : 0.0;
         }
 
-        /// <summary>What its drive presses with [Nm or N]; 0 where this Unity does not tell.</summary>
+#if UNITY_2022_2_OR_NEWER
+        /// <summary>What its drive presses with [Nm or N]. Older Unitys do not tell.</summary>
         public double Effort(string name)
         {
-#if UNITY_2022_2_OR_NEWER
             ArticulationReducedSpace force = Find(name).body.driveForce;
             return force.dofCount > 0 ? force[0] : 0.0;
-#else
-            return 0.0;
-#endif
         }
+#endif
 
         /// <summary>Lead a joint to a position with a velocity; a gripper's by way of its controller.</summary>
         public void Command(string name, double q, double v)
