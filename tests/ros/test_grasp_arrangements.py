@@ -14,7 +14,8 @@ from tests.ros.unity_sim import UnitySim
 
 from armcell.cell import load
 from armcell.core import InputError
-from armcell.ros import Bus, cdr, ros1, schema
+from armcell.ros import Bus, cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.nodes import GraspServer, GraspServerSettings, RemoteCell, ServedCell, ServedPlanner
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
