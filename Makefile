@@ -21,7 +21,7 @@ help: ## list the targets
 
 # What the tests of ROS 1 talk to; it lives under /usr and is used through /usr/bin/python3.
 ROS := python3-rospy python3-rosmaster python3-rostopic python3-rosservice python3-rosparam python3-rosnode \
-       python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros
+       python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros rosout topic-tools
 ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros'
 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
