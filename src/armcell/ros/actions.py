@@ -10,6 +10,7 @@ import itertools
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -277,6 +278,20 @@ class ActionClient:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def wait_for_server(self, timeout: float | None = None) -> bool:
+        """Whether somebody takes goals and all five topics are connected, after waiting for that."""
+        give_up = None if timeout is None else time.monotonic() + timeout
+        while True:
+            version = self.bus.wait_change(-1, 0)
+            topics = {t.name: t for t in self.bus.topics()}
+            heard = all(topics[f"{self.name}/{t}"].subscribers for t in ("goal", "cancel"))
+            if heard and all(topics[f"{self.name}/{t}"].publishers for t in ("result", "feedback", "status")):
+                return True
+            left = None if give_up is None else give_up - time.monotonic()
+            if left is not None and left <= 0:
+                return False
+            self.bus.wait_change(version, left)
 
     def send(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> SentGoal:
         """Send a Goal message of the action."""
