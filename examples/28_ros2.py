@@ -43,7 +43,7 @@ def program() -> None:
         found = ros2.wait_for_node("/robot", timeout=60) and arm.wait_for_server(timeout=30)
         print(f"nodes: {', '.join(ros2.nodes())}; its arm takes goals: {found}")
 
-        before = states.get(timeout=10)
+        before = states.get(timeout=60)
         joints = [name for name in before.name if "finger" not in name]
         start = positions(before, joints)
         print(f"sensed {len(before.name)} joints")

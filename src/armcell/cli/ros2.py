@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 import typer
 
-from armcell.cli.console import console, err
+from armcell.cli.console import err
+from armcell.cli.ros1 import Wire
 from armcell.core import InputError
 
 ROS2 = typer.Option(
@@ -20,10 +20,8 @@ DOMAIN = typer.Option(
 )  # fmt: skip
 
 
-def join(
-    stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None
-) -> Callable[[], str]:
-    """Join a domain until the stack is closed; gives what the status line says of it.
+def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None) -> Wire:
+    """Join a domain until the stack is closed.
 
     Args:
         bind: an address that is not this machine's own lets the network in.
@@ -39,23 +37,22 @@ def join(
     bridge = stack.enter_context(Ros2Bridge(bus, settings))
     if reach.is_open:
         err("ROS 2: every machine in the network can move the cell (no password, no encryption)")
-    console.print(
-        f"ROS 2: node {settings.node} in domain {reach.domain} ({reach.range}, {settings.distro}); Ctrl-C ends it",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
 
     def status() -> str:
         now = bridge.status()
         peers = ", ".join(now.nodes[:3]) + (" ..." if len(now.nodes) > 3 else "")
-        troubles = (f"  dropped {now.dropped}" if now.dropped else "") + (
-            f"  mistakes {now.errors}" if now.errors else ""
-        )
-        return f"ROS 2 domain {now.domain}  {peers or 'no other node'}{troubles}"
+        words = [
+            f"ROS 2 domain {now.domain}  {peers or 'no other node'}",
+            f"dropped {now.dropped}" if now.dropped else "",
+            f"mistakes {now.errors}" if now.errors else "",
+        ]
+        return "  ".join(word for word in words if word)
 
-    return status
+    where = f"domain {reach.domain}, {reach.range}, {settings.distro}"
+    return Wire(f"ROS 2: node {settings.node} ({where})", status)
 
 
-def check(ros2: bool, domain: int | None) -> None:
+def check_domain(ros2: bool, domain: int | None) -> None:
     """
     Raises:
         InputError: a domain without --ros2.
