@@ -15,6 +15,7 @@ from cyclonedds.idl.types import (
     int64,
     sequence,
     uint8,
+    uint16,
     uint32,
     uint64,
 )

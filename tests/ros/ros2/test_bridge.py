@@ -292,14 +292,19 @@ def test_an_action_server_that_dies_aborts_the_goal(bus, bridge, mortal):
 def test_discovery_info_names_our_node_and_its_endpoints(bus, bridge, peer):
     publisher = bus.advertise("/joint_states", "sensor_msgs/JointState")
     peer.subscribe("ros_discovery_info", "ParticipantEntitiesInfo", latched=True, depth=0)
-    told = until(lambda: peer.take("ros_discovery_info", 1, timeout=1.0))
-    assert told
-    node = told[-1]["node_entities_info_seq"][0]
-    assert (node["node_namespace"], node["node_name"]) == ("/", "armcell")
-    writers = {bytes(g["data"]).hex() for g in node["writer_gid_seq"]}
-    found = {name: (type_name, user, key) for name, type_name, user, key in peer.found()}
-    type_name, user, key = found["rt/joint_states"]
-    assert type_name == "sensor_msgs::msg::dds_::JointState_" and key in writers
+
+    def listed():
+        """Our writer of the topic, once the node's entry has it."""
+        found = {name: (type_name, user, key) for name, type_name, user, key in peer.found()}
+        for info in peer.take("ros_discovery_info", 1, timeout=1.0):
+            node = info["node_entities_info_seq"][0]
+            assert (node["node_namespace"], node["node_name"]) == ("/", "armcell")
+            if found["rt/joint_states"][2] in {bytes(g["data"]).hex() for g in node["writer_gid_seq"]}:
+                return found["rt/joint_states"]
+        return None
+
+    type_name, user, _ = until(listed)
+    assert type_name == "sensor_msgs::msg::dds_::JointState_"
     # Jazzy's own hash of the type, from rosidl's generated code
     assert user == "typehash=RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e;"
     publisher.close()
