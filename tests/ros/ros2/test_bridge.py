@@ -299,8 +299,9 @@ def test_discovery_info_names_our_node_and_its_endpoints(bus, bridge, peer):
         for info in peer.take("ros_discovery_info", 1, timeout=1.0):
             node = info["node_entities_info_seq"][0]
             assert (node["node_namespace"], node["node_name"]) == ("/", "armcell")
-            if found["rt/joint_states"][2] in {bytes(g["data"]).hex() for g in node["writer_gid_seq"]}:
-                return found["rt/joint_states"]
+            ours = found.get("rt/joint_states", ("", "", ""))
+            if ours[2] in {bytes(g["data"]).hex() for g in node["writer_gid_seq"]}:
+                return ours
         return None
 
     type_name, user, _ = until(listed)
