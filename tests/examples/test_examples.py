@@ -348,7 +348,7 @@ def test_26_grasp_server(printed):
 def test_28_ros2(printed):
     pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
     said = printed("28_ros2.py")
-    assert "nodes: /robot; its arm takes goals: True" in said and "sensed 9 joints" in said
+    assert "nodes: /robot; its arm takes goals: True" in said and "sensed 8 joints" in said
     assert re.search(r"SUCCEEDED: error code 0, \d+ times told", said)
     assert number(r"turned by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.01)
     assert number(r"the others by ([\d.]+)", said) < 0.01

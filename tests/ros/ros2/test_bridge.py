@@ -293,18 +293,17 @@ def test_discovery_info_names_our_node_and_its_endpoints(bus, bridge, peer):
     publisher = bus.advertise("/joint_states", "sensor_msgs/JointState")
     peer.subscribe("ros_discovery_info", "ParticipantEntitiesInfo", latched=True, depth=0)
 
+    told = set()  # our node's writers, as ros_discovery_info has them
+
     def listed():
-        """Our writer of the topic, once the node's entry has it."""
-        found = {name: (type_name, user, key) for name, type_name, user, key in peer.found()}
-        for info in peer.take("ros_discovery_info", 1, timeout=1.0):
+        """Our writer of the topic, once discovery and the node's entry both have it."""
+        for info in peer.take("ros_discovery_info", 1, timeout=0.2):
             node = info["node_entities_info_seq"][0]
             assert (node["node_namespace"], node["node_name"]) == ("/", "armcell")
-            ours = found.get("rt/joint_states", ("", "", ""))
-            if ours[2] in {bytes(g["data"]).hex() for g in node["writer_gid_seq"]}:
-                return ours
-        return None
+            told.update(bytes(g["data"]).hex() for g in node["writer_gid_seq"])
+        return [found[1:] for found in peer.found() if found[0] == "rt/joint_states" and found[3] in told]
 
-    type_name, user, _ = until(listed)
+    type_name, user, _ = until(listed)[0]
     assert type_name == "sensor_msgs::msg::dds_::JointState_"
     # Jazzy's own hash of the type, from rosidl's generated code
     assert user == "typehash=RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e;"
