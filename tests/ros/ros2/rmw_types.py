@@ -95,6 +95,31 @@ class PoseStamped(IdlStruct, typename=dds("geometry_msgs/PoseStamped")):
     pose: Pose = field(default_factory=Pose)
 
 
+@dataclass
+class Vector3(IdlStruct, typename=dds("geometry_msgs/Vector3")):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+@dataclass
+class Transform(IdlStruct, typename=dds("geometry_msgs/Transform")):
+    translation: Vector3 = field(default_factory=Vector3)
+    rotation: Quaternion = field(default_factory=Quaternion)
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename=dds("geometry_msgs/TransformStamped")):
+    header: Header = field(default_factory=Header)
+    child_frame_id: str = ""
+    transform: Transform = field(default_factory=Transform)
+
+
+@dataclass
+class TFMessage(IdlStruct, typename=dds("tf2_msgs/TFMessage")):
+    transforms: sequence[TransformStamped] = field(default_factory=list)
+
+
 # --- services ---
 @dataclass
 class TriggerRequest(IdlStruct, typename=dds("std_srvs/Trigger_Request", "srv")):
@@ -229,19 +254,6 @@ class JointTrajectory(IdlStruct, typename=dds("trajectory_msgs/JointTrajectory")
     header: Header = field(default_factory=Header)
     joint_names: sequence[str] = field(default_factory=list)
     points: sequence[JointTrajectoryPoint] = field(default_factory=list)
-
-
-@dataclass
-class Vector3(IdlStruct, typename=dds("geometry_msgs/Vector3")):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Transform(IdlStruct, typename=dds("geometry_msgs/Transform")):
-    translation: Vector3 = field(default_factory=Vector3)
-    rotation: Quaternion = field(default_factory=Quaternion)
 
 
 @dataclass

@@ -78,6 +78,19 @@ def test_latched_topics_reach_those_who_come_later(bus, bridge, peer):
     assert late.get(5).data == "here"
 
 
+def test_images_are_made_only_for_those_who_look(bus, bridge, peer):
+    """A camera draws while somebody on its topic listens: the bridge does so while somebody outside does."""
+    publisher = bus.advertise("/camera/points", "tf2_msgs/TFMessage")
+    until(lambda: "/camera/points" in bridge._out)
+    assert not publisher.subscribers
+    peer.subscribe("rt/camera/points", "TFMessage", reliable=False)
+    assert until(lambda: publisher.subscribers)
+    publisher.publish(S.new("tf2_msgs/TFMessage"))
+    assert peer.take("rt/camera/points") == [{"transforms": []}]
+    peer.drop("rt/camera/points")
+    assert until(lambda: not publisher.subscribers)
+
+
 def test_best_effort_publishers_are_heard(bus, bridge, peer):
     inbox = bus.subscribe("/scan", "std_msgs/String")
     peer.advertise("rt/scan", "String", reliable=False, depth=5)

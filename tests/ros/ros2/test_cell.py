@@ -106,9 +106,8 @@ def test_wrong_trajectories_are_aborted_with_the_reason(cell, peer):
 def test_states_come_at_their_rate(cell, peer):
     """30 Hz of the cell's clock, which /clock shows; each message a step further."""
     peer.subscribe("rt/clock", "Clock", depth=0)
-    stamps = np.array(
-        [m["clock"]["sec"] + m["clock"]["nanosec"] * 1e-9 for m in peer.take("rt/clock", 60, 20.0)]
-    )
+    clocks = [m["clock"] for m in peer.take("rt/clock", 60, timeout=20.0)]
+    stamps = np.array([c["sec"] + c["nanosec"] * 1e-9 for c in clocks])
     assert len(stamps) >= 60 and (np.diff(stamps) > 0).all()
     assert np.median(np.diff(stamps)) == pytest.approx(1 / 30, abs=0.004)
 
