@@ -233,6 +233,24 @@ def test_an_action_server_and_its_client(rospy, session):
     assert client.wait_for_result() and client.get_state() == actionlib.GoalStatus.PREEMPTED
 
 
+def test_a_callback_of_an_action_that_fails_aborts_its_goal(rospy, session):
+    import actionlib
+    from control_msgs.msg import GripperCommandAction, GripperCommandGoal
+
+    def execute(goal):
+        raise ValueError("in the callback")
+
+    actionlib.SimpleActionServer("/broken", GripperCommandAction, execute)
+    client = actionlib.SimpleActionClient("/broken", GripperCommandAction)
+    before = threading.active_count()
+    assert client.send_goal_and_wait(GripperCommandGoal()) == actionlib.GoalStatus.ABORTED
+    assert "in the callback" in client.get_goal_status_text()
+    end = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < end:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
+
+
 def test_the_cells_own_actions(rospy, session):
     import actionlib
     from control_msgs.msg import GripperCommandAction, GripperCommandGoal
@@ -273,3 +291,19 @@ def test_transforms(rospy, session):
     import moveit_commander
 
     assert tf.transformations.quaternion_from_euler(0, 0, 0)[3] == 1.0 and moveit_commander.conversions
+
+
+def test_static_transforms_are_all_there_for_a_later_listener(rospy):
+    import tf2_ros
+    from geometry_msgs.msg import TransformStamped
+
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    for i, child in enumerate(("shelf", "drawer")):
+        transform = TransformStamped(child_frame_id=child)
+        transform.header.frame_id, transform.transform.rotation.w = "world", 1.0
+        transform.transform.translation.x = float(i)
+        broadcaster.sendTransform(transform)
+    buffer = tf2_ros.Buffer()
+    tf2_ros.TransformListener(buffer)
+    found = buffer.lookup_transform("shelf", "drawer", rospy.Time(0), rospy.Duration(5))
+    assert found.transform.translation.x == 1.0
