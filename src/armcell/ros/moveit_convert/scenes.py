@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import InputError
-from armcell.ros.convert import pose_from_message, transform_message
+from armcell.core import InputError, Octree
+from armcell.ros.convert import pose_from_message, pose_message, transform_message
 from armcell.ros.moveit_convert.objects import (
     ADD,
     APPEND,
@@ -32,6 +32,7 @@ from armcell.scene import (
     AllowByDefault,
     AppendShapes,
     AttachObject,
+    CollisionObject,
     DetachObject,
     MoveObject,
     PlanningScene,
@@ -42,6 +43,7 @@ from armcell.scene import (
     SetFixedFrame,
     SetOctomap,
     SetPadding,
+    octree_bytes,
     octree_from_bytes,
 )
 from armcell.scene.diff import Change
@@ -277,7 +279,21 @@ def scene_message(
         message.world.collision_objects = [
             schema.new("moveit_msgs/CollisionObject", header=header, id=item.name) for item in world
         ]
+    if parts & Components.OCTOMAP and OCTOMAP in scene.objects:
+        message.world.octomap = _octomap_message(schema, header, scene.objects[OCTOMAP])
     return message
+
+
+def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
+    """The scene's octomap as OctoMap's binary data, its resolution the smallest cell."""
+    [(octree, T_object_shape)] = item.shapes
+    assert isinstance(octree, Octree)
+    data, resolution = octree_bytes(octree)
+    octomap = schema.new(
+        "octomap_msgs/Octomap", header, True, "OcTree", resolution, np.frombuffer(data, np.int8)
+    )
+    origin = pose_message(schema, item.T_world_object @ T_object_shape)
+    return schema.new("octomap_msgs/OctomapWithPose", header, origin, octomap)
 
 
 def _matrix(schema: Schema, scene: PlanningScene) -> Any:
