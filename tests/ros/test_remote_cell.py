@@ -75,6 +75,14 @@ def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
         assert third.wait(5) and "unknown joint" in third.outcome().message
 
 
+def test_a_simulator_that_says_only_how_a_motion_ended():
+    with Simulator("panda_table") as sim:
+        work = sim.cell.play(sim.motion("panda_arm"))
+        assert sim.got.get(5).points
+        sim.say("done: arrived")
+        assert work.wait(2) and work.outcome().ok
+
+
 def test_the_second_arm_waits_for_the_first():
     """What is said does not tell which motion is meant, and nothing proves that two would not meet."""
     with Simulator("dual_ur10") as sim:
