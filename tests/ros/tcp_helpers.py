@@ -3,7 +3,8 @@
 import struct
 import time
 
-from armcell.ros import cdr, ros1, schema
+from armcell.ros import cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import ServerSettings
 
 ANY_PORT = ServerSettings(port=0)

@@ -9,7 +9,8 @@ from tests.ros.fuzz_tcp import fuzz
 from tests.ros.tcp_helpers import frame
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import ros1, schema
+from armcell.ros import schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp.frames import MAX_BODY, FrameError, FrameReader, command
 
 TRAJECTORY = "trajectory_msgs/JointTrajectory"

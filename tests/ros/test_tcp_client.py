@@ -10,7 +10,8 @@ import pytest
 from tests.ros.tcp_helpers import text, wait_for
 
 from armcell.core import InputError
-from armcell.ros import Bus, ServiceError, cdr, ros1, schema
+from armcell.ros import Bus, ServiceError, cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 STATE = "sensor_msgs/JointState"

@@ -12,7 +12,8 @@ from tests.ros.tcp_helpers import (
 )
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import ServiceError, ros1, schema
+from armcell.ros import ServiceError, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 
