@@ -20,6 +20,7 @@ from armcell.cli import (
     look,
     msg,
     plan,
+    replay,
     run,
     script,
     serve,
@@ -62,6 +63,8 @@ Examples:
 
   armcell campaign panda_pick --trials 200    how often does it work, and why not
 
+  armcell replay runs/20261122-101500-panda_pick    a recorded run in the browser; --execute runs it again
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -76,6 +79,8 @@ app = typer.Typer(
 )
 app.command("run")(run.run)
 app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
+app.command("replay", epilog=replay.REPLAY_EXAMPLES)(replay.replay)
+app.command("diff", epilog=replay.DIFF_EXAMPLES)(replay.diff)
 app.command("lint")(script.lint)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)

@@ -11,6 +11,7 @@ from typing import Any
 import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
@@ -60,6 +61,12 @@ def run(
         help="Another value than in the cell file, e.g. objects.cube.mass=0.3; may be repeated.",
     ),
     port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
+    frames: list[str] = typer.Option(
+        [],
+        "--frames",
+        metavar="CAMERA[=HZ]",
+        help="Put a simulated camera's pictures into the record, 5 a second unless told; may be repeated.",
+    ),
 ) -> int:
     """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
 
@@ -113,9 +120,11 @@ def run(
             console.print(f"view: {viewer.url}")
             time_scale = time_scale or 1.0
         if not headless:
-            from armcell.records import RunRecorder, new_run_folder
+            from armcell.records import RunRecorder, about_run, new_run_folder
 
-            recorder = stack.enter_context(RunRecorder(new_run_folder(runs, loaded.name), scene))
+            about = about_run(loaded, seed, mode, values)
+            recorder = RunRecorder(new_run_folder(runs, loaded.name), scene, about=about)
+            stack.enter_context(recorder)
             observers.append(recorder)
         if progress is not None and loading is not None:
             progress.remove_task(loading)
@@ -124,6 +133,8 @@ def run(
         if recorder is not None and mode == "sim" and loaded.cameras:
             observers.append(_Pictures(live.driver, recorder))
             live.ctx.observers.append(observers[-1])
+        if frames:
+            live.ctx.observers += camera_frames(frames, loaded, mode, live.driver, recorder)
         with live:
             result = run_task(loaded, live, seed, mode)
         sets = [part for one in set_ for part in ("--set", one)]
@@ -145,7 +156,7 @@ def _written(recorder: Any, result: dict[str, Any], json_file: Path | None) -> P
         return None
     from armcell.records import write_report
 
-    recorder.close()
+    recorder.finish(result)
     write_json(recorder.folder / "result.json", result)
     return write_report(recorder.folder, result, recorder)
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, JointState, Registry
+from armcell.core import SE3, Contact, JointState, Registry
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -107,6 +107,14 @@ class Driver(Protocol):
 
     def object_poses(self) -> dict[str, SE3]:
         """T_world_object of the movable objects, as far as the driver knows them."""
+        ...
+
+    def targets(self) -> JointState | None:
+        """What the arm joints were last told to be; None before anything was."""
+        ...
+
+    def contacts(self) -> list[Contact]:
+        """What touches now; a driver that cannot tell says nothing."""
         ...
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:

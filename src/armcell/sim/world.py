@@ -191,6 +191,11 @@ class SimWorld:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(q[column])), index.max_force)
 
+    def arm_target(self) -> JointState:
+        """Where the arm joints were last told to be; a gripper's joint is not among them."""
+        names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
+        return JointState(names, self._servo.target, self._servo.speed, time=self.time)
+
     def _split(self, names: tuple[str, ...]) -> tuple:
         columns = self.robot.columns(names)
         arm = [i for i, name in enumerate(names) if name not in self._driven]

@@ -13,7 +13,7 @@ import numpy as np
 from armcell.control import Driver
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.model import Gripper
-from armcell.scene import PlanningScene
+from armcell.scene import PlanningScene, scene_changes
 from armcell.tasks.settings import TaskSettings
 
 OBSERVER_PERIOD = 0.01  # [s] of the driver's clock between samples given to observers
@@ -87,7 +87,13 @@ class TaskContext:
 
     def change_scene(self, scene: PlanningScene) -> None:
         """Replace the world the task plans in (objects added or removed); the state stays measured."""
-        self._base = scene
+        before, self._base = self._base, scene
+        if self.observers and (changes := scene_changes(before, scene)):
+            words = [
+                f"{kind} {', '.join(map(str, what))}" for kind, what in changes.items() if kind != "allowed"
+            ]
+            words += [f"{a} may{'' if yes else ' not'} touch {b}" for a, b, yes in changes.get("allowed", ())]
+            self.emit("scene", "; ".join(words), **changes)
 
     def slip_of(self, held: Holding) -> float:
         """How far the held object has moved in the gripper since `T_tcp_object` was taken [m]."""
@@ -133,6 +139,8 @@ class TaskContext:
             self.driver.object_poses(),
             {n: r.width for n, r in readings.items()},
             {n: r.force_per_finger for n, r in readings.items()},
+            self.driver.targets(),
+            tuple(self.driver.contacts()),
         )
         for observer in self.observers:
             observer.on_state(sample)

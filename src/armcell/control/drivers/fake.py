@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
-from armcell.core import SE3, JointState
+from armcell.core import SE3, Contact, JointState
 from armcell.core.checks import require
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
@@ -121,6 +121,12 @@ class FakeDriver:
 
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
+
+    def targets(self) -> JointState | None:
+        return self.joint_state()
+
+    def contacts(self) -> list[Contact]:
+        return []
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         pass

@@ -18,7 +18,7 @@ from armcell.control.drivers.ur.identity import check_identity, check_ready, che
 from armcell.control.drivers.ur.motion import Forwarded, Streamed
 from armcell.control.drivers.ur.settings import real_settings
 from armcell.control.safety import Fault, SafetyEvent, Supervisor
-from armcell.core import SE3, InputError, JointState, JointTrajectory
+from armcell.core import SE3, Contact, InputError, JointState, JointTrajectory
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 
@@ -254,7 +254,16 @@ class UrDriver:
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
 
+    def targets(self) -> JointState | None:
+        names = tuple(n for arm in self.arms.values() for n in arm.joint_names)
+        states = [arm.state for arm in self.arms.values()]
+        q, v = (np.concatenate([s.values[key] for s in states]) for key in ("target_q", "target_qd"))
+        return JointState(names, q, v, time=self.now)
+
     # A real robot sees no contacts but by its own protective stops.
+    def contacts(self) -> list[Contact]:
+        return []
+
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         pass
 
