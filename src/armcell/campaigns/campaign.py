@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from armcell.campaigns.distributions import Distribution
+from armcell.campaigns.gate import changed_parts
 from armcell.campaigns.pool import Pool
 from armcell.campaigns.sampling import ROUND, Array, adaptive_draw, latin_hypercube_draw, random_draw
 from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
@@ -40,7 +41,7 @@ def resume(folder: str | Path) -> Store:
     """
     store = Store.open(folder)
     now = content_hashes(checked_cell(store.spec))
-    changed = [part for part, value in now.items() if store.hashes.get(part) != value]
+    changed = changed_parts(store.hashes, now)
     if changed:
         store.close()
         raise InputError(

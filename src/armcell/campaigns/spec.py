@@ -111,8 +111,9 @@ def checked_cell(spec: CampaignSpec) -> Cell:
         InputError: a value that it may not have, e.g. a negative mass; a cell without task.
     """
     cell = with_values(load(spec.cell), spec.values)
-    if not cell.spec.task:
-        raise InputError("the cell has no task", file=cell.file, cure="add 'task: [...]'")
+    if not cell.spec.task and cell.spec.script is None:
+        cure = "add 'task: [...]' or 'script: task.py'"
+        raise InputError("the cell has no task", file=cell.file, cure=cure)
     for path, found in distributions(spec).items():
         for u in (0.0, 0.5, 1.0 - 2.0**-53):
             with_values(cell, {path: found.at(u)}).scene(spec.seed)

@@ -16,6 +16,7 @@ from armcell.cli import (
     check_state,
     doctor,
     explain,
+    gate,
     ik,
     look,
     msg,
@@ -63,6 +64,8 @@ Examples:
 
   armcell campaign panda_pick --trials 200    how often does it work, and why not
 
+  armcell gate my_cell.yaml                   the record that mode real asks for, from a campaign
+
   armcell replay runs/20261122-101500-panda_pick    a recorded run in the browser; --execute runs it again
 
   armcell doctor panda_pick                   what this machine lacks, and the cure
@@ -81,6 +84,7 @@ app.command("run")(run.run)
 app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
 app.command("replay", epilog=replay.REPLAY_EXAMPLES)(replay.replay)
 app.command("diff", epilog=replay.DIFF_EXAMPLES)(replay.diff)
+app.command("gate", epilog=gate.EXAMPLES)(gate.gate)
 app.command("lint")(script.lint)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
+from armcell.cli.gating import gate_of, gate_words
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
 
@@ -61,6 +62,14 @@ def run(
         help="Another value than in the cell file, e.g. objects.cube.mass=0.3; may be repeated.",
     ),
     port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
+    gate: Path | None = typer.Option(
+        None,
+        metavar="FILE",
+        help="For mode real: the gate record. [default: <cell>.gate.json beside the cell]",
+    ),
+    without_gate: str | None = typer.Option(
+        None, metavar="REASON", help="For mode real: run without a gate record; the reason is recorded."
+    ),
     frames: list[str] = typer.Option(
         [],
         "--frames",
@@ -80,7 +89,7 @@ def run(
         from armcell.cli.script import run_script_command
 
         return run_script_command(
-            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port
+            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port, without_gate
         )
     if arguments:
         raise typer.BadParameter(f"unexpected argument {arguments[0]!r}")
@@ -108,6 +117,7 @@ def run(
         drivers[mode]  # an unknown mode is said before anything is made
         values = dict(parsed(one) for one in set_)
         loaded = with_values(load(cell), values)
+        passed = gate_of(loaded, mode, gate, without_gate)
         warm_up()
         scene = loaded.scene(seed)
         observers: list[Observer] = []
@@ -122,7 +132,7 @@ def run(
         if not headless:
             from armcell.records import RunRecorder, about_run, new_run_folder
 
-            about = about_run(loaded, seed, mode, values)
+            about = {**about_run(loaded, seed, mode, values), **passed}
             recorder = RunRecorder(new_run_folder(runs, loaded.name), scene, about=about)
             stack.enter_context(recorder)
             observers.append(recorder)
@@ -136,7 +146,9 @@ def run(
         if frames:
             live.ctx.observers += camera_frames(frames, loaded, mode, live.driver, recorder)
         with live:
-            result = run_task(loaded, live, seed, mode)
+            if passed:
+                live.ctx.emit("note", gate_words(passed))
+            result = {**run_task(loaded, live, seed, mode), **passed}
         sets = [part for one in set_ for part in ("--set", one)]
         result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode, *sets])
         if progress is not None:

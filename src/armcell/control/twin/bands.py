@@ -1,0 +1,174 @@
+"""How far a real arm may be from its twin: bands learned from motions during which nothing was wrong.
+
+By arm and joint: position, velocity and motor current, each by what is left after the twin's prediction; and
+the network's round trip. An arm is a little behind its clock (`lag`), and its currents are the twin's torques
+times a factor, plus friction: both are fitted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.control.twin.rehearsal import Rehearsal
+from armcell.core import InputError
+
+Array = NDArray[np.float64]
+
+FORMAT = 1
+WIDER = 1.6  # times the largest deviation of a clean motion
+LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE, LEAST_TRIP = 0.004, 0.04, 0.03, 0.012
+"""[rad], [rad/s], of the largest current, [s]: bands are no narrower."""
+LEAST_SAMPLES = 200
+CREEP = 0.02  # [rad/s] at which a joint's Coulomb friction has come to most of its size
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One look at a moving arm."""
+
+    clock: float  # [s] along the trajectory
+    scaling: float  # 0 to 1, of the speed
+    q: Array  # (n,) [rad]
+    v: Array  # (n,) [rad/s]
+    current: Array  # (n,) [A]
+    trip: float  # [s] shortest round trip of the last moments; NaN where not known
+
+
+@dataclass(frozen=True, eq=False)
+class ArmBands:
+    """Of one arm; arrays by joint."""
+
+    lag: float  # [s]
+    position: Array  # [rad]
+    velocity: Array  # [rad/s]
+    gain: Array  # [A/Nm] current per torque of the twin
+    friction: Array  # [A]
+    offset: Array  # [A]
+    current: Array  # [A]; infinite where the robot tells no current
+    trip: float  # [s]
+    samples: int
+
+    def current_of(self, effort: Array, velocity: Array) -> Array:
+        """Motor currents (n,) [A] that the twin leads to expect."""
+        return self.gain * effort + self.friction * np.tanh(velocity / CREEP) + self.offset
+
+    def deviations(self, seen: Seen, twin: Rehearsal, columns: Sequence[int]) -> dict[str, Array]:
+        """By kind, each joint's deviation in units of its band (n,); above 1 is outside. `timing` is (1,)."""
+        at = list(columns)
+        q, v, effort = (row[at] for row in twin.at(seen.clock - self.lag))
+        found = {
+            "position": np.abs(seen.q - q) / self.position,
+            "velocity": np.abs(seen.v - v * seen.scaling) / self.velocity,
+            "timing": np.array([0.0 if np.isnan(seen.trip) else seen.trip / self.trip]),
+        }
+        if np.isfinite(self.current).all():
+            # Slower than planned the inertia's share is smaller, by at most what the motion's course has of it.
+            share = (1.0 - seen.scaling**2) * np.abs(self.gain) * np.ptp(twin.efforts[:, at], axis=0) / 2
+            wrong = np.abs(seen.current - self.current_of(effort, v * seen.scaling)) - share
+            found["current"] = np.maximum(wrong, 0.0) / self.current
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class TwinBands:
+    """Of all arms of a cell, and of what they were learned on: other identities make them void."""
+
+    arms: Mapping[str, ArmBands]
+    identity: Mapping[str, str]  # by what it is of: robot, physics, real, calibration of each arm
+
+    def save(self, file: Path) -> None:
+        """
+        Raises:
+            InputError: it cannot be written.
+        """
+        arms = {
+            name: {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(arm).items()}
+            for name, arm in self.arms.items()
+        }
+        data = {"format": FORMAT, "identity": dict(self.identity), "arms": arms}
+        try:
+            file.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", file=file) from None
+
+    @staticmethod
+    def load(file: Path) -> TwinBands:
+        """
+        Raises:
+            InputError: no such file, or not of this armcell.
+        """
+        try:
+            data = json.loads(file.read_text(encoding="utf-8"))
+            if data["format"] != FORMAT:
+                raise InputError(f"is of format {data['format']}, this armcell reads {FORMAT}", file=file)
+            arms = {name: _arm_of(entry) for name, entry in data["arms"].items()}
+            return TwinBands(arms, dict(data["identity"]))
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"holds no twin's bands ({type(error).__name__})", file=file, cure="armcell twin CELL"
+            ) from None
+
+
+def _arm_of(entry: dict[str, Any]) -> ArmBands:
+    return ArmBands(**{k: np.array(v, float) if isinstance(v, list) else v for k, v in entry.items()})
+
+
+def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) -> ArmBands:
+    """Bands of one arm.
+
+    Args:
+        motions: each with its twin, the arm's columns in it, and what was seen.
+    Raises:
+        InputError: too little was seen.
+    """
+    rows = [(twin, list(columns), seen) for twin, columns, looks in motions for seen in looks]
+    if len(rows) < LEAST_SAMPLES:
+        raise InputError(
+            f"only {len(rows)} looks at a moving arm, {LEAST_SAMPLES} are needed", cure="more --motions"
+        )
+    predicted = [twin.at(seen.clock) for twin, _, seen in rows]
+    error = np.array([seen.q - p[0][c] for (_, c, seen), p in zip(rows, predicted)])
+    speed = np.array([p[1][c] for (_, c, _), p in zip(rows, predicted)])
+    lag = float(np.clip(-np.sum(error * speed) / max(np.sum(speed**2), 1e-9), 0.0, 0.2))
+    late = [twin.at(seen.clock - lag) for twin, _, seen in rows]
+    q, v, effort = (np.array([p[k][c] for (_, c, _), p in zip(rows, late)]) for k in range(3))
+    scaling = np.array([[seen.scaling] for *_, seen in rows])
+    position = np.abs(np.array([seen.q for *_, seen in rows]) - q).max(axis=0)
+    velocity = np.abs(np.array([seen.v for *_, seen in rows]) - v * scaling).max(axis=0)
+    current = np.array([seen.current for *_, seen in rows])
+    gain, friction, offset, left = _fitted(current, effort, v * scaling)
+    most = np.abs(current).max(axis=0)
+    told = bool(most.max() > 1e-6)
+    trips = np.array([seen.trip for *_, seen in rows])
+    trip = float(np.nanmax(trips)) if not np.isnan(trips).all() else LEAST_TRIP
+    return ArmBands(
+        lag,
+        np.maximum(WIDER * position, LEAST_POSITION),
+        np.maximum(WIDER * velocity, LEAST_VELOCITY),
+        gain,
+        friction,
+        offset,
+        np.maximum(WIDER * left, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
+        WIDER * trip + LEAST_TRIP,
+        len(rows),
+    )
+
+
+def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array, Array, Array]:
+    """Factor, friction and offset of each joint, and the largest that is left (n,) each."""
+    n = current.shape[1]
+    out = np.zeros((4, n))
+    for i in range(n):
+        A = np.column_stack([effort[:, i], np.tanh(speed[:, i] / CREEP), np.ones(len(effort))])
+        x, *_ = np.linalg.lstsq(A, current[:, i], rcond=1e-6)
+        out[:3, i], out[3, i] = x, np.abs(A @ x - current[:, i]).max()
+    return out[0], out[1], out[2], out[3]
