@@ -79,6 +79,7 @@ def test_misuse():
         calibrate_hand_eye(hands, markers, "nose")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mount", ["in_hand", "to_hand"])
 def test_end_to_end_with_a_panda(mount):
     """A camera on the hand looks at a marker on the table; or one in the cell at a marker on the hand."""

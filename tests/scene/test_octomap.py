@@ -69,6 +69,7 @@ def test_the_map_is_octomaps(octomaps):
     assert voxels(mine.octree()) == voxels(load_octree(octomaps / "a.bt.ot"))
 
 
+@pytest.mark.slow
 def test_readers_agree_with_coals(octomaps):
     boxes = np.array([list(b) for b in coal.MeshLoader().loadOctree(str(octomaps / "a.bt")).toBoxes()])
     mine = load_octree(octomaps / "a.bt")

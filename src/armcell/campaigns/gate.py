@@ -22,7 +22,7 @@ from armcell.campaigns.statistics import Share, success
 from armcell.campaigns.store import TRIALS, asked, rows_of
 from armcell.cell import Cell, cell_names, content_hashes
 from armcell.cell.cell import LIBRARY
-from armcell.cell.run import versions
+from armcell.cell.versions import versions
 from armcell.core import InputError
 
 FORMAT = 1

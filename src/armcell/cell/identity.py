@@ -8,13 +8,15 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import armcell
-from armcell.cell.cell import Cell
-from armcell.cell.run import versions
+from armcell.cell.versions import versions
+
+if TYPE_CHECKING:
+    from armcell.cell.cell import Cell
 
 ADDRESSES = ("host", "port", "own_host")  # of a real arm: where it is changes nothing of what it does
 

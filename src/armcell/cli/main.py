@@ -29,6 +29,7 @@ from armcell.cli import (
     setup,
     step_response,
     topic,
+    twin,
     ur_controller,
     view,
 )
@@ -104,6 +105,7 @@ app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
 app.command("ur-controller", epilog=ur_controller.EXAMPLES)(ur_controller.ur_controller)
 app.command("bringup")(bringup.bringup)
+app.command("twin")(twin.twin)
 app.command("ur-dashboard")(ur_controller.ur_dashboard)
 app.add_typer(topic.app, name="topic")
 app.add_typer(service.app, name="service")

@@ -60,7 +60,9 @@ def serve(
         host, number = server.address
         if bind not in ("127.0.0.1", "localhost"):
             err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
-        console.print(f"Unity can connect to {host}:{number}; Ctrl-C ends it", markup=False)
+
+        def ready() -> None:  # services answer from here on, not from when the port is open
+            console.print(f"Unity can connect to {host}:{number}; Ctrl-C ends it", markup=False)
 
         def status() -> str:
             clients = server.clients()
@@ -69,8 +71,8 @@ def serve(
             return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
 
         if plan_only:
-            return _plan_only(cell, bus, seed, seconds, status)
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, plan=True, auto_grip=auto_grip)
+            return _plan_only(cell, bus, seed, seconds, status, ready)
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready, True, auto_grip)
 
 
 def sim(
@@ -135,7 +137,7 @@ def address(text: str) -> tuple[str, int]:
 
 def _run(
     cell: str, bus: Any, mode: str, seed: int, time_scale: float, rate: float, seconds: float | None,
-    status: Callable[[], str], joined: Callable[[], None] = lambda: None, plan: bool = False,
+    status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
     auto_grip: bool = False,
 ) -> int:  # fmt: skip
     from armcell.cell import load
@@ -146,7 +148,7 @@ def _run(
     line = _StatusLine(bus, lambda: served.node.executed, status)
     try:
         served.start()
-        joined()
+        ready()
         with line:
             _until(seconds, line, served.thread)
     except KeyboardInterrupt:
@@ -158,14 +160,23 @@ def _run(
     return 0
 
 
-def _plan_only(cell: str, bus: Any, seed: int, seconds: float | None, status: Callable[[], str]) -> int:
+def _plan_only(
+    cell: str,
+    bus: Any,
+    seed: int,
+    seconds: float | None,
+    status: Callable[[], str],
+    ready: Callable[[], None],
+) -> int:
     from armcell.cell import load
     from armcell.ros.nodes import ServedPlanner
 
     line = _StatusLine(bus, lambda: None, status)
     try:
-        with ServedPlanner(load(cell), bus, seed), line:
-            _until(seconds, line, None)
+        with ServedPlanner(load(cell), bus, seed):
+            ready()
+            with line:
+                _until(seconds, line, None)
     except KeyboardInterrupt:
         pass
     return 0

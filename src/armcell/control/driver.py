@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, Contact, JointState, Registry
+from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Registry
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -130,6 +130,37 @@ class Driver(Protocol):
     def unwanted_contacts(self) -> list[ContactRecord]: ...
 
     def welds(self) -> list[WeldRecord]: ...
+
+
+class SeesNoContacts:
+    """What a driver without physics says of contacts: nothing."""
+
+    def contacts(self) -> list[Contact]:
+        return []
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        pass
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        pass
+
+    def unwatch_object(self, name: str) -> None:
+        pass
+
+    def unwanted_contacts(self) -> list[ContactRecord]:
+        return []
+
+    def welds(self) -> list[WeldRecord]:
+        return []
+
+
+@runtime_checkable
+class Rehearsing(Protocol):
+    """A driver that tries a trajectory elsewhere before a robot gets it."""
+
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        """Why it must not be driven, or None."""
+        ...
 
 
 class DriverFactory(Protocol):

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from armcell.cell import Cell, cell_names, content_hashes, load
-from armcell.cell.run import versions
 from armcell.cell.schema import validated
+from armcell.cell.versions import versions
 from armcell.core import InputError
 
 FORMAT = 1

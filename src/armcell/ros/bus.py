@@ -188,7 +188,7 @@ class Bus:
     # --- time ---
     def stamp(self) -> Any:
         """Now, as builtin_interfaces/Time."""
-        return self.schema.message("builtin_interfaces/Time").from_sec(self.clock.now())  # type: ignore[attr-defined]
+        return self.schema.message("builtin_interfaces/Time").from_sec(self.clock.now())
 
     def header(self, frame_id: str = "") -> Any:
         """A std_msgs/Header stamped now."""

@@ -65,6 +65,7 @@ class TaskContext:
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
         self._next_sample = 0.0
+        self._stops_told = 0  # of the safety supervisor's events
         self._told = (0, 0)  # welds and unwanted contacts that were reported
 
     # --- truth ---
@@ -130,7 +131,7 @@ class TaskContext:
         """Give the observers a sample if one is due, and tell what physics did unasked."""
         if not self.observers or self.driver.now < self._next_sample:
             return
-        self._report_news()
+        self.report_news()
         self._next_sample = self.driver.now + OBSERVER_PERIOD - 1e-9
         readings = {name: self.driver.gripper(name) for name in self._base.model.grippers}
         sample = StateSample(
@@ -145,14 +146,19 @@ class TaskContext:
         for observer in self.observers:
             observer.on_state(sample)
 
-    def _report_news(self) -> None:
-        """Events for welds and unwanted contacts that are new."""
+    def report_news(self) -> None:
+        """Events for welds, unwanted contacts and stops of real arms that are new."""
         welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
         for weld in welds[self._told[0] :]:
             self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
         for contact in contacts[self._told[1] :]:
             self.emit("contact", f"{contact.body_a} touches {contact.body_b}", depth_m=contact.depth)
         self._told = (len(welds), len(contacts))
+        safety = getattr(self.driver, "safety_events", ())  # of real arms
+        for event in safety[self._stops_told :]:
+            self._stops_told += 1
+            kind = "note" if event.kind == "twin" else "stop"
+            self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)
 
     # --- telling ---
     def emit(self, kind: str, text: str, **data: Any) -> None:

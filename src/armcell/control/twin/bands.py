@@ -1,13 +1,15 @@
 """How far a real arm may be from its twin: bands learned from motions during which nothing was wrong.
 
 By arm and joint: position, velocity and motor current, each by what is left after the twin's prediction; and
-the network's round trip. An arm is a little behind its clock (`lag`), and its currents are the twin's torques
-times a factor, plus friction: both are fitted.
+the network's round trip. An arm is a little behind its clock or before it (`lag`), and its currents are the
+twin's torques times a factor, plus friction: both are fitted. Currents ripple, so their deviation is the mean
+of the last looks; a payload stays.
 """
 
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,10 +24,13 @@ from armcell.core import InputError
 Array = NDArray[np.float64]
 
 FORMAT = 1
-WIDER = 1.6  # times the largest deviation of a clean motion
+WIDER = 1.6  # times the largest deviation of clean motions
 LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE, LEAST_TRIP = 0.004, 0.04, 0.03, 0.012
 """[rad], [rad/s], of the largest current, [s]: bands are no narrower."""
 LEAST_SAMPLES = 200
+LASTING = 3  # looks in a row outside a band until something is done
+SMOOTHED = 12  # looks that a current's deviation is the mean of
+LAGS = (-0.05, 0.2)  # [s] between which the lag is
 CREEP = 0.02  # [rad/s] at which a joint's Coulomb friction has come to most of its size
 
 
@@ -59,8 +64,15 @@ class ArmBands:
         """Motor currents (n,) [A] that the twin leads to expect."""
         return self.gain * effort + self.friction * np.tanh(velocity / CREEP) + self.offset
 
-    def deviations(self, seen: Seen, twin: Rehearsal, columns: Sequence[int]) -> dict[str, Array]:
-        """By kind, each joint's deviation in units of its band (n,); above 1 is outside. `timing` is (1,)."""
+    def deviations(
+        self, seen: Seen, twin: Rehearsal, columns: Sequence[int], currents: deque[Array]
+    ) -> dict[str, Array]:
+        """By kind, each joint's deviation in units of its band (n,); above 1 is outside. `timing` is (1,).
+
+        Args:
+            columns: the arm's joints in the twin.
+            currents: the last looks' current deviations, of this motion; one is added.
+        """
         at = list(columns)
         q, v, effort = (row[at] for row in twin.at(seen.clock - self.lag))
         found = {
@@ -69,10 +81,12 @@ class ArmBands:
             "timing": np.array([0.0 if np.isnan(seen.trip) else seen.trip / self.trip]),
         }
         if np.isfinite(self.current).all():
-            # Slower than planned the inertia's share is smaller, by at most what the motion's course has of it.
+            # Slower than planned the inertia's share is smaller, by at most what the motion has of it.
             share = (1.0 - seen.scaling**2) * np.abs(self.gain) * np.ptp(twin.efforts[:, at], axis=0) / 2
-            wrong = np.abs(seen.current - self.current_of(effort, v * seen.scaling)) - share
-            found["current"] = np.maximum(wrong, 0.0) / self.current
+            currents.append(seen.current - self.current_of(effort, v * seen.scaling))
+            wrong = np.abs(np.mean(currents, axis=0)) - share
+            if len(currents) == SMOOTHED:
+                found["current"] = np.maximum(wrong, 0.0) / self.current
         return found
 
 
@@ -138,14 +152,16 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
     predicted = [twin.at(seen.clock) for twin, _, seen in rows]
     error = np.array([seen.q - p[0][c] for (_, c, seen), p in zip(rows, predicted)])
     speed = np.array([p[1][c] for (_, c, _), p in zip(rows, predicted)])
-    lag = float(np.clip(-np.sum(error * speed) / max(np.sum(speed**2), 1e-9), 0.0, 0.2))
+    lag = float(np.clip(-np.sum(error * speed) / max(np.sum(speed**2), 1e-9), *LAGS))
     late = [twin.at(seen.clock - lag) for twin, _, seen in rows]
     q, v, effort = (np.array([p[k][c] for (_, c, _), p in zip(rows, late)]) for k in range(3))
     scaling = np.array([[seen.scaling] for *_, seen in rows])
-    position = np.abs(np.array([seen.q for *_, seen in rows]) - q).max(axis=0)
-    velocity = np.abs(np.array([seen.v for *_, seen in rows]) - v * scaling).max(axis=0)
+    lengths = [len(looks) for *_, looks in motions]
+    position = _largest_lasting(np.array([seen.q for *_, seen in rows]) - q, lengths)
+    velocity = _largest_lasting(np.array([seen.v for *_, seen in rows]) - v * scaling, lengths)
     current = np.array([seen.current for *_, seen in rows])
     gain, friction, offset, left = _fitted(current, effort, v * scaling)
+    smooth = _largest_mean(left, lengths)
     most = np.abs(current).max(axis=0)
     told = bool(most.max() > 1e-6)
     trips = np.array([seen.trip for *_, seen in rows])
@@ -157,18 +173,42 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
         gain,
         friction,
         offset,
-        np.maximum(WIDER * left, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
+        np.maximum(WIDER * smooth, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
         WIDER * trip + LEAST_TRIP,
         len(rows),
     )
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array, Array, Array]:
-    """Factor, friction and offset of each joint, and the largest that is left (n,) each."""
+    """Factor, friction and offset of each joint (n,), and what is left of every look (k, n)."""
     n = current.shape[1]
-    out = np.zeros((4, n))
+    out, left = np.zeros((3, n)), np.zeros_like(current)
     for i in range(n):
         A = np.column_stack([effort[:, i], np.tanh(speed[:, i] / CREEP), np.ones(len(effort))])
         x, *_ = np.linalg.lstsq(A, current[:, i], rcond=1e-6)
-        out[:3, i], out[3, i] = x, np.abs(A @ x - current[:, i]).max()
-    return out[0], out[1], out[2], out[3]
+        out[:, i], left[:, i] = x, current[:, i] - A @ x
+    return out[0], out[1], out[2], left
+
+
+def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
+    """Largest size that LASTING looks in a row of a motion all had, (n,): one alone slows nothing."""
+    largest, first = np.zeros(left.shape[1]), 0
+    for length in lengths:
+        sizes = np.abs(left[first : first + length])
+        if length >= LASTING:
+            windows = np.lib.stride_tricks.sliding_window_view(sizes, LASTING, axis=0)
+            largest = np.maximum(largest, windows.min(axis=-1).max(axis=0))
+        first += length
+    return largest
+
+
+def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
+    """Largest mean of SMOOTHED looks in a row within a motion, (n,)."""
+    largest, first = np.zeros(left.shape[1]), 0
+    for length in lengths:
+        sums = np.cumsum(np.vstack([np.zeros(left.shape[1]), left[first : first + length]]), axis=0)
+        if length >= SMOOTHED:
+            means = (sums[SMOOTHED:] - sums[:-SMOOTHED]) / SMOOTHED
+            largest = np.maximum(largest, np.abs(means).max(axis=0))
+        first += length
+    return largest

@@ -1,8 +1,9 @@
-"""The twin guard: refuses what touches in physics, and slows, then stops an arm that is not where its twin is."""
+"""The twin guard: refuses what touches in physics; slows, then stops an arm that is not where its twin is."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,11 +12,11 @@ import numpy as np
 
 from armcell.control.following import Following
 from armcell.control.safety import Fault
-from armcell.control.twin.bands import ArmBands, Seen, TwinBands
+from armcell.control.twin.bands import LASTING, SMOOTHED, ArmBands, Seen, TwinBands
 from armcell.control.twin.rehearsal import Rehearsal, Stage
-from armcell.core import SE3, JointState, JointTrajectory, Outcome
+from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 
-SLOW_AFTER, STOP_AFTER = 3, 12
+SLOW_AFTER, STOP_AFTER = LASTING, 12
 """Looks in a row outside a band until the arms are slowed, and until they are stopped."""
 FAR = 3.0  # bands from the twin at which they are stopped as soon as they would be slowed
 SLOW = 0.25  # of the speed
@@ -63,11 +64,32 @@ class TwinGuard:
         self.trips: Mapping[str, Callable[[], float]] = {}  # shortest round trip of late [s], by arm
         self.motions: list[Motion] = []
         self._twin: Rehearsal | None = None
+        self._rehearsed: JointTrajectory | None = None
+
+    def check_calibration(self, found: Mapping[str, str]) -> None:
+        """
+        Args:
+            found: checksum of each arm's calibration.
+        Raises:
+            InputError: the bands were learned with another robot, or before it was calibrated anew.
+        """
+        for arm, now in found.items():
+            then = None if self.bands is None else self.bands.identity.get(f"calibration.{arm}")
+            if then not in (None, now):
+                raise InputError(
+                    f"{arm}: the twin's bands were learned on calibration {then}, this robot has {now}",
+                    cure="learn them anew, which begins with a slow loop: armcell twin CELL",
+                )
 
     def rehearse(
-        self, trajectory: JointTrajectory, state: JointState, poses: Mapping[str, SE3], held: Mapping[str, str]
+        self,
+        trajectory: JointTrajectory,
+        state: JointState,
+        poses: Mapping[str, SE3],
+        held: Mapping[str, str],
     ) -> Outcome | None:
         """Play a trajectory in physics; why it must not be driven, or None."""
+        self._rehearsed = trajectory
         self._twin = self.stage.play(trajectory, state, poses, held)
         outcome = self._twin.outcome
         if outcome.ok:
@@ -83,7 +105,7 @@ class TwinGuard:
     ) -> Following:  # fmt: skip
         """A motion under way, compared with its twin at every look at its clock."""
         twin = self._twin
-        if twin is None or twin.joint_names != trajectory.joint_names:
+        if twin is None or trajectory is not self._rehearsed:
             return following
         return Watched(self, following, twin, list(arms), trip)
 
@@ -102,6 +124,7 @@ class Watched:
         guard.motions.extend(self._kept.values()) if guard.bands is None else None
         self._outside = dict.fromkeys(self._columns, 0)
         self._worst: dict[str, tuple[float, str]] = dict.fromkeys(self._columns, (0.0, ""))
+        self._currents = {name: deque[np.ndarray](maxlen=SMOOTHED) for name in self._columns}
         self._before: dict[str, float] = {}  # sliders as they were, once slowed
         self._stopped = self._told = False
 
@@ -142,7 +165,7 @@ class Watched:
             self._judge(arm, seen, bands.arms[arm.name])
 
     def _judge(self, arm: GuardedArm, seen: Seen, bands: ArmBands) -> None:
-        found = bands.deviations(seen, self._twin, self._columns[arm.name])
+        found = bands.deviations(seen, self._twin, self._columns[arm.name], self._currents[arm.name])
         kind, ratios = max(found.items(), key=lambda item: float(item[1].max()))
         ratio = float(ratios.max())
         joint = "" if kind == "timing" else arm.joint_names[int(np.argmax(ratios))]

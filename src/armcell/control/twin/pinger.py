@@ -36,7 +36,7 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Shortest of the last few round trips [s]; NaN before there are so many. The one under way counts."""
+        """Shortest of the last few round trips [s], the one under way among them; NaN before there are."""
         trips, asked = list(self._trips), self._asked
         if len(trips) < SHORTEST_OF:
             return math.nan

@@ -1,4 +1,4 @@
-"""A trajectory played in physics from the state that was measured: what will touch, and what is to be expected."""
+"""A trajectory played in physics from the measured state: what will touch, and what is to be expected."""
 
 from __future__ import annotations
 
@@ -71,7 +71,11 @@ class Stage:
 
     # --- playing ---
     def play(
-        self, trajectory: JointTrajectory, state: JointState, poses: Mapping[str, SE3], held: Mapping[str, str]
+        self,
+        trajectory: JointTrajectory,
+        state: JointState,
+        poses: Mapping[str, SE3],
+        held: Mapping[str, str],
     ) -> Rehearsal:
         """Play a trajectory.
 

@@ -1,4 +1,4 @@
-"""Faults of an emulated arm, on demand: a payload nobody told of, a joint that is off, one that is blocked."""
+"""Faults of an emulated arm, on demand: a payload nobody told of, a joint that is off, or blocked."""
 
 from __future__ import annotations
 

@@ -242,8 +242,8 @@ def scene_message(
     if parts & Components.LINK_PADDING_AND_SCALING:
         Padding, Scale = schema.message("moveit_msgs/LinkPadding"), schema.message("moveit_msgs/LinkScale")
         links = [n for n, link in scene.model.links.items() if link.collisions]
-        message.link_padding = [Padding(n, scene.link_padding.get(n, scene.padding)) for n in links]  # type: ignore[call-arg]
-        message.link_scale = [Scale(n, scene.link_scale.get(n, 1.0)) for n in links]  # type: ignore[call-arg]
+        message.link_padding = [Padding(n, scene.link_padding.get(n, scene.padding)) for n in links]
+        message.link_scale = [Scale(n, scene.link_scale.get(n, 1.0)) for n in links]
     if parts & Components.OBJECT_COLORS:
         items = [*scene.objects.values(), *(body.object for body in scene.attached.values())]
         message.object_colors = [
@@ -273,7 +273,7 @@ def _matrix(schema: Schema, scene: PlanningScene) -> Any:
     return schema.new(
         "moveit_msgs/AllowedCollisionMatrix",
         names,
-        [Entry(enabled=row) for row in enabled],  # type: ignore[call-arg]
+        [Entry(enabled=row) for row in enabled],
         list(scene.allowed_defaults),
         np.array(list(scene.allowed_defaults.values()), dtype=bool),
     )

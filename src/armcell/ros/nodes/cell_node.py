@@ -222,7 +222,7 @@ class CellNode:
             work = self.play(goal.message.trajectory, _tolerances(goal.message))
         except InputError as error:
             code = INVALID_JOINTS if "unknown joint" in str(error) else INVALID_GOAL
-            return Done(State.REJECTED, Result(error_code=code, error_string=str(error)), str(error))  # type: ignore[call-arg]
+            return Done(State.REJECTED, Result(error_code=code, error_string=str(error)), str(error))
         feedback = _Feedback(self, goal)
         while not work.wait(0.02):
             if goal.cancel.is_set():
@@ -232,9 +232,9 @@ class CellNode:
             return Done(State.ABORTED, Result(), "the cell was closed")
         if work.error is not None:
             text = str(work.error)
-            return Done(State.REJECTED, Result(error_code=INVALID_GOAL, error_string=text), text)  # type: ignore[call-arg]
+            return Done(State.REJECTED, Result(error_code=INVALID_GOAL, error_string=text), text)
         result = work.outcome()
-        message = Result(error_code=_follow_code(result), error_string=result.message)  # type: ignore[call-arg]
+        message = Result(error_code=_follow_code(result), error_string=result.message)
         if result.ok:
             return Done(State.SUCCEEDED, message, result.message)
         preempted = result.code is ErrorCode.PREEMPTED
@@ -262,7 +262,7 @@ class _Feedback:
         passed = now - work.began
         wanted, moving, _ = trajectory.sample(passed)
         actual = state.reindexed(trajectory.joint_names)
-        at = bus.schema.message("builtin_interfaces/Duration").from_sec(passed)  # type: ignore[attr-defined]
+        at = bus.schema.message("builtin_interfaces/Duration").from_sec(passed)
 
         def point(q: np.ndarray, v: np.ndarray | None) -> Any:
             return bus.schema.new(
