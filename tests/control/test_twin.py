@@ -210,7 +210,7 @@ def test_each_fault_slows_and_stops(bands, twins, name):
     assert slowed is not None and stopped is not None and 0 <= slowed <= stopped < 0.3
     assert isinstance(trip, Fault) and trip.kind == "twin deviation"
     assert said in trip.text and cure in trip.cure
-    assert robot.sliders == [SLOW]
+    assert robot.sliders == [SLOW, 0.8]  # and back, once it is stopped
 
 
 def test_clean_motions_are_left_alone_and_a_moment_is_no_stop(bands, twins):

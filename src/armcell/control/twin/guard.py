@@ -183,6 +183,7 @@ class Watched:
             cures = {"current": "a payload that was not told? a touch?", "timing": "look at the network"}
             cure = cures.get(kind, "is it blocked, displaced, badly calibrated?")
             self._trip(Fault(arm.name, "twin deviation", f"{text} at {seen.clock:.2f} s", cure))
+            self._as_before()  # nothing moves before somebody has said so
 
     def _slow(self, cause: GuardedArm, text: str, clock: float) -> None:
         for arm in self._arms:
@@ -191,10 +192,15 @@ class Watched:
             arm.set_slider(min(SLOW, now))
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
 
-    def _end(self, how: str) -> None:
+    def _as_before(self) -> None:
+        """The sliders as they were before they were slowed."""
         for arm in self._arms:
-            if arm.name in self._before and not self._stopped:
-                arm.set_slider(self._before[arm.name])
+            if arm.name in self._before:
+                arm.set_slider(self._before.pop(arm.name))
+
+    def _end(self, how: str) -> None:
+        self._as_before()
+        for arm in self._arms:
             ratio, text = self._worst[arm.name]
             if self._guard.bands is not None and text:
                 self._guard.note(arm.name, "twin", f"{how}: at most {ratio:.2f} of a band ({text})")
