@@ -38,9 +38,7 @@ def main() -> None:
         cell = load(folder / "lamp.yaml")
 
         first = read_record(recorded(cell, 0, folder / "first"))
-        print(
-            f"recorded: {len(first.states)} states, {len(first.trajectories)} plan, {len(first.events)} events"
-        )
+        print(f"recorded: {len(first.states)} states, {len(first.events)} events")
 
         same, _, _ = execute_again(first, folder / "again")
         print(f"executed again: {same.same_states} of {same.states} states identical to the bit")
