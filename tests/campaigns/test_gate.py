@@ -1,6 +1,7 @@
 """The gate: what is shown, signed, changed, forged, and asked for before a real arm moves."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from armcell.campaigns.spec import checked_cell
 from armcell.campaigns.trial import Trial, told
 from armcell.cell import content_hashes, load, with_values
 from armcell.core import InputError
+from armcell.records import read_record
 
 NOD = """robot: ur10_gripper
 start: {arm: home}
@@ -149,9 +151,9 @@ def test_real_arms_ask_for_it(tmp_path, capsys):
     """From a cell's campaign to the emulated arm, and what is said when something was changed in between."""
     (host,) = free_hosts(1)
     (tmp_path / "task.py").write_text(TASK)
-    text = (
-        NOD + f"real: {{max_state_age: 0.5, watchdog: 0.5, arms: {{arm: {{host: {host}, model: UR10}}}}}}\n"
-    )
+    port = 50100 + 10 * (os.getpid() % 900)  # other tests' arms are on the usual one
+    arm = f"{{host: {host}, model: UR10, port: {port}}}"
+    text = NOD + f"real: {{max_state_age: 0.5, watchdog: 0.5, arms: {{arm: {arm}}}}}\n"
     cell, out = cell_file(tmp_path, text), tmp_path / "out.json"
     run = ("run", cell, "--mode", "real", "--runs", tmp_path / "runs", "--json", out)
     with emulator("--cell", str(cell), hosts=[host]):
@@ -174,10 +176,6 @@ def test_real_arms_ask_for_it(tmp_path, capsys):
             kept["overridden"] and kept["reason"] == "box was measured anew" and "objects.box" in kept["else"]
         )
         assert "protective stop" not in dashboard(host, "armcell messages")[0]
-    records = sorted((tmp_path / "runs").glob("*-cell/run.mcap")) or sorted(
-        (tmp_path / "runs").glob("*/run.mcap")
-    )
-    from armcell.records import read_record
-
+    records = sorted((tmp_path / "runs").glob("*/run.mcap"))
     notes = [e.text for e in read_record(records[-1]).events if e.kind == "note"]
     assert notes == ["gate overridden: box was measured anew"]

@@ -25,8 +25,9 @@ Array = NDArray[np.float64]
 
 FORMAT = 1
 WIDER = 1.6  # times the largest deviation of clean motions
-LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE, LEAST_TRIP = 0.004, 0.04, 0.03, 0.012
-"""[rad], [rad/s], of the largest current, [s]: bands are no narrower."""
+LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE = 0.004, 0.04, 0.03
+"""[rad], [rad/s], of the largest current: bands are no narrower."""
+LATER = 0.015  # [s] that a round trip may take longer than ever in clean motions
 LEAST_SAMPLES = 200
 LASTING = 3  # looks in a row outside a band until something is done
 SMOOTHED = 12  # looks that a current's deviation is the mean of
@@ -165,7 +166,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
     most = np.abs(current).max(axis=0)
     told = bool(most.max() > 1e-6)
     trips = np.array([seen.trip for *_, seen in rows])
-    trip = float(np.nanmax(trips)) if not np.isnan(trips).all() else LEAST_TRIP
+    trip = float(np.nanmax(trips)) if not np.isnan(trips).all() else 0.0
     return ArmBands(
         lag,
         np.maximum(WIDER * position, LEAST_POSITION),
@@ -174,7 +175,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
         friction,
         offset,
         np.maximum(WIDER * smooth, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
-        WIDER * trip + LEAST_TRIP,
+        trip + LATER,
         len(rows),
     )
 
