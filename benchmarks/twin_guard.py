@@ -32,6 +32,7 @@ CELL = f"""robot: ur10_gripper
 start: {{arm: home, gripper: open}}
 objects:
   floor: {{box: [3.0, 3.0, 0.04], pose: [0, 0, -0.021]}}
+physics: {{full_gain_effort: 300}}  # with the default a UR10's wrist may chatter for good after a hard stop
 real:
   max_state_age: 0.5
   watchdog: 0.5

@@ -31,6 +31,7 @@ LATER = 0.015  # [s] that a round trip may take longer than ever in clean motion
 LEAST_SAMPLES = 200
 LASTING = 3  # looks in a row outside a band until something is done
 SMOOTHED = 12  # looks that a current's deviation is the mean of
+SETTLED = 0.15  # [s] of a motion after which its currents count: they jump as it starts
 LAGS = (-0.05, 0.2)  # [s] between which the lag is
 CREEP = 0.02  # [rad/s] at which a joint's Coulomb friction has come to most of its size
 
@@ -84,9 +85,10 @@ class ArmBands:
         if np.isfinite(self.current).all():
             # Slower than planned the inertia's share is smaller, by at most what the motion has of it.
             share = (1.0 - seen.scaling**2) * np.abs(self.gain) * np.ptp(twin.efforts[:, at], axis=0) / 2
-            currents.append(seen.current - self.current_of(effort, v * seen.scaling))
-            wrong = np.abs(np.mean(currents, axis=0)) - share
+            if seen.clock >= SETTLED:
+                currents.append(seen.current - self.current_of(effort, v * seen.scaling))
             if len(currents) == SMOOTHED:
+                wrong = np.abs(np.mean(currents, axis=0)) - share
                 found["current"] = np.maximum(wrong, 0.0) / self.current
         return found
 
@@ -161,8 +163,9 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
     position = _largest_lasting(np.array([seen.q for *_, seen in rows]) - q, lengths)
     velocity = _largest_lasting(np.array([seen.v for *_, seen in rows]) - v * scaling, lengths)
     current = np.array([seen.current for *_, seen in rows])
-    gain, friction, offset, left = _fitted(current, effort, v * scaling)
-    smooth = _largest_mean(left, lengths)
+    under_way = np.array([seen.clock >= SETTLED for *_, seen in rows])
+    gain, friction, offset, left = _fitted(*(x[under_way] for x in (current, effort, v * scaling)))
+    smooth = _largest_mean(left, [sum(s.clock >= SETTLED for s in looks) for *_, looks in motions])
     most = np.abs(current).max(axis=0)
     told = bool(most.max() > 1e-6)
     trips = np.array([seen.trip for *_, seen in rows])
