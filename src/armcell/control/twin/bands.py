@@ -24,7 +24,7 @@ from armcell.core import InputError
 Array = NDArray[np.float64]
 
 FORMAT = 1
-WIDER = 1.6  # times the largest deviation of clean motions
+WIDER, WIDER_CURRENT = 1.6, 2.5  # times the largest deviation of clean motions
 LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE = 0.004, 0.04, 0.03
 """[rad], [rad/s], of the largest current: bands are no narrower."""
 LATER = 0.015  # [s] that a round trip may take longer than ever in clean motions
@@ -46,6 +46,7 @@ class Seen:
     v: Array  # (n,) [rad/s]
     current: Array  # (n,) [A]
     trip: float  # [s] shortest round trip of the last moments; NaN where not known
+    steady: bool = True  # the speed's scaling is not changing
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +80,11 @@ class ArmBands:
         q, v, effort = (row[at] for row in twin.at(seen.clock - self.lag))
         found = {
             "position": np.abs(seen.q - q) / self.position,
-            "velocity": np.abs(seen.v - v * seen.scaling) / self.velocity,
             "timing": np.array([0.0 if np.isnan(seen.trip) else seen.trip / self.trip]),
         }
+        if not seen.steady:  # speed and currents are behind the scaling that is told
+            return found
+        found["velocity"] = np.abs(seen.v - v * seen.scaling) / self.velocity
         if np.isfinite(self.current).all():
             # Slower than planned the inertia's share is smaller, by at most what the motion has of it.
             share = (1.0 - seen.scaling**2) * np.abs(self.gain) * np.ptp(twin.efforts[:, at], axis=0) / 2
@@ -177,7 +180,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
         gain,
         friction,
         offset,
-        np.maximum(WIDER * smooth, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
+        np.maximum(WIDER_CURRENT * smooth, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
         trip + LATER,
         len(rows),
     )

@@ -20,6 +20,7 @@ SLOW_AFTER, STOP_AFTER = LASTING, 12
 """Looks in a row outside a band until the arms are slowed, and until they are stopped."""
 FAR = 3.0  # bands from the twin at which they are stopped as soon as they would be slowed
 SLOW = 0.25  # of the speed
+STEADY = 0.002  # by which the scaling of the speed may differ from the last look's
 
 
 class GuardedArm(Protocol):
@@ -125,6 +126,7 @@ class Watched:
         self._outside = dict.fromkeys(self._columns, 0)
         self._worst: dict[str, tuple[float, str]] = dict.fromkeys(self._columns, (0.0, ""))
         self._currents = {name: deque[np.ndarray](maxlen=SMOOTHED) for name in self._columns}
+        self._scaling: dict[str, float] = {}  # at the last look
         self._before: dict[str, float] = {}  # sliders as they were, once slowed
         self._stopped = self._told = False
 
@@ -157,7 +159,9 @@ class Watched:
             return
         q, v, current = (np.array(state.values[k]) for k in ("actual_q", "actual_qd", "actual_current"))
         trip = self._guard.trips.get(arm.name, lambda: math.nan)()
-        seen = Seen(clock, scaling, q, v, current, trip)
+        steady = abs(scaling - self._scaling.get(arm.name, 1.0)) < STEADY
+        self._scaling[arm.name] = scaling
+        seen = Seen(clock, scaling, q, v, current, trip, steady)
         bands = self._guard.bands
         if bands is None:
             self._kept[arm.name].seen.append(seen)
