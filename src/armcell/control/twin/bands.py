@@ -24,13 +24,13 @@ from armcell.core import InputError
 Array = NDArray[np.float64]
 
 FORMAT = 1
-WIDER, WIDER_CURRENT = 1.6, 2.5  # times the largest deviation of clean motions
+WIDER, WIDER_CURRENT = 1.6, 2.0  # times the largest deviation of clean motions
 LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE = 0.004, 0.04, 0.03
 """[rad], [rad/s], of the largest current: bands are no narrower."""
 LATER = 0.015  # [s] that a round trip may take longer than ever in clean motions
 LEAST_SAMPLES = 200
 LASTING = 3  # looks in a row outside a band until something is done
-SMOOTHED = 12  # looks that a current's deviation is the mean of
+SMOOTHED = 25  # looks that a current's deviation is the mean of
 SETTLED = 0.15  # [s] of a motion after which its currents count: they jump as it starts
 LAGS = (-0.05, 0.2)  # [s] between which the lag is
 CREEP = 0.02  # [rad/s] at which a joint's Coulomb friction has come to most of its size
