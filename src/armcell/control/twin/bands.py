@@ -24,7 +24,7 @@ from armcell.core import InputError
 Array = NDArray[np.float64]
 
 FORMAT = 1
-WIDER, WIDER_CURRENT = 1.6, 2.0  # times the largest deviation of clean motions
+WIDER, WIDER_CURRENT = 1.6, 2.5  # times the largest deviation of clean motions
 LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE = 0.004, 0.04, 0.03
 """[rad], [rad/s], of the largest current: bands are no narrower."""
 LATER = 0.015  # [s] that a round trip may take longer than ever in clean motions
@@ -33,6 +33,7 @@ LASTING = 3  # looks in a row outside a band until something is done
 SMOOTHED = 25  # looks that a current's deviation is the mean of
 SETTLED = 0.15  # [s] of a motion after which its currents count: they jump as it starts
 LAGS = (-0.05, 0.2)  # [s] between which the lag is
+CURRENT_LAGS = tuple(k * 0.004 for k in range(-10, 16))  # [s] that are tried
 CREEP = 0.02  # [rad/s] at which a joint's Coulomb friction has come to most of its size
 
 
@@ -56,6 +57,7 @@ class ArmBands:
     lag: float  # [s]
     position: Array  # [rad]
     velocity: Array  # [rad/s]
+    current_lag: float  # [s]
     gain: Array  # [A/Nm] current per torque of the twin
     friction: Array  # [A]
     offset: Array  # [A]
@@ -77,7 +79,7 @@ class ArmBands:
             currents: the last looks' current deviations, of this motion; one is added.
         """
         at = list(columns)
-        q, v, effort = (row[at] for row in twin.at(seen.clock - self.lag))
+        q, v, _ = (row[at] for row in twin.at(seen.clock - self.lag))
         found = {
             "position": np.abs(seen.q - q) / self.position,
             "timing": np.array([0.0 if np.isnan(seen.trip) else seen.trip / self.trip]),
@@ -89,6 +91,7 @@ class ArmBands:
             # Slower than planned the inertia's share is smaller, by at most what the motion has of it.
             share = (1.0 - seen.scaling**2) * np.abs(self.gain) * np.ptp(twin.efforts[:, at], axis=0) / 2
             if seen.clock >= SETTLED:
+                effort = twin.at(seen.clock - self.current_lag)[2][at]
                 currents.append(seen.current - self.current_of(effort, v * seen.scaling))
             if len(currents) == SMOOTHED:
                 wrong = np.abs(np.mean(currents, axis=0)) - share
@@ -139,7 +142,8 @@ class TwinBands:
 
 
 def _arm_of(entry: dict[str, Any]) -> ArmBands:
-    return ArmBands(**{k: np.array(v, float) if isinstance(v, list) else v for k, v in entry.items()})
+    values: dict[str, Any] = {k: np.array(v, float) if isinstance(v, list) else v for k, v in entry.items()}
+    return ArmBands(**values)
 
 
 def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) -> ArmBands:
@@ -159,15 +163,22 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
     error = np.array([seen.q - p[0][c] for (_, c, seen), p in zip(rows, predicted)])
     speed = np.array([p[1][c] for (_, c, _), p in zip(rows, predicted)])
     lag = float(np.clip(-np.sum(error * speed) / max(np.sum(speed**2), 1e-9), *LAGS))
-    late = [twin.at(seen.clock - lag) for twin, _, seen in rows]
-    q, v, effort = (np.array([p[k][c] for (_, c, _), p in zip(rows, late)]) for k in range(3))
+    shifted = [twin.at(seen.clock - lag) for twin, _, seen in rows]
+    q, v = (np.array([p[k][c] for (_, c, _), p in zip(rows, shifted)]) for k in range(2))
     scaling = np.array([[seen.scaling] for *_, seen in rows])
     lengths = [len(looks) for *_, looks in motions]
     position = _largest_lasting(np.array([seen.q for *_, seen in rows]) - q, lengths)
     velocity = _largest_lasting(np.array([seen.v for *_, seen in rows]) - v * scaling, lengths)
     current = np.array([seen.current for *_, seen in rows])
     under_way = np.array([seen.clock >= SETTLED for *_, seen in rows])
-    gain, friction, offset, left = _fitted(*(x[under_way] for x in (current, effort, v * scaling)))
+    late = [(twin, c, seen.clock) for twin, c, seen in rows if seen.clock >= SETTLED]
+
+    def fitted(current_lag: float) -> tuple[Array, Array, Array, Array]:
+        effort = np.array([twin.at(t - current_lag)[2][c] for twin, c, t in late])
+        return _fitted(current[under_way], effort, (v * scaling)[under_way])
+
+    current_lag = min(CURRENT_LAGS, key=lambda each: float(np.sum(fitted(each)[3] ** 2)))
+    gain, friction, offset, left = fitted(current_lag)
     smooth = _largest_mean(left, [sum(s.clock >= SETTLED for s in looks) for *_, looks in motions])
     most = np.abs(current).max(axis=0)
     told = bool(most.max() > 1e-6)
@@ -177,6 +188,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
         lag,
         np.maximum(WIDER * position, LEAST_POSITION),
         np.maximum(WIDER * velocity, LEAST_VELOCITY),
+        current_lag,
         gain,
         friction,
         offset,

@@ -55,8 +55,8 @@ class FaultyPlant:
         plant.world.add_load(plant.tool_link, mass)
 
 
-def set_fault(plant: Plant, words: list[str]) -> Plant:
-    """The plant with a fault more; "arm none" gives the one without.
+def set_fault(plant: Any, words: list[str]) -> Any:
+    """The plant (a `Plant`) with a fault more; "arm none" gives the one without.
 
     Raises:
         ValueError: no such fault.
