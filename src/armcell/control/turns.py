@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, WeldRecord
-from armcell.core import SE3, JointState
+from armcell.core import SE3, Contact, JointState
 
 EPSILON = 1e-9  # [s]
 
@@ -121,6 +121,12 @@ class ArmView:
 
     def object_poses(self) -> dict[str, SE3]:
         return self._driver.object_poses()
+
+    def targets(self) -> JointState | None:
+        return self._driver.targets()
+
+    def contacts(self) -> list[Contact]:
+        return self._driver.contacts()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         self._driver.expect_contact(body, others, expected)

@@ -202,10 +202,10 @@ def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | N
     failure = planning.failure
     if failure is not None and (len(stages) == 1 or planning.hopeless):
         text = f"{what}: {failure.message}"
-        ctx.emit("error", text)
+        ctx.emit("error", text, code=failure.code.name, rejections=planning.rejections.details)
         return None, Outcome(
             failure.code, text, {**failure.evidence, "rejections": planning.rejections.details}
         )
     text = f"{what}: {planning.rejections.summary()}"
-    ctx.emit("error", text)
+    ctx.emit("error", text, code="PLANNING_FAILED", rejections=planning.rejections.details)
     return None, Outcome(ErrorCode.PLANNING_FAILED, text, {"rejections": planning.rejections.details})

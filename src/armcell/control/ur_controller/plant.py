@@ -90,6 +90,7 @@ class WorldPlant:
         self._gripper = found[0] if found else None
         self._force = 0.0
         self._links = set(world.robot.group(group).link_names)
+        self.tool_link = world.robot.joints[self._names[-1]].child
         self._seen = 0
         movable = tuple(world.built.object_qpos)
         for link in self._gripper.hand_links if self._gripper else ():
