@@ -26,6 +26,7 @@ armcell local | remote
 armcell move joint <0-5> <rad>
 armcell speed <0..1>
 armcell fault drop <s> | freeze <s> | delay <s> | garbage <messages> | none
+armcell pose <object>
 armcell messages"""
 
 
@@ -135,6 +136,8 @@ class DashboardServer:
                 faults.garbage = int(count) + 1  # this answer's own message goes through as one of them
             case ["fault", "none"]:
                 faults.delay, faults.garbage = 0.0, 0
+            case ["pose", name]:
+                return " ".join(f"{x:.6f}" for x in r.plant.object_pose(name))
             case ["messages"]:
                 return " | ".join(r.messages[-20:])
             case _:

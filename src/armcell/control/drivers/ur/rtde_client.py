@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,12 @@ STATE_VARIABLES = (
     "actual_TCP_force", "robot_mode", "safety_mode", "safety_status_bits", "runtime_state",
     "speed_scaling", "target_speed_fraction", "actual_digital_input_bits", "actual_digital_output_bits",
     "output_int_register_24", "output_int_register_25", "output_double_register_24",
+    "output_double_register_25", "output_int_register_26", "tcp_offset",
 )  # fmt: skip
+
+HISTORY = 0.2  # [s] of states that are kept
+MAX_SLEW = 0.05  # how fast the clocks' offset may rise
+LOST = 0.05  # [s] by which it may jump
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,30 @@ class RobotState:
             raise AttributeError(name) from None
 
 
+class RobotClock:
+    """The robot's clock as seen from here: what is least late of the last second's packets tells the offset.
+
+    Packets come late by what the network and both computers take, never early. So the smallest difference
+    between a packet's arrival and its time stamp is the best, and the clocks of several robots are known
+    on ours to a fraction of their period.
+    """
+
+    def __init__(self, window: int):
+        self._seen: deque[float] = deque(maxlen=window)
+        self.offset = 0.0  # [s] our monotonic clock minus the robot's
+        self._last = 0.0
+
+    def seen(self, stamp: float, received: float) -> None:
+        """A packet with the robot's time stamp arrived."""
+        first = not self._seen
+        self._seen.append(received - stamp)
+        least = min(self._seen)
+        risen = self.offset + MAX_SLEW * max(stamp - self._last, 0.0)
+        lost = least > self.offset + LOST  # an emulator on a busy machine stood still
+        self.offset = least if first or lost else min(least, risen)
+        self._last = stamp
+
+
 class RtdeClient:
     """One connection with a thread that receives.
 
@@ -50,6 +80,9 @@ class RtdeClient:
         self.host, self.frequency = host, frequency
         self._port, self._inputs, self._on_state = port, inputs, on_state
         self.latest: RobotState | None = None
+        self.last_two: tuple[RobotState, RobotState] | None = None  # replaced as one
+        self.history: deque[RobotState] = deque(maxlen=max(round(HISTORY * frequency), 2))
+        self.clock = RobotClock(round(frequency))
         self.error: str | None = None  # why the connection ended
         self._buffer = bytearray()
         self._recipes: list[rtde.Recipe] = []
@@ -122,6 +155,9 @@ class RtdeClient:
                 for kind, body in rtde.frames(self._buffer):
                     if kind == rtde.DATA and body[:1] == bytes([self._output_id]):
                         newest = RobotState(self._output.unpack(body[1:]), time.monotonic())
+                        self.clock.seen(newest.timestamp, newest.received)
+                        self.last_two = (self.last_two or (newest, newest))[1], newest
+                        self.history.append(newest)
                 if newest is not None:
                     self.latest = newest
                     if self._on_state is not None:
