@@ -83,6 +83,7 @@ def test_a_service_that_fails_here_is_answered_there(pair):
         simulator.call("/grip", schema().new("std_srvs/SetBoolRequest"))
 
 
+@pytest.mark.slow
 def test_it_connects_when_the_endpoint_comes_and_again_when_it_returns():
     simulator, planner = Bus(), Bus()
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -131,6 +132,7 @@ def test_registrations_byte_for_byte_in_ros2_mode():
                 assert 0.5 < time.monotonic() - start < 3
 
 
+@pytest.mark.slow
 def test_an_endpoint_older_than_the_handshake(caplog):
     with socket.create_server(("127.0.0.1", 0)) as endpoint:
         bus = Bus()
