@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.control.drivers.ur import program as commands
 from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.drivers.ur.heart import Heart
 from armcell.control.drivers.ur.identity import Identity
 from armcell.control.drivers.ur.program import ProgramLink, ProgramSettings
 from armcell.control.drivers.ur.rtde_client import RobotState, RtdeClient
@@ -36,11 +35,11 @@ class UrArm:
 
     def __init__(
         self, name: str, joint_names: Sequence[str], settings: ArmSettings, limits: RealSettings,
-        identity: Identity, heart: Heart, on_state: Callable[[], None],
+        identity: Identity, on_state: Callable[[], None],
     ):  # fmt: skip
         self.name, self.joint_names = name, tuple(joint_names)
         self.settings, self.identity = settings, identity
-        self._limits, self._heart = limits, heart
+        self._limits = limits
         self.step = 1.0 / identity.model.frequency  # [s]
         self._rtde = RtdeClient(settings.host, identity.model.frequency, INPUTS, lambda _: on_state())
         self._link = ProgramLink(
@@ -141,9 +140,15 @@ class UrArm:
                 "not running", f"robot mode {names.get(mode, mode)}", "power on, release brakes"
             )
         age = self.age
-        longest = limits.max_state_age if self.moving else limits.max_silence
-        if self.armed and age > longest and self._heart.awake:
+        moving = self.moving
+        if self.armed and age > (limits.max_state_age if moving else limits.max_silence):
             return self._found("stale state", f"its state is {age * 1000:.0f} ms old", "check the network")
+        # Held up for less than the watchdog, this program has still kept the robot going; for longer it has
+        # not, whatever the robot's state may be.
+        blind = self._rtde.blind
+        if self.armed and blind > (limits.watchdog if moving else limits.max_silence):
+            text = f"this computer was held up for {blind * 1000:.0f} ms"
+            return self._found("stale state", text, "give it less to do, or priority: chrt -f 10 armcell ...")
         if self.armed and not self._link.connected:
             return self._found("program ended", "our program on the robot ended or its link broke", "resume")
         error = float(np.abs(np.subtract(state.target_q, state.actual_q)).max())

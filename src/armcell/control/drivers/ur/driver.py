@@ -72,7 +72,7 @@ class UrDriver(SeesNoContacts):
             undo.callback(self._heart.stop)
             for name, arm in wanted.items():
                 joints = self._model.group(name).joint_names
-                made = UrArm(name, joints, arm, self.settings, found[name], self._heart, self._look)
+                made = UrArm(name, joints, arm, self.settings, found[name], self._look)
                 self.arms[name] = made
                 undo.callback(made.close)
                 made.connect()

@@ -42,6 +42,7 @@ class Streamed:
         self._lead = lead  # [s] by which points are ahead of when they are to be reached
         self._arms, self._trajectory, self._fault = arms, trajectory, fault
         self._clock, self._state = 0.0, RUNNING
+        self.sent_at: list[float] = []  # when points were sent [s, monotonic]
         self._cancel = threading.Event()
         threading.Thread(target=self._stream, name="ur stream", daemon=True).start()
 
@@ -54,6 +55,7 @@ class Streamed:
         while self._fault() is None and not self._cancel.is_set():
             scaling = min(arm.scaling for arm in self._arms)
             q, v, _ = self._trajectory.sample(first + self._clock)
+            self.sent_at.append(time.monotonic())
             for arm, own in zip(self._arms, columns):
                 arm.servo(q[own], v[own] * scaling, due + self._lead)
             if self._clock >= duration:

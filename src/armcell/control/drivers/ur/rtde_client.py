@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import selectors
 import socket
 import struct
 import threading
@@ -23,6 +24,7 @@ STATE_VARIABLES = (
     "output_double_register_25", "output_int_register_26", "tcp_offset",
 )  # fmt: skip
 
+LOOK = 0.01  # [s] at most between two looks whether something has come
 HISTORY = 0.2  # [s] of states that are kept
 MAX_SLEW = 0.05  # how fast the clocks' offset may rise
 LOST = 0.05  # [s] by which it may jump
@@ -105,6 +107,7 @@ class RtdeClient:
             ) from None
         self._socket.settimeout(1.0)
         self._open = True
+        self._looked = time.monotonic()
         self._thread = threading.Thread(target=self._receive, name=f"rtde {self.host}", daemon=True)
         self._thread.start()
         end = time.monotonic() + timeout
@@ -149,7 +152,9 @@ class RtdeClient:
         self._buffer += data
 
     def _receive(self) -> None:
+        waiting = selectors.DefaultSelector()
         try:
+            waiting.register(self._socket, selectors.EVENT_READ)
             while self._open:
                 newest: RobotState | None = None
                 for kind, body in rtde.frames(self._buffer):
@@ -162,17 +167,30 @@ class RtdeClient:
                     self.latest = newest
                     if self._on_state is not None:
                         self._on_state(newest)
-                try:
+                    self._looked = newest.received
+                if waiting.select(LOOK):
                     self._fill()
-                except TimeoutError:
-                    continue  # silence is judged by the state's age
-        except (OSError, rtde.RtdeError, struct.error) as error:
+                else:
+                    self._looked = time.monotonic()  # nothing has come
+        except (OSError, ValueError, rtde.RtdeError, struct.error) as error:
             self.error = str(error) or type(error).__name__
+        finally:
+            waiting.close()
 
     @property
     def age(self) -> float:
-        """Of the latest state [s]."""
-        return time.monotonic() - self.latest.received if self.latest is not None else float("inf")
+        """How old the latest state was when this computer last looked for a newer one [s].
+
+        By the robot's time stamp: what lay in a buffer meanwhile is not new.
+        """
+        if self.latest is None:
+            return float("inf")
+        return max(self._looked - self.latest.timestamp - self.clock.offset, 0.0)
+
+    @property
+    def blind(self) -> float:
+        """For how long this computer has not looked [s]: it was held up, and knows nothing."""
+        return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:
         """Values of an input recipe, counted from 0 in the order given.
