@@ -191,6 +191,7 @@ def _back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
 
 
 def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
+    """All stages planned from the scene as it is now; or None and why not."""
     """Stages planned from the measured state: the draft, or None and why there is none."""
     warm_up()  # not on the time of a plan
     planning = Planning(ctx.settings, ctx.seed, ctx.cancel)

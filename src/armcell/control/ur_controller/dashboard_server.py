@@ -27,6 +27,7 @@ armcell local | remote
 armcell move joint <0-5> <rad>
 armcell speed <0..1>
 armcell fault drop <s> | freeze <s> | delay <s> | garbage <messages> | none
+armcell pose <object>
 {WORDS}
 armcell messages"""
 
@@ -139,6 +140,8 @@ class DashboardServer:
                 r.plant = set_fault(r.plant, words[1:])
             case ["fault", "none"]:
                 faults.delay, faults.garbage = 0.0, 0
+            case ["pose", name]:
+                return " ".join(f"{x:.6f}" for x in r.plant.object_pose(name))
             case ["messages"]:
                 return " | ".join(r.messages[-20:])
             case _:
