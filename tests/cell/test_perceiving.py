@@ -15,6 +15,7 @@ def cell():
     return load("six_axis_camera")
 
 
+@pytest.mark.slow
 def test_nobody_knows_where_the_cube_is_before_a_look(cell):
     with cell.connect(seed=2) as live:
         assert "cube" not in live.scene().objects and "cube" not in live.driver.object_poses()

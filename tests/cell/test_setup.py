@@ -81,6 +81,7 @@ def test_what_touches_is_checked(name):
     assert checked and all(p.touching < p.samples for p in checked)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_written_cell_plans_at_once(name, tmp_path):
     write_cell(proposed(name), tmp_path / "cell")

@@ -61,6 +61,7 @@ def test_the_seed_makes_the_poses(capsys, tmp_path):
     assert counts[0] == counts[1] != counts[2]
 
 
+@pytest.mark.slow
 def test_a_urdf_without_groups_by_its_tip(capsys, tmp_path):
     said, data = measured(capsys, tmp_path, "--robot", urdf(tmp_path), "--tip", "l6", "--count", "20")
     assert said.status == 0 and data["summary"]["method"] == "analytic"

@@ -270,6 +270,7 @@ def test_contacts_face_each_other_within_friction(hand, tmp_path):
             assert np.degrees(np.arccos(sign * contact.normal[1])) <= np.degrees(np.arctan(0.4)) + 1e-6
 
 
+@pytest.mark.slow
 def test_a_cloud_is_held_like_the_thing_it_was_seen_on(hand):
     """Points of a box seen from above and one side, a little noisy: held across a side that fits."""
     rng = np.random.default_rng(0)

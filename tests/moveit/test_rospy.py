@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from armcell.ros import ros1
+from armcell.ros.codec import ros1
 
 
 @pytest.fixture

@@ -101,6 +101,7 @@ def seen_bracket(turn: SO3, at: tuple[float, float, float], eye=(0.25, -0.3, 0.5
     return item, scene, take_image(world, camera)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "turn, z", [((0, 0, 0.7), 0.0), ((np.pi / 2, 0, -1.0), 0.02), ((0, -np.pi / 2, 2.5), 0.04)]
 )

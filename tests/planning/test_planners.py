@@ -31,6 +31,7 @@ def test_moveit_s_default_is_there():
     assert all("RRTConnect" in pipelines[name] for name in ("native", "ompl"))
 
 
+@pytest.mark.slow
 @each_planner
 def test_it_solves_an_easy_problem_or_says_that_it_cannot(pipeline, name):
     scene = panda_wall()

@@ -14,15 +14,19 @@ from armcell.core import (
     SE3,
     SO3,
     Box,
+    CartesianRequest,
     ConstraintGoal,
     Constraints,
+    ErrorCode,
     InputError,
-    NamedGoal,
+    JointGoal,
+    JointState,
+    PoseGoal,
     UnknownNameError,
     VisibilityConstraint,
 )
 from armcell.kinematics import kinematic_tree
-from armcell.planning import constraint_errors, plan, satisfied
+from armcell.planning import constraint_errors, plan, plan_cartesian, satisfied
 from armcell.planning.visibility import visibility
 
 FACING = SO3.from_rpy((np.pi, 0.0, 0.0))  # of a disc before a sensor: its z looks back at it
@@ -82,12 +86,10 @@ def hit(eye, ends, triangles) -> bool:
         return bool(np.any((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)))
 
 
-def test_links_in_the_view_are_those_that_rays_meet():
-    """Cones past and through the Panda from random places, beside 300 segments within each."""
-    scene, rng = panda(), np.random.default_rng(0)
+def surfaces(scene) -> dict[str, np.ndarray]:
+    """Triangles (t, 3, 3) of each link, where the scene has it."""
     tree = kinematic_tree(scene.model)
-    Ts = tree.link_transforms(scene.positions)
-    solids = {}
+    Ts, found = tree.link_transforms(scene.positions), {}
     for link in scene.model.links.values():
         parts = []
         for c in link.collisions:
@@ -96,7 +98,14 @@ def test_links_in_the_view_are_those_that_rays_meet():
             surface = c.shape if extents is None else trimesh.creation.box(extents)
             parts.append(T.apply(surface.vertices)[surface.faces])
         if parts:
-            solids[link.name] = np.concatenate(parts)
+            found[link.name] = np.concatenate(parts)
+    return found
+
+
+def test_links_in_the_view_are_those_that_rays_meet():
+    """Cones past and through the Panda from random places, beside 300 segments within each."""
+    scene, rng = panda(), np.random.default_rng(0)
+    solids = surfaces(scene)
     assert len(solids) >= 9
     met_some = clear = 0
     for _ in range(25):
@@ -165,6 +174,71 @@ def test_what_is_refused():
     ):
         with pytest.raises(error, match=said):
             goal(**changes)
-    along = request(NamedGoal("extended"), path_constraints=Constraints(visibilities=(good,)))
-    with pytest.raises(InputError, match="ConstraintGoal"):
-        plan(scene, along)
+
+
+def unseen(scene, trajectory, c: VisibilityConstraint, step: float = 0.02) -> tuple[float, float, int]:
+    """Largest view and range angle [rad] along a motion; at how many moments rays to the disc meet a link."""
+    rng, view, range_, met = np.random.default_rng(1), 0.0, 0.0, 0
+    for t in np.append(np.arange(0.0, trajectory.duration, step), trajectory.duration):
+        at = scene.with_state(JointState(trajectory.joint_names, trajectory.sample(t)[0]))
+        sensor, disc = at.frame_pose(c.sensor) @ c.T_link_sensor, at.frame_pose(c.frame) @ c.T_frame_target
+        looks, way = sensor.rotation.matrix[:, 2], disc.translation - sensor.translation
+        ahead, at_it = -looks @ disc.rotation.matrix[:, 2], looks @ way / np.linalg.norm(way)
+        view, range_ = max(view, np.arccos(min(ahead, 1.0))), max(range_, np.arccos(min(at_it, 1.0)))
+        r = c.target_radius * np.cos(np.pi / c.cone_sides) * np.sqrt(rng.random(60))
+        turn = rng.uniform(0, 2 * np.pi, 60)
+        ends = disc.apply(np.column_stack([r * np.cos(turn), r * np.sin(turn), np.zeros(60)]))
+        links = {n: s for n, s in surfaces(at).items() if n != c.sensor}
+        met += any(hit(sensor.translation, ends, triangles) for triangles in links.values())
+    return view, range_, met
+
+
+def looking(eye, end) -> SE3:
+    z = np.subtract(end, eye) / np.linalg.norm(np.subtract(end, eye))
+    x = np.cross(z, [0, 0, 1.0]) / np.linalg.norm(np.cross(z, [0, 0, 1.0]))
+    return SE3.from_matrix(np.vstack([np.column_stack([x, np.cross(z, x), z, eye]), [0, 0, 0, 1]]))
+
+
+@pytest.mark.slow
+def test_along_a_path_the_arm_stays_out_of_a_camera_s_view():
+    """A camera that stands before the robot watches the table; the arm does not go through the view."""
+    scene = panda(joint1=-0.8, joint2=0.3, joint4=-2.2, joint6=2.5)
+    q = scene.state.reindexed(scene.model.group("arm").joint_names)
+    goal = JointGoal(q.updated(JointState(("panda_joint1",), [0.8])))
+    sensor = looking([1.2, 0.0, 0.9], [0.45, 0.0, 0.0])
+    target = SE3(sensor.rotation @ FACING, np.array([0.45, 0.0, 0.0]))
+    view = VisibilityConstraint("world", target, 0.05, T_link_sensor=sensor)
+    through = plan(scene, request(goal))
+    assert through.ok and unseen(scene, through.trajectory, view)[2] > 3
+    kept = request(goal, path_constraints=Constraints(visibilities=(view,)), planning_time=60.0)
+    result = plan(scene, kept)
+    assert result.ok, result.message
+    assert unseen(scene, result.trajectory, view)[2] == 0
+    # A line into the view ends at its edge, and says so.
+    middle = scene.with_state(JointState(("panda_joint1",), [0.0])).frame_pose("panda_hand")
+    into = CartesianRequest("arm", (middle,), link="panda_hand", path_constraints=kept.path_constraints)
+    line = plan_cartesian(scene, into)
+    assert not line.ok and 0 < line.fraction < 1 and "in the view of world" in line.message
+    assert unseen(scene, line.trajectory, view)[2] == 0
+
+
+@pytest.mark.slow
+def test_along_a_path_the_hand_keeps_looking():
+    """A camera on the wrist looks at a disc on the floor while the hand passes over it."""
+    down, free = SO3.from_rpy((np.pi, 0.0, 0.0)), panda()
+    first = plan(free, request(PoseGoal(SE3(down, np.array([0.5, -0.25, 0.5])))))
+    scene = free.with_state(JointState(first.trajectory.joint_names, first.trajectory.positions[-1]))
+    view = VisibilityConstraint(
+        "panda_link8", SE3.from_xyz(0.6, 0.0, 0.0), 0.03, T_link_sensor=SE3.from_xyz(0.08, 0.0, 0.0),
+        max_view_angle=0.8, max_range_angle=0.6,
+    )  # fmt: skip
+    over = PoseGoal(SE3(down, np.array([0.5, 0.25, 0.5])))
+    result = plan(
+        scene, request(over, path_constraints=Constraints(visibilities=(view,)), planning_time=60.0)
+    )
+    assert result.ok, result.message
+    angle, range_, met = unseen(scene, result.trajectory, view)
+    assert angle <= 0.8 and range_ <= 0.6 and met == 0
+    tight = replace(view, max_range_angle=0.1)
+    refused = plan(scene, request(over, path_constraints=Constraints(visibilities=(tight,))))
+    assert refused.code is ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS and "too far" in refused.message

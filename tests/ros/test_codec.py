@@ -131,6 +131,7 @@ def test_cut_bytes_and_trailing_bytes_are_wire_errors(codec):
             codec.decode(name, data + b"\0" * 9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", CODECS, ids=IDS)
 def test_random_bytes_give_a_message_or_a_wire_error(codec):
     rng = np.random.default_rng(9)

@@ -8,7 +8,8 @@ import pytest
 from tests.ros.fuzz_tcp import fuzz
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import Bus, ros1, schema
+from armcell.ros import Bus, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 from armcell.ros.tcp.frames import MAX_BODY, FrameError, FrameReader, command
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from armcell.core import InputError
-from armcell.ros import Bus, ServiceError, cdr, ros1, schema
+from armcell.ros import Bus, ServiceError, cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 STATE = "sensor_msgs/JointState"
@@ -83,6 +84,7 @@ def test_a_service_that_fails_here_is_answered_there(pair):
         simulator.call("/grip", schema().new("std_srvs/SetBoolRequest"))
 
 
+@pytest.mark.slow
 def test_it_connects_when_the_endpoint_comes_and_again_when_it_returns():
     simulator, planner = Bus(), Bus()
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -131,6 +133,7 @@ def test_registrations_byte_for_byte_in_ros2_mode():
                 assert 0.5 < time.monotonic() - start < 3
 
 
+@pytest.mark.slow
 def test_an_endpoint_older_than_the_handshake(caplog):
     with socket.create_server(("127.0.0.1", 0)) as endpoint:
         bus = Bus()

@@ -11,7 +11,8 @@ import pytest
 from tests.ros.unity_like import UnityLike
 
 from armcell.core import InputError
-from armcell.ros import Bus, Schema, ServiceError, cdr, ros1, schema
+from armcell.ros import Bus, Schema, ServiceError, cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 ANY_PORT = ServerSettings(port=0)

@@ -111,6 +111,7 @@ def test_nothing_touched_is_nothing_felt():
     np.testing.assert_array_equal(world.wrench("left_gripper"), np.zeros(6))
 
 
+@pytest.mark.slow
 def test_a_lifted_rod_weighs_on_both_hands():
     """Both hands together feel the rod's weight and nothing else, whatever they do to each other."""
     from armcell.tasks import checked

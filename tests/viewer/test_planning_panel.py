@@ -208,6 +208,7 @@ def test_what_is_shown_is_text_not_markup(panel):
     assert "<script>" not in panel.plan.result.content and "&lt;script&gt;" in panel.plan.result.content
 
 
+@pytest.mark.slow
 def test_closing_leaves_no_thread(cell, tmp_path):
     before = set(threading.enumerate())
     session = PlanningSession(cell.scene())

@@ -12,7 +12,7 @@ import numpy as np
 from armcell.cell.cameras import camera_of, decal_of
 from armcell.cell.dropping import dropped
 from armcell.cell.live import LiveCell
-from armcell.cell.objects_file import object_of
+from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
 from armcell.control import DriverOptions, drivers
@@ -218,14 +218,7 @@ class Cell:
 def _with_screwed(scene: PlanningScene, item: CollisionObject) -> PlanningScene:
     """A scene with an object that is screwed into one that is there; its pose is in that one's frame."""
     assert item.thread is not None
-    into = item.thread.into
-    if into not in scene.objects or not item.movable:
-        raise InputError(
-            f"is screwed into {into!r}: that has to stand before it in the file, and it has to be movable",
-            cure=f"before it: {', '.join(scene.objects) or 'nothing'}",
-        )
-    item = item.at(scene.object(into).T_world_object @ item.T_world_object)
-    return scene.with_object(item).with_allowed(item.name, into)
+    return scene.with_object(screwed(item, scene.objects)).with_allowed(item.name, item.thread.into)
 
 
 def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from rich.live import Live
 from rich.text import Text
 
 from armcell.cli.console import console, err, errors
+from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
+from armcell.cli.ros1 import join as join_ros1
 from armcell.core import InputError
 
 REFRESH = 1.0  # [s]
@@ -26,9 +29,14 @@ SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by i
 
 def serve(
     cell: str = CELL,
+    remap: list[str] = REMAP,
     unity: bool = typer.Option(False, "--unity", help="Serve Unity's ROS-TCP-Connector."),
+    ros1: bool = ROS1,
+    own_master: bool | None = OWN_MASTER,
     port: int = typer.Option(10000, min=0, max=65535, help="Port for Unity; 0: any free one."),
-    bind: str = typer.Option("127.0.0.1", help="Address to listen on; 0.0.0.0 lets other machines in."),
+    bind: str | None = typer.Option(
+        None, help="Address to listen on: 127.0.0.1, for ROS 1 what ROS_IP says; 0.0.0.0 lets others in."
+    ),
     protocol: str = typer.Option("auto", help="auto (as each client speaks), ROS1 or ROS2."),
     mode: str = MODE,
     seed: int = SEED,
@@ -47,35 +55,60 @@ def serve(
 ) -> int:
     """Run a cell and serve it: states out; trajectories, planning (move_group), pick, place and grasps in.
 
-    Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. Ctrl-C ends it.
+    Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. With --ros1, ROS programs
+    see a node that publishes, plans and moves as MoveIt's move_group does. Ctrl-C ends it.
     """
-    if not unity:
-        raise InputError("nothing to serve", cure="give --unity")
+    if not (unity or ros1):
+        raise InputError("nothing to serve", cure="give --unity or --ros1")
+    check_remap(ros1, remap, own_master)
     from armcell.ros import Bus, Schema
-    from armcell.ros.tcp import RosTcpServer, ServerSettings
 
     bus = Bus(Schema(types) if types is not None else None)
-    server = RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol))
-    with server:  # a port in use is said before the cell is loaded
-        host, number = server.address
-        if bind not in ("127.0.0.1", "localhost"):
-            err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
-        console.print(f"Unity can connect to {host}:{number}; Ctrl-C ends it", markup=False)
+    wires: list[Wire] = []
+    with ExitStack() as stack:  # a port in use is said before the cell is loaded
+        if unity:
+            wires.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
+        if ros1:
+            wires.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
+
+        def ready() -> None:  # services answer from here on, not from when the port is open
+            for wire in wires:
+                console.print(f"{wire.ready}; Ctrl-C ends it", markup=False)
 
         def status() -> str:
-            clients = server.clients()
-            names = ", ".join(f"{c.address} {c.protocol}" for c in clients[:3]) or "no client"
-            dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
-            return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
+            return "  ".join(wire.status() for wire in wires)
 
         if plan_only:
-            return _plan_only(cell, bus, seed, seconds, status)
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, plan=True, auto_grip=auto_grip)
+            return _plan_only(cell, bus, seed, seconds, status, ready)
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready, True, auto_grip)
+
+
+def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Wire:
+    """Serve Unity until the stack is closed."""
+    from armcell.ros.tcp import RosTcpServer, ServerSettings
+
+    server = stack.enter_context(RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol)))
+    host, number = server.address
+    if bind not in ("127.0.0.1", "localhost"):
+        err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
+
+    def status() -> str:
+        clients = server.clients()
+        names = ", ".join(f"{c.address} {c.protocol}" for c in clients[:3]) or "no client"
+        dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
+        return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
+
+    return Wire(f"Unity can connect to {host}:{number}", status)
 
 
 def sim(
     cell: str = CELL,
-    connect: str = typer.Option(..., metavar="HOST:PORT", help="A ROS-TCP endpoint, e.g. 127.0.0.1:10000."),
+    remap: list[str] = REMAP,
+    connect: str | None = typer.Option(
+        None, metavar="HOST:PORT", help="A ROS-TCP endpoint, e.g. 127.0.0.1:10000."
+    ),
+    ros1: bool = ROS1,
+    own_master: bool | None = OWN_MASTER,
     protocol: str = typer.Option("ROS1", help="Of an endpoint older than 0.7; later ones say it themselves."),
     mode: str = MODE,
     seed: int = SEED,
@@ -83,7 +116,15 @@ def sim(
     rate: float = RATE,
     seconds: float | None = SECONDS,
 ) -> int:
-    """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it."""
+    """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it.
+
+    With --ros1, the cell is a node of a ROS 1 graph: its states out, trajectories and gripper commands in.
+    """
+    check_remap(ros1, remap, own_master)
+    if ros1 == (connect is not None):
+        raise InputError("where to?", cure="give either --connect HOST:PORT or --ros1")
+    if connect is None:
+        return _sim_ros1(cell, own_master, remap, mode, seed, time_scale, rate, seconds)
     from armcell.ros import Bus
     from armcell.ros.codec import CODECS
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
@@ -121,6 +162,19 @@ def sim(
             client.close()
 
 
+def _sim_ros1(
+    cell: str, own_master: bool | None, remap: list[str], mode: str, seed: int, time_scale: float,
+    rate: float, seconds: float | None,
+) -> int:  # fmt: skip
+    from armcell.ros import Bus
+
+    bus = Bus()
+    with ExitStack() as stack:
+        wire = join_ros1(stack, bus, "armcell_sim", own_master, remap, None)
+        ready = lambda: console.print(f"{wire.ready}; Ctrl-C ends it", markup=False)  # noqa: E731
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, wire.status, ready)
+
+
 def address(text: str) -> tuple[str, int]:
     """`host:port` in two parts.
 
@@ -135,7 +189,7 @@ def address(text: str) -> tuple[str, int]:
 
 def _run(
     cell: str, bus: Any, mode: str, seed: int, time_scale: float, rate: float, seconds: float | None,
-    status: Callable[[], str], joined: Callable[[], None] = lambda: None, plan: bool = False,
+    status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
     auto_grip: bool = False,
 ) -> int:  # fmt: skip
     from armcell.cell import load
@@ -146,7 +200,7 @@ def _run(
     line = _StatusLine(bus, lambda: served.node.executed, status)
     try:
         served.start()
-        joined()
+        ready()
         with line:
             _until(seconds, line, served.thread)
     except KeyboardInterrupt:
@@ -158,14 +212,23 @@ def _run(
     return 0
 
 
-def _plan_only(cell: str, bus: Any, seed: int, seconds: float | None, status: Callable[[], str]) -> int:
+def _plan_only(
+    cell: str,
+    bus: Any,
+    seed: int,
+    seconds: float | None,
+    status: Callable[[], str],
+    ready: Callable[[], None],
+) -> int:
     from armcell.cell import load
     from armcell.ros.nodes import ServedPlanner
 
     line = _StatusLine(bus, lambda: None, status)
     try:
-        with ServedPlanner(load(cell), bus, seed), line:
-            _until(seconds, line, None)
+        with ServedPlanner(load(cell), bus, seed):
+            ready()
+            with line:
+                _until(seconds, line, None)
     except KeyboardInterrupt:
         pass
     return 0

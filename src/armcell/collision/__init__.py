@@ -8,7 +8,7 @@ from armcell.collision.exact import ExactChecker, neighbours
 from armcell.collision.self_collision import disabled_collision_pairs
 from armcell.collision.self_filter import object_mask, robot_mask, without_robot
 from armcell.collision.touch_links import attached_by_contact, touching_links
-from armcell.collision.view import cone, links_within
+from armcell.collision.view import cone, links_apart, links_within
 
 __all__ = [
     "Arms",
@@ -21,6 +21,7 @@ __all__ = [
     "certify_timed",
     "cone",
     "disabled_collision_pairs",
+    "links_apart",
     "links_within",
     "neighbours",
     "object_mask",

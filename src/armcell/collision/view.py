@@ -23,11 +23,11 @@ def cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -> Arr
     return np.vstack([np.asarray(origin, dtype=float), T_world_disc.apply(rim)])
 
 
-def links_within(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
-    """Links of the robot in the convex hull of points (k, 3), with how deep [m], as the scene stands.
+def links_apart(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
+    """How far [m] links of the robot are from the convex hull of points (k, 3); below zero: how deep in it.
 
     Args:
-        ignored: links that may be there. What is attached is not looked at, nor is padding.
+        ignored: links to leave out. What is attached is not looked at, nor is padding.
     """
     hull, tree = convex_hull(corners), kinematic_tree(scene.model)
     Ts, here = tree.link_transforms(scene.positions), coal.Transform3s()
@@ -44,6 +44,10 @@ def links_within(scene: PlanningScene, corners: Array, ignored: Iterable[str] = 
             distance = float(coal.distance(shape.exact, there, hull, here, request, result))
             if distance > 0 and shape.holds(T.inv().apply(corners[0])):
                 distance = -distance  # wholly inside a mesh that is not convex
-            if distance <= 0:
-                found[link.name] = max(found.get(link.name, 0.0), -distance)
+            found[link.name] = min(found.get(link.name, np.inf), distance)
     return found
+
+
+def links_within(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
+    """Links of the robot in the convex hull of points (k, 3), with how deep [m]; see `links_apart`."""
+    return {name: -apart for name, apart in links_apart(scene, corners, ignored).items() if apart <= 0}

@@ -124,6 +124,25 @@ class Driver(Protocol):
     def welds(self) -> list[WeldRecord]: ...
 
 
+class SeesNoContacts:
+    """What a driver without physics says of contacts: nothing."""
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        pass
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        pass
+
+    def unwatch_object(self, name: str) -> None:
+        pass
+
+    def unwanted_contacts(self) -> list[ContactRecord]:
+        return []
+
+    def welds(self) -> list[WeldRecord]:
+        return []
+
+
 class DriverFactory(Protocol):
     def __call__(self, scene: PlanningScene, options: DriverOptions) -> Driver: ...
 

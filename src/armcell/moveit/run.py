@@ -12,13 +12,14 @@ from armcell.cell import LiveCell
 from armcell.core import InputError
 from armcell.moveit.install import installed
 from armcell.moveit.session import Session
+from armcell.ros import Ros1Settings
 
 INTERRUPTED = 130
 
 
 def run_script(
     script: Path, live: LiveCell, arguments: Sequence[str] = (), rate: float = 100.0,
-    auto_grip: bool = False, quiet: bool = False,
+    auto_grip: bool = False, quiet: bool = False, ros1: Ros1Settings | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
     """Run a script to its end, with the motions that it has begun; then leave nothing running.
 
@@ -26,6 +27,7 @@ def run_script(
         live: a cell that is not connected yet.
         arguments: its own, `sys.argv[1:]`.
         auto_grip: close a gripper that rests with an object between its open fingers.
+        ros1: join the cell and the script to a ROS 1 graph.
     Returns:
         The script's exit status (130 after Ctrl-C), and the session it ran in, closed.
     Raises:
@@ -33,7 +35,7 @@ def run_script(
     """
     if not script.is_file():
         raise InputError("there is no such script", file=script)
-    session = Session(live, rate, auto_grip, quiet)
+    session = Session(live, rate, auto_grip, quiet, ros1)
     argv, path = sys.argv, list(sys.path)
     with session, installed(session.messages) as hidden:
         if hidden:

@@ -13,7 +13,7 @@ from armcell.cell import LiveCell
 from armcell.core import InputError
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
-from armcell.ros import ActionClient, Bus
+from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell
 
 logger = logging.getLogger(__name__)
@@ -28,10 +28,15 @@ class Session:
         live: a cell that is not connected yet.
         rate: [Hz] of the states and the clock.
         auto_grip: close a gripper that rests with an object between its fingers.
+        ros1: join the cell and the script to a ROS 1 graph.
     """
 
-    def __init__(self, live: LiveCell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False):
+    def __init__(
+        self, live: LiveCell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False,
+        ros1: Ros1Settings | None = None,
+    ):  # fmt: skip
         self.bus = Bus()
+        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down)
         self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
         self.messages = MessageClasses(self.bus.schema)
         self.node_name = ""
@@ -53,7 +58,11 @@ class Session:
             raise InputError("a session is open already", cure="close it first")
         _current.append(self)
         try:
+            if self.graph is not None:  # a master that is missing is said before the cell is started
+                self.graph.start()
             self.served.start()
+            if self.graph is not None:
+                self.graph.wait_settled()
         except BaseException:
             self.__exit__()
             raise
@@ -63,6 +72,8 @@ class Session:
         self.shut_down("closed")
         for client in self.clients.values():
             client.close()
+        if self.graph is not None:
+            self.graph.close()
         self.served.close()
         _current.remove(self)
 
@@ -96,6 +107,8 @@ class Session:
         """A log line on standard error, in ROS's form."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
+        if self.graph is not None:
+            self.graph.say(level.lower(), text)
         if not self._quiet:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (what a script logs is for its user)
 

@@ -6,11 +6,13 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from armcell.collision import object_mask, robot_mask
 from armcell.core import CameraImage, ErrorCode, InputError, Outcome
 from armcell.perception.cloud import organised
-from armcell.perception.look import unusable
+from armcell.perception.usable import unusable
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
 
 
@@ -23,12 +25,15 @@ class MapSettings:
     robot_padding: float = 0.03  # around the robot and what it holds
     object_padding: float = 0.02  # around objects of the scene, which stay in it as they are
     every: int = 2  # every so many pixels of a row and a column count
+    speckle: int = 4  # so many of these pixels must hang together: fewer are a depth camera's noise
     max_age: float = 0.5  # [s] an older picture is stale
     sensor: SensorModel = SensorModel()
 
     def __post_init__(self) -> None:
         if self.every < 1:
             raise InputError(f"every is {self.every}, it must be 1 or more")
+        if self.speckle < 1:
+            raise InputError(f"speckle is {self.speckle}, it must be 1 or more", cure="1 keeps every pixel")
         for name in ("robot_padding", "object_padding"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}, it must be a number >= 0")
@@ -73,13 +78,16 @@ class CameraMap:
             return MapUpdate(trouble.code, trouble.message, trouble.evidence, cells=len(self.octree.sizes))
         assert image.depth is not None
         step = slice(s.every // 2, None, s.every)
-        points = organised(image.depth, image.pinhole)[step, step].reshape(-1, 3)
-        points = image.T_world_camera.apply(points[np.isfinite(points[:, 0])])
+        grid = organised(image.depth, image.pinhole)[step, step]
+        seen = np.isfinite(grid[..., 0])
+        points = image.T_world_camera.apply(grid[seen])
         robot = robot_mask(scene, points, s.robot_padding)
         solid = [n for n, o in scene.objects.items() if n != OCTOMAP and not o.has_cloud]
         known = object_mask(scene, points, s.object_padding, solid) & ~robot
         eye = image.T_world_camera.translation
-        hits = points[~robot & ~known]
+        unknown = np.zeros(seen.shape, bool)
+        unknown[seen] = ~robot & ~known
+        hits = points[_without_speckle(unknown, s.speckle)[seen]]
         self.map = self.map.updated(hits, eye, s.max_range, points[robot | known])
         self.octree = self.map.octree()
         return MapUpdate(
@@ -91,3 +99,13 @@ class CameraMap:
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
         """The scene with this map as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
+
+
+def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """A picture's mask without the patches (diagonals connect) of fewer than `least` pixels.
+
+    Noise moves single pixels of a known surface out of its padding; an obstacle fills several side by side.
+    """
+    patches = np.empty(mask.shape, np.int32)
+    ndimage.label(mask, np.ones((3, 3)), output=patches)
+    return mask & (np.bincount(patches.ravel())[patches] >= least)

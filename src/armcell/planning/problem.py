@@ -43,6 +43,7 @@ class Problem:
     more_goals: Iterator[Array] | None = None  # further ones (n,), worked out when they are asked for
     options: SpaceOptions = SpaceOptions()
     settings: Any = None  # what `planner_settings` made of the request's parameters
+    forbids: Callable[[Array], bool] | None = None  # positions (n,) not to be used though free; OMPL's only
 
     @property
     def stopped(self) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision import cone, links_within
-from armcell.core import InputError, UnknownNameError, VisibilityConstraint
+from armcell.core import SE3, InputError, UnknownNameError, VisibilityConstraint
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -24,12 +24,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
         error (3,): view angle, range angle [rad], depth of the deepest link in the cone [m]; excess (3,):
         what of it is too much; and what is wrong, in words.
     """
-    sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
-    target = scene.frame_pose(c.frame) @ c.T_frame_target
-    looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
-    way = target.translation - sensor.translation
-    view = _angle(looks, -target.rotation.matrix[:, 2])
-    range_ = _angle(looks, way)
+    sensor, target, view, range_ = view_of(scene, c)
     said, excess = [], np.zeros(3)
     for k, (angle, most, what) in enumerate(
         ((view, c.max_view_angle, "the target's axis"), (range_, c.max_range_angle, "the target"))
@@ -44,14 +39,27 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
         excess[0] = max(excess[0], np.pi / 2)
         said.append(f"{c.sensor} sees the target from its edge")
     else:
-        own = {scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]}
         corners = cone(sensor.translation, target, c.target_radius, c.cone_sides)
-        within = links_within(scene, corners, own)
+        within = links_within(scene, corners, own_links(scene, c))
         if within:
             depth = max(within.values())
             excess[2] = max(depth, 2 * EDGE_ON)  # to touch the cone is to be in it
             said.append(f"{', '.join(sorted(within))} in the view of {c.sensor}, {depth * 1000:.1f} mm deep")
     return np.array([view, range_, depth]), excess, "; ".join(said)
+
+
+def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
+    """Where sensor and target are in the world, the view angle and the range angle [rad]."""
+    sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
+    target = scene.frame_pose(c.frame) @ c.T_frame_target
+    looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
+    way = target.translation - sensor.translation
+    return sensor, target, _angle(looks, -target.rotation.matrix[:, 2]), _angle(looks, way)
+
+
+def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
+    """The links that carry sensor and target: they may be in the cone."""
+    return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
 
 def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:

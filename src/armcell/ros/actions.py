@@ -10,6 +10,7 @@ import itertools
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -90,11 +91,15 @@ class ActionServer:
         execute: works on a goal in a thread of its own, watches `goal.cancel`, returns how it ended.
         concurrent: False as actionlib's SimpleActionServer: a new goal cancels the one at work and waits
             for its end; True: each starts at once.
+        owner: a transport that serves it for somebody behind its wire (see `Bus.advertise`).
     Raises:
         UnknownNameError: no such action.
     """
 
-    def __init__(self, bus: Bus, name: str, type_name: str, execute: Execute, concurrent: bool = False):
+    def __init__(
+        self, bus: Bus, name: str, type_name: str, execute: Execute, concurrent: bool = False,
+        owner: object = None,
+    ):  # fmt: skip
         self.bus, self.name = bus, resolve(name)
         self.type = bus.schema.action(type_name)
         self._execute, self._concurrent = execute, concurrent
@@ -112,6 +117,8 @@ class ActionServer:
             bus.subscribe(f"{self.name}/goal", f"{self.type}ActionGoal", self._on_goal, GOAL_QUEUE),
             bus.subscribe(f"{self.name}/cancel", "actionlib_msgs/GoalID", self._on_cancel, GOAL_QUEUE),
         ]
+        for member in (*self._subs, *self._pub.values()):
+            member.owner = owner
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:
@@ -271,6 +278,20 @@ class ActionClient:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def wait_for_server(self, timeout: float | None = None) -> bool:
+        """Whether somebody takes goals and all five topics are connected, after waiting for that."""
+        give_up = None if timeout is None else time.monotonic() + timeout
+        while True:
+            version = self.bus.wait_change(-1, 0)
+            topics = {t.name: t for t in self.bus.topics()}
+            heard = all(topics[f"{self.name}/{t}"].subscribers for t in ("goal", "cancel"))
+            if heard and all(topics[f"{self.name}/{t}"].publishers for t in ("result", "feedback", "status")):
+                return True
+            left = None if give_up is None else give_up - time.monotonic()
+            if left is not None and left <= 0:
+                return False
+            self.bus.wait_change(version, left)
 
     def send(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> SentGoal:
         """Send a Goal message of the action."""

@@ -27,8 +27,12 @@ from armcell.ros.schema import schema as built_in
 logger = logging.getLogger(__name__)
 QUEUE_SIZE = 10  # ROS scripts' usual one
 
+LOOK_PERIOD = 0.1  # [s] between two looks whether a service is there behind a wire
+
 Put = Callable[[Any], None]
 Handler = Callable[[Any], Any]
+Finder = Callable[[str], Handler | None]
+"""Gives what answers a service behind a wire, by its full name; None where nobody serves it there."""
 
 
 class ServiceError(ArmcellError):
@@ -45,6 +49,7 @@ class TopicInfo:
     subscribers: int
     messages: int  # published since the topic came up
     dropped: int  # of its subscriptions' queues, since they came up
+    latched: bool = False  # one of its publishers keeps its last message for whoever comes later
 
 
 class Bus:
@@ -57,17 +62,21 @@ class Bus:
         self._lock = threading.Lock()
         self._topics: dict[str, _Topic] = {}
         self._services: dict[str, Service] = {}
-        self._served = threading.Condition(self._lock)
+        self._finders: list[Finder] = []
+        self._changed = threading.Condition(self._lock)
+        self._version = 0  # counts who came and went
 
     # --- topics ---
-    def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
+    def advertise(self, topic: str, type_name: str, latch: bool = False, owner: object = None) -> Publisher:
         """A publisher. With `latch`, later subscribers get its last message at once.
 
+        Args:
+            owner: a transport; its own attachments do not get what it publishes.
         Raises:
             InputError: the topic carries another type, or its name is none.
             UnknownNameError: no such message type.
         """
-        return self._join(topic, type_name, lambda t: Publisher(self, t, latch))
+        return self._join(topic, type_name, lambda t: Publisher(self, t, latch, owner))
 
     def subscribe(
         self,
@@ -89,18 +98,20 @@ class Bus:
             subscription.run(callback)
         return subscription
 
-    def attach(self, topic: str, type_name: str, put: Put) -> Attachment:
+    def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
         """For transports: `put` is called with each message in the publisher's thread, in order.
 
-        It must be quick, must not fail, and must not use the bus.
+        It must be quick, must not fail, and must not use the bus. What publishers of the same `owner`
+        publish is not given: it came over the wire that it would go back to.
         """
-        return self._join(topic, type_name, lambda t: Attachment(self, t, put))
+        return self._join(topic, type_name, lambda t: Attachment(self, t, put, owner))
 
-    def topics(self) -> list[TopicInfo]:
-        """Every topic with a publisher or a subscriber."""
+    def topics(self, besides: object = None) -> list[TopicInfo]:
+        """Every topic with a publisher or a subscriber, not counting those of one owner."""
         with self._lock:
             topics = sorted(self._topics.values(), key=lambda t: t.name)
-        return [t.info() for t in topics]
+        infos = [t.info(besides) for t in topics]
+        return [i for i in infos if i.publishers or i.subscribers or besides is None]
 
     def topic_type(self, topic: str) -> str | None:
         """The type a topic carries; None when there is no such topic."""
@@ -123,6 +134,7 @@ class Bus:
             member = make(topic)
             self._topics[name] = topic
             topic.add(member)
+            self._has_changed()
         return member
 
     def _leave(self, topic: _Topic, member: _Member) -> None:
@@ -130,6 +142,17 @@ class Bus:
             topic.remove(member)
             if topic.is_empty and self._topics.get(topic.name) is topic:
                 del self._topics[topic.name]
+            self._has_changed()
+
+    def _has_changed(self) -> None:
+        self._version += 1
+        self._changed.notify_all()
+
+    def wait_change(self, version: int, timeout: float | None = None) -> int:
+        """Wait until somebody has come or gone since `version` (0 at first); the version that is now."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._version != version, timeout)
+            return self._version
 
     # --- services ---
     def serve(self, name: str, type_name: str, handler: Handler) -> Service:
@@ -141,15 +164,29 @@ class Bus:
         """
         name, type_name = resolve(name), plain_name(type_name)
         self.schema.service(type_name)
-        with self._served:
+        with self._changed:
             if name in self._services:
                 raise InputError(f"service {name} is already served", cure="close the other one first")
             service = self._services[name] = Service(self, name, type_name, handler)
-            self._served.notify_all()
+            self._has_changed()
         return service
 
+    def find_elsewhere(self, finder: Finder) -> None:
+        """For transports: ask here, too, for services that nobody serves on the bus."""
+        with self._lock:
+            self._finders.append(finder)
+
+    def forget_elsewhere(self, finder: Finder) -> None:
+        with self._lock:
+            self._finders.remove(finder)
+
+    def _find(self, name: str) -> Handler | None:
+        with self._lock:
+            finders = list(self._finders)
+        return next((found for find in finders if (found := find(name)) is not None), None)
+
     def call(self, name: str, request: Any) -> Any:
-        """Ask a service.
+        """Ask a service, on the bus or behind a transport.
 
         Raises:
             ServiceError: nobody serves it, or the handler failed; says which.
@@ -160,6 +197,8 @@ class Bus:
             service = self._services.get(name)
             served = list(self._services)
         if service is None:
+            if (elsewhere := self._find(name)) is not None:
+                return elsewhere(request)
             raise ServiceError(str(UnknownNameError("service", name, served)))
         if request._type != f"{service.type}Request":
             raise InputError(f"service {name} takes {service.type}Request, not {request._type}")
@@ -177,8 +216,17 @@ class Bus:
     def wait_for_service(self, name: str, timeout: float | None = None) -> bool:
         """Whether a service is there, after waiting for it up to `timeout` [s]."""
         name = resolve(name)
-        with self._served:
-            return self._served.wait_for(lambda: name in self._services, timeout)
+        give_up = None if timeout is None else time.monotonic() + timeout
+        while True:
+            left = None if give_up is None else max(give_up - time.monotonic(), 0.0)
+            with self._changed:
+                look = min(LOOK_PERIOD, LOOK_PERIOD if left is None else left) if self._finders else left
+                if self._changed.wait_for(lambda: name in self._services, look):
+                    return True
+            if self._find(name) is not None:
+                return True
+            if left is not None and left <= 0:
+                return False
 
     def services(self) -> dict[str, str]:
         """Type by name of everything served."""
@@ -188,7 +236,7 @@ class Bus:
     # --- time ---
     def stamp(self) -> Any:
         """Now, as builtin_interfaces/Time."""
-        return self.schema.message("builtin_interfaces/Time").from_sec(self.clock.now())  # type: ignore[attr-defined]
+        return self.schema.message("builtin_interfaces/Time").from_sec(self.clock.now())
 
     def header(self, frame_id: str = "") -> Any:
         """A std_msgs/Header stamped now."""
@@ -216,7 +264,7 @@ class _Topic:
             elif isinstance(member, Attachment):
                 self.receivers.append(member)
                 for publisher in self.publishers:
-                    if publisher.latched is not None:
+                    if publisher.latched is not None and not _same(publisher, member):
                         member.put(publisher.latched)
 
     def remove(self, member: _Member) -> None:
@@ -231,21 +279,30 @@ class _Topic:
             if publisher.latch:
                 publisher.latched = message
             for receiver in self.receivers:
-                receiver.put(message)
+                if not _same(publisher, receiver):
+                    receiver.put(message)
 
-    def info(self) -> TopicInfo:
+    def info(self, besides: object) -> TopicInfo:
         with self.lock:
-            dropped = sum(r.dropped for r in self.receivers if isinstance(r, Subscription))
+            publishers = [p for p in self.publishers if besides is None or p.owner is not besides]
+            receivers = [r for r in self.receivers if besides is None or r.owner is not besides]
+            dropped = sum(r.dropped for r in receivers if isinstance(r, Subscription))
+            latched = any(p.latch for p in publishers)
             return TopicInfo(
-                self.name, self.type, len(self.publishers), len(self.receivers), self.messages, dropped
+                self.name, self.type, len(publishers), len(receivers), self.messages, dropped, latched
             )
+
+
+def _same(publisher: Publisher, receiver: Attachment) -> bool:
+    """Whether both belong to one transport."""
+    return publisher.owner is not None and publisher.owner is receiver.owner
 
 
 class _Member:
     """What joins a topic and leaves it by `close`, by the end of a `with` block, or never."""
 
-    def __init__(self, bus: Bus, topic: _Topic):
-        self._bus, self._topic = bus, topic
+    def __init__(self, bus: Bus, topic: _Topic, owner: object = None):
+        self._bus, self._topic, self.owner = bus, topic, owner
         self.topic, self.type = topic.name, topic.type
         self.closed = False
 
@@ -264,8 +321,8 @@ class _Member:
 class Publisher(_Member):
     """Puts messages on a topic."""
 
-    def __init__(self, bus: Bus, topic: _Topic, latch: bool):
-        super().__init__(bus, topic)
+    def __init__(self, bus: Bus, topic: _Topic, latch: bool, owner: object = None):
+        super().__init__(bus, topic, owner)
         self.latch = latch
         self.latched: Any = None
 
@@ -291,8 +348,8 @@ class Publisher(_Member):
 class Attachment(_Member):
     """A transport's function on a topic."""
 
-    def __init__(self, bus: Bus, topic: _Topic, put: Put):
-        super().__init__(bus, topic)
+    def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
+        super().__init__(bus, topic, owner)
         self.put = put
 
 
@@ -369,6 +426,7 @@ class Service:
         with self._bus._lock:
             if self._bus._services.get(self.name) is self:
                 del self._bus._services[self.name]
+                self._bus._has_changed()
 
     def __enter__(self) -> Service:
         return self

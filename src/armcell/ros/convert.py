@@ -82,7 +82,7 @@ def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
     d[: len(p.distortion)] = p.distortion
     P = np.column_stack([K, np.zeros(3)])
     fields = {"height": p.height, "width": p.width, "distortion_model": "plumb_bob"}
-    message = schema.message("sensor_msgs/CameraInfo")(header=header, **fields)  # type: ignore[call-arg]
+    message = schema.message("sensor_msgs/CameraInfo")(header=header, **fields)
     for name, value in (("D", d), ("K", K.ravel()), ("R", np.eye(3).ravel()), ("P", P.ravel())):
         setattr(message, name, value)
     return message

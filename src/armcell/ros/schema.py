@@ -68,8 +68,8 @@ class Schema:
         except KeyError:
             raise UnknownNameError("message type", name, self.definitions) from None
 
-    def message(self, name: str) -> type[Message]:
-        """The class of `pkg/Name` (also `pkg/msg/Name`).
+    def message(self, name: str) -> type[Any]:
+        """The class of `pkg/Name` (also `pkg/msg/Name`): a `Message` with the definition's fields.
 
         Raises:
             UnknownNameError: no such type.

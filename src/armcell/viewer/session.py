@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from armcell.cell import LiveCell
 from armcell.core import (
     SE3,
-    ArmcellError,
     CartesianRequest,
     ErrorCode,
     Explanation,
@@ -34,6 +33,7 @@ from armcell.planning import plan, plan_cartesian
 from armcell.planning.explanation import explain_misuse
 from armcell.scene import PlanningScene
 from armcell.tasks import Motion, perform_all
+from armcell.viewer.job import Job, Jobs
 from armcell.viewer.session_goal import (
     FREE,
     LINE,
@@ -53,15 +53,6 @@ logger = logging.getLogger(__name__)
 EXPLAIN_S = 10.0  # [s] about the most that finding out what would help may take
 START_TOLERANCE = 0.01  # [rad or m], the executor's
 CLOSE_S = 5.0
-
-
-@dataclass(eq=False)
-class Job:
-    """What the session is doing beside answering: one thing at a time."""
-
-    kind: str  # "planning", "explaining", "executing"
-    cancel: threading.Event = field(default_factory=threading.Event)
-    thread: threading.Thread | None = None
 
 
 class PlanningSession:
@@ -101,7 +92,7 @@ class PlanningSession:
         self._connect, self._live = connect, None
         self._listeners: list[Callable[[str], None]] = []
         self._lock = threading.RLock()
-        self._job: Job | None = None
+        self._jobs = Jobs(self._lock, self._failed, lambda: self._tell("result"))
         self._given: PlanRequest | CartesianRequest | None = None  # a suggestion's, until something is set
         self._edits = 0  # of the world, by the user
         self._planned_with = self._live_with = -1  # `_edits` at the last plan, and when connected
@@ -321,8 +312,7 @@ class PlanningSession:
     @property
     def busy(self) -> str:
         """ "planning", "explaining", "executing" or nothing."""
-        job = self._job
-        return job.kind if job is not None else ""
+        return self._jobs.busy
 
     def plan(self) -> None:
         """Begin to plan; `result` tells how it went, `explanation` later why not.
@@ -332,7 +322,7 @@ class PlanningSession:
         """
         with self._lock:
             scene, request, edits = self.scene, self.request(), self._edits
-            self._begin("planning", lambda job: self._plan(job, scene, request, edits))
+            self._jobs.begin("planning", lambda job: self._plan(job, scene, request, edits))
             self._forget_result()
             self.message = "planning"
         self._tell("result")
@@ -362,7 +352,7 @@ class PlanningSession:
     def _publish(self, job: Job, *, planned_with: int | None = None, **fields) -> None:
         """Set attributes, unless the job was given up meanwhile."""
         with self._lock:
-            if self._job is not job:
+            if self._jobs.current is not job:
                 return
             for name, value in fields.items():
                 setattr(self, name, value)
@@ -416,7 +406,7 @@ class PlanningSession:
                 raise InputError(why)
             result = self.result
             assert result is not None
-            self._begin("executing", lambda job: self._execute(job, result))
+            self._jobs.begin("executing", lambda job: self._execute(job, result))
             self.message = "executing"
         self._tell("result")
 
@@ -455,55 +445,17 @@ class PlanningSession:
             live.__exit__(None, None, None)
 
     # --- jobs ---
-    def _begin(self, kind: str, work: Callable[[Job], None]) -> None:
-        """Start a thread for some work, under the lock."""
-        if self.busy == "explaining":  # of interest no more
-            self._abandon()
-        if self.busy:
-            raise InputError(f"the session is {self.busy}", cure="stop it, or wait for its end")
-        job = Job(kind)
-        job.thread = threading.Thread(target=self._run, args=(job, work), name=f"armcell-{kind}", daemon=True)
-        self._job = job
-        job.thread.start()
-
-    def _run(self, job: Job, work: Callable[[Job], None]) -> None:
-        message = None
-        try:
-            work(job)
-        except ArmcellError as error:
-            message = str(error)
-        except Exception as error:  # said in the panel; the server lives on
-            logger.exception("%s failed", job.kind)
-            message = f"internal error: {type(error).__name__}: {error}"
-        with self._lock:
-            if self._job is not job:
-                return
-            self._job = None
-            self.message = self.message if message is None else message
-        self._tell("result")
-
-    def _abandon(self) -> None:
-        job, self._job = self._job, None
-        if job is not None:
-            job.cancel.set()
+    def _failed(self, message: str) -> None:
+        self.message = message
 
     def stop(self) -> None:
         """Stop planning, explaining or the robot."""
-        with self._lock:
-            job = self._job
-            if job is None:
-                return
-            job.cancel.set()
-            if job.kind == "explaining":  # nothing in it can be interrupted: its answer is not waited for
-                self._abandon()
-        self._tell("result")
+        if self._jobs.stop():
+            self._tell("result")
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until nothing is being done; whether that came within the time [s]."""
-        job = self._job
-        if job is not None and job.thread is not None:
-            job.thread.join(timeout)
-        return not self.busy
+        return self._jobs.wait(timeout)
 
     def close(self) -> None:
         """Stop everything and disconnect. The session can be used on, but nothing runs."""

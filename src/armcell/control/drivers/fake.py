@@ -5,12 +5,10 @@ A gripper that closes around an object holds it; one that opens leaves it where 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.driver import Array, DriverOptions, GripperReading, SeesNoContacts, drivers
 from armcell.core import SE3, JointState
 from armcell.core.checks import require
 from armcell.kinematics import kinematic_tree
@@ -21,7 +19,7 @@ FINGER_SPEED = 0.1  # [m/s] of the opening
 
 
 @drivers.register("fake")
-class FakeDriver:
+class FakeDriver(SeesNoContacts):
     name = "fake"
     is_simulated = True
 
@@ -121,18 +119,3 @@ class FakeDriver:
 
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
-
-    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        pass
-
-    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        pass
-
-    def unwatch_object(self, name: str) -> None:
-        pass
-
-    def unwanted_contacts(self) -> list[ContactRecord]:
-        return []
-
-    def welds(self) -> list[WeldRecord]:
-        return []

@@ -44,11 +44,9 @@ class SimpleActionClient:
         """Whether somebody takes the goals; a timeout of 0 waits for ever, by the wall's clock."""
         seconds = _seconds(timeout)
         give_up = time.monotonic() + seconds if seconds > 0 else None
-        name = f"{self._client.name}/goal"
-        while not any(t.name == name and t.subscribers for t in self._session.bus.topics()):
+        while not self._client.wait_for_server(CHECK):
             if is_shutdown() or (give_up is not None and time.monotonic() > give_up):
                 return False
-            self._session.shutting_down.wait(0.02)
         return True
 
     def send_goal(

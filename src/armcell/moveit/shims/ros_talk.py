@@ -104,6 +104,9 @@ def wait_for_message(topic: str, topic_type: type, timeout: float | None = None)
 
 
 def get_published_topics(namespace: str = "/") -> list[list[str]]:
+    graph = current_session().graph
+    if graph is not None:
+        return graph.node.ask_master("getPublishedTopics", namespace)
     return [
         [t.name, t.type]
         for t in current_session().bus.topics()

@@ -21,6 +21,7 @@ from armcell.planning.cartesian.stops import Told, collided, violated
 from armcell.planning.constraint_sense import check_constraints
 from armcell.planning.constraints.description import Manifold
 from armcell.planning.constraints.timed import chords
+from armcell.planning.constraints.views import manifold_of
 from armcell.planning.constraints.warm_up import warm_up_constraints
 from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along, finish
@@ -77,7 +78,7 @@ def plan_cartesian(
     checker.relax_margins(start)
     manifold = None
     if request.path_constraints:
-        manifold = Manifold(scene, request.group, request.path_constraints)
+        manifold = manifold_of(scene, request.group, request.path_constraints)
         if found := manifold.violations(start):
             text = "start violates the path constraints: " + "; ".join(v.text for v in found[:3])
             return _refused(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, text, {"violations": found})

@@ -215,7 +215,7 @@ class Manifold:
             raise InputError(f"{what} has an empty region", cure="give it at least one shape")
         number, point = self._link(link), T.apply(np.asarray(constraint.point, dtype=float))
         frame, first = self._frame(constraint.frame), len(shapes)
-        reach = _reach(self._tables[number], point, self._scene, self.joint_names)
+        reach = reach_of(self._tables[number], point, self._scene, self.joint_names)
         for shape, pose in constraint.region:
             kind, size = _sizes(shape, what)
             if kind != layout.HALF_SPACE and size[size > 0].min() < LEAST[1]:
@@ -331,7 +331,7 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
     )
 
 
-def _reach(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
+def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
     """(dof,) the largest distance of a point from each joint's axis, in all configurations [m]."""
     reach, radius = np.zeros(len(names)), float(np.linalg.norm(point))
     for row in table[::-1]:

@@ -17,13 +17,14 @@ from armcell.core import ConstraintGoal, ErrorCode, InputError, JointPath, Outco
 from armcell.planning.constraints.description import Manifold, Violation
 from armcell.planning.constraints.planner import constrained
 from armcell.planning.constraints.timed import timed
+from armcell.planning.constraints.views import Seen, manifold_of
 from armcell.planning.constraints.warm_up import warm_up_constraints
 from armcell.planning.finish import clearance_along, torque_model
 from armcell.planning.goal_regions import candidates, reaches
 from armcell.planning.goal_stream import stream
 from armcell.planning.motion import completed
 from armcell.planning.planners.native import stopping, unsolved
-from armcell.planning.problem import Problem, sampling_bounds
+from armcell.planning.problem import Answer, Problem, find_planner, sampling_bounds
 from armcell.planning.question import Question
 from armcell.timing import TorqueLimitError
 
@@ -36,11 +37,6 @@ PLANNER = "RRTConnect"
 
 def check_planner(question: Question) -> None:
     """Raises InputError where the planner that is named cannot keep to the path constraints."""
-    if question.request.path_constraints.visibilities:
-        raise InputError(
-            "visibility constraints cannot be kept along a path",
-            cure="give them in a ConstraintGoal; for the way, constrain the sensor's orientation",
-        )
     pipeline_id = question.request.pipeline_id or "native"
     if pipeline_id != "native" or question.planner_id != PLANNER:
         raise InputError(
@@ -64,7 +60,7 @@ def plan_constrained(
     compiling = time.monotonic() - compiling
     question = replace(question, began=question.began + compiling)  # not of the request's time
     scene, request = question.scene, question.request
-    manifold = Manifold(scene, request.group, request.path_constraints)
+    manifold = manifold_of(scene, request.group, request.path_constraints)
     if violations := manifold.violations(start):
         return question.failed(
             _violated(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "start", violations)
@@ -89,17 +85,11 @@ def _attempt(question: Question, manifold: Manifold, problem: Problem) -> PlanRe
     request, checker = question.request, problem.checker
     torque = torque_model(question.scene, checker.joint_names) if request.torque_limits else None
     answer, why = None, "found paths, but none whose timed motion could be proven to keep to the constraints"
-    planner = constrained(checker, manifold)
     for round_ in range(MAX_ROUNDS):
         seed = problem.seed + 7919 * round_
         waypoints = _direct(problem, manifold) if round_ == 0 else None
         if waypoints is None:
-            more = _more(question, checker, manifold, problem.goals, seed)
-            with stopping(problem) as stop:
-                answer = planner.plan(
-                    problem.start, np.vstack(problem.goals), problem.lower, problem.upper, seed, stop,
-                    more_goals=more,
-                )  # fmt: skip
+            answer = _searched(question, manifold, replace(problem, seed=seed))
             waypoints = answer.waypoints
             if waypoints is None:
                 break
@@ -119,7 +109,7 @@ def _attempt(question: Question, manifold: Manifold, problem: Problem) -> PlanRe
         return PlanResult(
             ErrorCode.SUCCESS,
             made.words,
-            {**question.evidence, **_statistics(answer)},
+            {**question.evidence, **(answer.statistics if answer else {})},
             path=JointPath(checker.joint_names, made.waypoints),
             trajectory=made.trajectory,
             planner_id=PLANNER,
@@ -129,35 +119,47 @@ def _attempt(question: Question, manifold: Manifold, problem: Problem) -> PlanRe
     return question.failed(_unsolved(question, problem, answer, why))
 
 
-def _unsolved(question: Question, problem: Problem, answer: Any, why: str) -> Outcome:
+def _searched(question: Question, manifold: Manifold, problem: Problem) -> Answer:
+    """A path on the manifold, or why there is none."""
+    if isinstance(
+        manifold, Seen
+    ):  # nothing projects onto what a sensor sees: what it does not is thrown away
+        return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
+    planner = constrained(problem.checker, manifold)
+    more = _more(question, problem.checker, manifold, problem.goals, problem.seed)
+    with stopping(problem) as stop:
+        found = planner.plan(
+            problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop,
+            more_goals=more,
+        )  # fmt: skip
+    statistics: dict[str, Any] = {
+        "iterations": float(found.iterations),
+        "nodes": float(found.nodes),
+        "plan_us": found.plan_s * 1e6,
+        "simplify_us": found.simplify_s * 1e6,
+    }
+    if found.waypoints is None:
+        return unsolved(PLANNER, problem, found.iterations, found.closest, statistics)
+    return Answer(found.waypoints, "", statistics)
+
+
+def _unsolved(question: Question, problem: Problem, answer: Answer | None, why: str) -> Outcome:
     cancelled = question.cancel.is_set()
     timed_out = time.monotonic() >= question.deadline
     code = (
         ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
     )
-    statistics: dict[str, Any] = {"goals": len(problem.goals), **_statistics(answer)}
     if answer is None or answer.waypoints is not None:
         message = f"{PLANNER}: cancelled" if cancelled else why
     else:
-        message = unsolved(PLANNER, problem, answer.iterations, answer.closest, statistics).message
-        message += ", with the path constraints kept"
-    return Outcome(code, message, statistics)
+        message = f"{answer.message}, with the path constraints kept"
+    statistics = {} if answer is None else answer.statistics
+    return Outcome(code, message, {"goals": len(problem.goals), **statistics})
 
 
 def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcome:
     text = f"{what} violates the path constraints: " + "; ".join(v.text for v in violations[:3])
     return Outcome(code, text, {"violations": violations})
-
-
-def _statistics(answer: Any) -> dict[str, Any]:
-    if answer is None:
-        return {}
-    return {
-        "iterations": float(answer.iterations),
-        "nodes": float(answer.nodes),
-        "plan_us": answer.plan_s * 1e6,
-        "simplify_us": answer.simplify_s * 1e6,
-    }
 
 
 def _direct(problem: Problem, manifold: Manifold) -> Array | None:

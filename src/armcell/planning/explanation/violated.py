@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armcell.core import Constraints, Goal, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
 from armcell.planning.constraint_check import ConstraintError, constraint_errors
-from armcell.planning.constraints.description import Manifold
+from armcell.planning.constraints.views import manifold_of
 from armcell.planning.explanation import words
 from armcell.planning.explanation.case import Case, tell_way
 from armcell.planning.explanation.changes import change_goal, change_request, change_start
@@ -79,7 +79,7 @@ def _tell(case: Case, where: str, errors: list[ConstraintError]) -> None:
 def _moved(case: Case, q: Array) -> Array | None:
     """A free state near q (n,) that keeps to the path constraints: q projected onto them."""
     request, model = _request(case), case.scene.model
-    manifold = Manifold(case.started, request.group, request.path_constraints)
+    manifold = manifold_of(case.started, request.group, request.path_constraints)
     low = np.maximum(model.lower[case.columns], manifold.lower)
     high = np.minimum(model.upper[case.columns], manifold.upper)
     if np.any(low > high):
@@ -149,6 +149,7 @@ def _left_out(case: Case, errors: list[ConstraintError]) -> None:
         tuple(c for c in whole.positions if id(c) not in gone),
         tuple(c for c in whole.orientations if id(c) not in gone),
         whole.name,
+        tuple(c for c in whole.visibilities if id(c) not in gone),
     )
     told_names = " and ".join(name(e.constraint) for e in errors)
     case.suggest(

@@ -41,10 +41,18 @@ class _Edges(ob.MotionValidator):
     def __init__(self, info: ob.SpaceInformation, problem: Problem, step: float):
         super().__init__(info)
         self.free, self.n, self.step = problem.checker.edge_is_free, len(problem.start), step
+        self.forbids = problem.forbids
 
     def checkMotion(self, a: Any, b: Any) -> bool:
         n = range(self.n)
-        return self.free([a[i] for i in n], [b[i] for i in n], self.step)
+        first, last = [a[i] for i in n], [b[i] for i in n]
+        if not self.free(first, last, self.step):
+            return False
+        if self.forbids is None:
+            return True
+        way = np.subtract(last, first)
+        count = max(int(np.ceil(np.linalg.norm(way) / self.step)), 1)
+        return not any(self.forbids(np.asarray(first) + way * (k / count)) for k in range(1, count + 1))
 
 
 def _plan(name: str, problem: Problem) -> Answer:
@@ -74,7 +82,7 @@ def _search(name: str, problem: Problem) -> Answer:
         calls[0] += 1
         for i in range(n):
             q[i] = state[i]
-        return problem.checker.is_free(q)
+        return problem.checker.is_free(q) and (problem.forbids is None or not problem.forbids(q))
 
     setup.setStateValidityChecker(valid)
     info = setup.getSpaceInformation()
@@ -107,9 +115,14 @@ def _search(name: str, problem: Problem) -> Answer:
             "cancelled" if problem.cancel.is_set() else f"no path found in {time.monotonic() - began:.1f} s"
         )
         return Answer(None, f"{name}: {reason}", statistics)
-    states: Any = setup.getSolutionPath().getStates()
+    path = setup.getSolutionPath()
+    if problem.forbids is not None:  # our own simplification knows nothing of that
+        simplifier = og.PathSimplifier(info)
+        simplifier.reduceVertices(path)
+        simplifier.partialShortcutPath(path)
+    states: Any = path.getStates()
     waypoints = np.array([[state[i] for i in range(n)] for state in states])
-    return Answer(waypoints, "", statistics)
+    return Answer(waypoints, "", statistics, simplified=problem.forbids is not None)
 
 
 def _solve_without_python(

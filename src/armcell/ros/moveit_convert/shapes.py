@@ -116,6 +116,6 @@ class ShapeMessages:
         Triangle = self._schema.message("shape_msgs/MeshTriangle")
         return self._schema.new(
             "shape_msgs/Mesh",
-            triangles=[Triangle(vertex_indices=f.astype(np.uint32)) for f in shape.faces],  # type: ignore[call-arg]
-            vertices=[Point(*v) for v in shape.vertices.tolist()],  # type: ignore[call-arg]
+            triangles=[Triangle(vertex_indices=f.astype(np.uint32)) for f in shape.faces],
+            vertices=[Point(*v) for v in shape.vertices.tolist()],
         )

@@ -84,11 +84,11 @@ def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory)
     v, a = trajectory.velocities, trajectory.accelerations
     points = [
         Point(
-            trajectory.positions[i],  # type: ignore[call-arg]
+            trajectory.positions[i],
             empty if v is None else v[i],
             empty if a is None else a[i],
             empty,
-            duration.from_sec(float(t)),  # type: ignore[attr-defined]
+            duration.from_sec(float(t)),
         )
         for i, t in enumerate(trajectory.times)
     ]

@@ -77,7 +77,7 @@ class _Topics:
         color = self._color.subscribers or (self._points is not None and self._points.subscribers)
         image = self._camera.image(rgb=bool(color))
         header = self._bus.header(self._optical)
-        header.stamp = schema.message("builtin_interfaces/Time").from_sec(image.time)  # type: ignore[attr-defined]
+        header.stamp = schema.message("builtin_interfaces/Time").from_sec(image.time)
         for publisher in self._infos:
             if publisher.subscribers:
                 publisher.publish(camera_info_message(schema, header, image.pinhole))

@@ -141,7 +141,7 @@ class GripperNode:
             reading = self._conductor.call(lambda: self._live.driver.gripper(gripper.name))
             result = work.outcome()
             stalled = bool(result.evidence.get("stalled"))
-            message = Result(reading.width, reading.force_per_finger, stalled, result.ok and not stalled)  # type: ignore[call-arg]
+            message = Result(reading.width, reading.force_per_finger, stalled, result.ok and not stalled)
             return Done(State.SUCCEEDED if result.ok else State.PREEMPTED, message, result.message)
 
         return run

@@ -10,6 +10,7 @@ from armcell.planning import prepare, warm_up
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.access import CellAccess
 from armcell.ros.nodes.cell_node import CellNode
+from armcell.ros.nodes.description import describe
 from armcell.ros.nodes.grasp_server import GraspServer
 from armcell.ros.nodes.local_cell import LocalCell
 from armcell.ros.nodes.move_group import MoveGroupNode
@@ -20,6 +21,7 @@ from armcell.tasks import TaskSettings
 
 
 def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
+    describe(bus, cell.model)
     group = MoveGroupNode(cell, bus)
     stack.callback(group.close)
     stack.callback(PickPlaceNode(group, settings).close)

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.control.driver import ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control.driver import DriverOptions, GripperReading, SeesNoContacts, drivers
 from armcell.control.drivers.ur.arm import UrArm
 from armcell.control.drivers.ur.gripper import SocketGripper, ToolGripper, UrGripper
 from armcell.control.drivers.ur.heart import Heart
@@ -25,7 +25,7 @@ from armcell.scene import PlanningScene
 log = logging.getLogger(__name__)
 
 
-class UrDriver:
+class UrDriver(SeesNoContacts):
     """Drives real arms. Objects are where the scene says until a gripper takes them along.
 
     After a stop of any arm nothing moves until `resume()`.
@@ -253,22 +253,6 @@ class UrDriver:
 
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
-
-    # A real robot sees no contacts but by its own protective stops.
-    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        pass
-
-    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        pass
-
-    def unwatch_object(self, name: str) -> None:
-        pass
-
-    def unwanted_contacts(self) -> list[ContactRecord]:
-        return []
-
-    def welds(self) -> list[WeldRecord]:
-        return []
 
 
 drivers.register("real")(UrDriver)

@@ -1,0 +1,168 @@
+"""Joins a bus to a graph: what the bus publishes, takes and serves is offered; the graph's is reachable.
+
+Nobody lists anything: whoever comes to the bus or leaves it is registered and unregistered. So actions,
+which are five topics, and TF go along.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from armcell.core import ArmcellError
+from armcell.ros.bus import Bus, Handler, Publisher, TopicInfo
+from armcell.ros.codec import Codec, ros1
+from armcell.ros.ros1.graph_names import GraphNames
+from armcell.ros.ros1.header import Fields
+from armcell.ros.ros1.node import Ros1Node
+from armcell.ros.ros1.rpc import RpcError
+
+logger = logging.getLogger(__name__)
+SETTLE = 0.02  # [s] for several newcomers to be seen at once
+CLOCK, USE_SIM_TIME = "/clock", "/use_sim_time"
+
+
+class BusBridge:
+    """Runs from `start` to `close`."""
+
+    def __init__(self, bus: Bus, node: Ros1Node, names: GraphNames):
+        self._bus, self._node, self._names = bus, node, names
+        self._codec = ros1(bus.schema)
+        self._published: dict[str, str] = {}  # bus topics, to type
+        self._subscribed: dict[str, str] = {}
+        self._served: dict[str, str] = {}
+        self._stop = threading.Event()
+        self._synced = threading.Condition()
+        self._seen = 0
+        self._simulated = False
+        self._thread = threading.Thread(target=self._run, name=f"ros1 bridge {node.name}", daemon=True)
+
+    def start(self) -> None:
+        self._bus.find_elsewhere(self._find)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._bus.forget_elsewhere(self._find)
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join(5.0)
+
+    def wait_settled(self, timeout: float) -> bool:
+        """Whether all that is on the bus now is known to the master, after waiting for that."""
+        version = self._bus.wait_change(-1, 0)
+        with self._synced:
+            seen = self._synced.wait_for(lambda: self._seen >= version or self._stop.is_set(), timeout)
+        return seen and self._node.wait_registered(timeout)
+
+    # --- what is on the bus ---
+    def _run(self) -> None:
+        version = -1
+        while not self._stop.is_set():
+            now = self._bus.wait_change(version, 0.2)
+            if now == version:
+                continue
+            self._stop.wait(SETTLE)
+            version = self._bus.wait_change(-1, 0)
+            try:
+                self._sync()
+            except Exception:
+                logger.exception("what is on the bus could not be offered")
+            with self._synced:
+                self._seen = version
+                self._synced.notify_all()
+
+    def _sync(self) -> None:
+        topics = self._bus.topics(besides=self)
+        publish = {t.name: t.type for t in topics if t.publishers}
+        subscribe = {t.name: t.type for t in topics if t.subscribers}
+        services = self._bus.services()
+        graph = self._names.to_graph
+        _change(self._published, publish, lambda n: self._node.unpublish(graph(n)), self._publish)
+        _change(self._subscribed, subscribe, lambda n: self._node.unsubscribe(graph(n)), self._subscribe)
+        _change(self._served, services, lambda n: self._node.unserve(graph(n)), self._serve)
+        if CLOCK in publish and not self._simulated:
+            self._simulated = True
+            self._use_sim_time()
+
+    def _use_sim_time(self) -> None:
+        """Who publishes the clock says so: other nodes read this when they start."""
+        with contextlib.suppress(RpcError):
+            if not self._bus.parameters.get(USE_SIM_TIME, False):
+                logger.info("/use_sim_time is set: the time of this graph is that of the cell")
+        self._bus.parameters.set(USE_SIM_TIME, True)
+
+    def _publish(self, topic: str, type_name: str) -> None:
+        def attach(put: Callable[[Any], None]) -> Any:
+            return self._bus.attach(topic, type_name, put, owner=self)
+
+        def latching() -> bool:
+            return any(t.latched for t in self._bus.topics(besides=self) if t.name == topic)
+
+        self._node.publish(self._names.to_graph(topic), type_name, attach, latching)
+
+    def _subscribe(self, topic: str, type_name: str) -> None:
+        self._codec.prepare(type_name)
+
+        def open_sink(header: Fields) -> _ToBus:
+            latch = header.get("latching") == "1"
+            publisher = self._bus.advertise(topic, type_name, latch, owner=self)
+            return _ToBus(self._codec, publisher)
+
+        self._node.subscribe(self._names.to_graph(topic), type_name, open_sink)
+
+    def _serve(self, name: str, type_name: str) -> None:
+        def answer(request: Any) -> Any:
+            return self._bus.call(name, request)
+
+        self._node.serve(self._names.to_graph(name), type_name, answer)
+
+    # --- what is in the graph ---
+    def _find(self, name: str) -> Handler | None:
+        there = self._names.to_graph(name)
+        if self._node.find_service(there) is None:
+            return None
+
+        def call(request: Any) -> Any:
+            return self._node.call_service(there, request._type.removesuffix("Request"), request)
+
+        return call
+
+    def topics(self) -> list[TopicInfo]:
+        """The bus's topics, without what this bridge does there."""
+        return self._bus.topics(besides=self)
+
+
+class _ToBus:
+    """Puts what one publisher of the graph sends on the bus. One each, so that each one's latched message
+    is kept.
+    """
+
+    def __init__(self, codec: Codec, publisher: Publisher):
+        self._codec, self._publisher = codec, publisher
+
+    def take(self, body: bytes) -> None:
+        message = self._codec.decode(self._publisher.type, body)
+        if not self._publisher.closed:
+            self._publisher.publish(message)
+
+    def close(self) -> None:
+        self._publisher.close()
+
+
+def _change(
+    have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
+) -> None:
+    """Bring what is offered in line with what is there."""
+    for name in [n for n, kind in have.items() if want.get(n) != kind]:
+        del have[name]
+        leave(name)
+    for name, kind in want.items():
+        if name not in have:
+            have[name] = kind
+            try:
+                join(name, kind)
+            except ArmcellError as error:
+                logger.error("%s is not offered: %s", name, error)

@@ -1,0 +1,101 @@
+"""A bus's parameters in the parameter server of a graph's master.
+
+What is set here is also kept: while the master is away it is answered from what was kept, and a master that
+comes anew is told it again.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from armcell.core import InputError, UnknownNameError
+from armcell.ros.parameters import _NONE, Parameters
+from armcell.ros.ros1.graph_names import GraphNames
+from armcell.ros.ros1.rpc import ERROR, RpcError
+
+logger = logging.getLogger(__name__)
+
+Ask = Callable[..., Any]
+
+
+class GraphParameters(Parameters):
+    """Thread-safe. Names are the bus's.
+
+    Args:
+        ask: asks the master: method, arguments.
+        kept: what the bus had before; told to the master by `tell_all`.
+    """
+
+    def __init__(self, ask: Ask, names: GraphNames, kept: Parameters):
+        super().__init__()
+        self._ask, self._names, self.kept = ask, names, kept
+        self._telling = threading.Lock()
+
+    def tell_all(self) -> None:
+        """Set everything that is kept at the master.
+
+        Raises:
+            RpcError: the master does not answer.
+        """
+        for name in self.kept.names():
+            self._tell(name, self.kept.get(name))
+
+    def _tell(self, name: str, value: Any) -> None:
+        with self._telling:
+            try:
+                self._ask("setParam", self._names.to_graph(name), _plain(value))
+            except InputError as error:
+                logger.warning("parameter %s: %s", name, error)
+
+    def set(self, name: str, value: Any) -> None:
+        self.kept.set(name, value)
+        try:
+            self._tell(name, value)
+        except RpcError as error:
+            logger.warning("parameter %s is kept, but not told to the master: %s", name, error)
+
+    def get(self, name: str, default: Any = _NONE) -> Any:
+        try:
+            return self._ask("getParam", "/" if name == "/" else self._names.to_graph(name))
+        except RpcError as error:
+            if error.code is None:
+                return self.kept.get(name, default)
+            if default is not _NONE:
+                return default
+            raise UnknownNameError("parameter", name, self.names()) from None
+
+    def delete(self, name: str) -> None:
+        if name in self.kept:
+            self.kept.delete(name)
+        try:
+            self._ask("deleteParam", self._names.to_graph(name))
+        except RpcError as error:
+            if error.code == ERROR:
+                raise UnknownNameError("parameter", name, self.names()) from None
+            raise InputError(f"parameter {name} is not deleted: {error}") from None
+
+    def names(self) -> list[str]:
+        try:
+            return sorted(self._names.to_bus(name) for name in self._ask("getParamNames"))
+        except RpcError:
+            return self.kept.names()
+
+    def __contains__(self, name: str) -> bool:
+        try:
+            return bool(self._ask("hasParam", self._names.to_graph(name)))
+        except RpcError:
+            return name in self.kept
+
+
+def _plain(value: Any) -> Any:
+    """numpy's numbers and arrays, tuples: as XML-RPC has them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

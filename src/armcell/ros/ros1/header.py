@@ -1,0 +1,81 @@
+"""TCPROS's connection header: `u32 length`, then fields `u32 length | key=value`, all little-endian.
+
+Source: wiki.ros.org/ROS/TCPROS and wiki.ros.org/ROS/Connection%20Header.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Mapping
+
+from armcell.ros.codec import WireError
+
+LENGTH = struct.Struct("<I")
+MAX_HEADER = 1 << 20  # [bytes] a message's full definition is in it
+MAX_FIELDS = 64
+
+Fields = dict[str, str]
+
+
+def encoded(fields: Mapping[str, str]) -> bytes:
+    """The header's bytes with their length."""
+    lines = [f"{key}={value}".encode() for key, value in sorted(fields.items())]
+    body = b"".join(LENGTH.pack(len(line)) + line for line in lines)
+    return LENGTH.pack(len(body)) + body
+
+
+def decoded(body: bytes) -> Fields:
+    """The fields of a header without its length.
+
+    Raises:
+        WireError: it is none.
+    """
+    fields: Fields = {}
+    at = count = 0
+    while at < len(body):
+        count += 1
+        if at + 4 > len(body) or count > MAX_FIELDS:
+            raise WireError("a connection header ends in the middle of a field, or has too many")
+        (size,) = LENGTH.unpack_from(body, at)
+        at += 4
+        if size == 0 or at + size > len(body):
+            raise WireError("a field of a connection header is longer than the header")
+        try:
+            key, equals, value = body[at : at + size].decode().partition("=")
+        except UnicodeDecodeError:
+            raise WireError("a connection header is no text") from None
+        if not equals:
+            raise WireError(f"a field of a connection header has no '=': {key[:60]!r}")
+        fields[key.strip()] = value
+        at += size
+    return fields
+
+
+def receive(sock: socket.socket) -> Fields:
+    """Read a header; the socket's timeout holds for each read.
+
+    Raises:
+        WireError: what comes is none.
+        OSError: the connection broke, or took too long.
+    """
+    (size,) = LENGTH.unpack(exactly(sock, 4))
+    if size > MAX_HEADER:
+        raise WireError(f"a connection header of {size} bytes")
+    return decoded(exactly(sock, size))
+
+
+def exactly(sock: socket.socket, count: int) -> bytes:
+    """So many bytes.
+
+    Raises:
+        ConnectionError: the other side closed before.
+    """
+    parts = []
+    while count > 0:
+        part = sock.recv(min(count, 1 << 20))
+        if not part:
+            raise ConnectionError("the other side closed the connection")
+        parts.append(part)
+        count -= len(part)
+    return b"".join(parts)

@@ -1,0 +1,124 @@
+"""A listening socket whose connections each get a thread, all of which are gone after `close`."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+from armcell.core import InputError
+
+logger = logging.getLogger(__name__)
+MAX_CONNECTIONS = 512
+JOIN_TIMEOUT = 3.0  # [s] for a thread to see that its socket is closed
+
+Handle = Callable[[socket.socket, str], bool]
+"""Serves a connection, from a thread of its own; true: the socket was given on and stays open."""
+
+
+class Listener:
+    """Listens from `start` to `close`.
+
+    Args:
+        port: 0 is any free one.
+        handle: gets each socket and its peer's address.
+    """
+
+    def __init__(
+        self, host: str, port: int, handle: Handle, name: str, max_connections: int = MAX_CONNECTIONS
+    ):
+        self.address = (host, port)
+        self._handle, self._name, self._most = handle, name, max_connections
+        self._socket: socket.socket | None = None
+        self._lock = threading.Lock()
+        self._open: dict[threading.Thread, socket.socket] = {}
+        self._closing = False
+        self._thread = threading.Thread(target=self._accept, name=f"{name} accept", daemon=True)
+        self.refused = 0  # connections beyond the cap
+
+    def start(self) -> None:
+        """
+        Raises:
+            InputError: the address cannot be listened on.
+        """
+        try:
+            self._socket = socket.create_server(self.address, backlog=128)
+        except OSError as error:
+            taken, reason = error.errno == errno.EADDRINUSE, str(error.strerror).split(" (")[0]
+            raise InputError(
+                f"cannot listen on {self.address[0]}:{self.address[1]} ({reason})",
+                cure="another program has the port" if taken else "is it an address of this machine?",
+            ) from None
+        self.address = self._socket.getsockname()[:2]
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop listening and end every connection."""
+        self._closing = True
+        if self._socket is None:
+            return
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        if self._thread is not threading.current_thread():
+            self._thread.join(JOIN_TIMEOUT)
+        with self._lock:
+            threads = dict(self._open)
+        for sock in threads.values():
+            shut(sock)
+        for thread in threads:
+            if thread is not threading.current_thread():
+                thread.join(JOIN_TIMEOUT)
+
+    def _accept(self) -> None:
+        assert self._socket is not None
+        while not self._closing:
+            try:
+                sock, address = self._socket.accept()
+            except OSError as error:
+                if self._closing:
+                    return
+                logger.warning("%s: accept failed: %s", self._name, error)
+                time.sleep(0.1)  # out of file descriptors: the next try fails as well
+                continue
+            thread = threading.Thread(
+                target=self._serve, args=(sock, f"{address[0]}:{address[1]}"),
+                name=f"{self._name} connection", daemon=True,
+            )  # fmt: skip
+            with self._lock:
+                full = len(self._open) >= self._most or self._closing
+                if not full:
+                    self._open[thread] = sock
+            if full:
+                self.refused += 1
+                if self.refused == 1:
+                    logger.warning(
+                        "%s: more than %d connections; further ones are closed", self._name, self._most
+                    )
+                sock.close()
+            else:
+                thread.start()
+
+    def _serve(self, sock: socket.socket, address: str) -> None:
+        given_on = False
+        try:
+            given_on = self._handle(sock, address)
+        except OSError as error:
+            logger.debug("%s: %s: %s", self._name, address, error)
+        except Exception:
+            logger.exception("%s: %s", self._name, address)
+        finally:
+            with self._lock:
+                self._open.pop(threading.current_thread(), None)
+            if not given_on:
+                sock.close()
+
+
+def shut(sock: socket.socket) -> None:
+    """End a connection that another thread reads from: that one closes it."""
+    with contextlib.suppress(OSError):
+        sock.shutdown(socket.SHUT_RDWR)

@@ -1,0 +1,382 @@
+"""A ROS 1 node: the slave API, the TCPROS port, registrations; knows a schema, but no bus.
+
+Source: wiki.ros.org/ROS/Slave_API, wiki.ros.org/ROS/TCPROS.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import socket
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from armcell.core import InputError
+from armcell.ros.bus import ServiceError
+from armcell.ros.codec import WireError
+from armcell.ros.names import resolve
+from armcell.ros.ros1 import rpc
+from armcell.ros.ros1.header import Fields, encoded, receive
+from armcell.ros.ros1.listener import Listener
+from armcell.ros.ros1.publication import ANY, Attach, Publication
+from armcell.ros.ros1.reactor import Reactor
+from armcell.ros.ros1.registrar import Kind, Registrar
+from armcell.ros.ros1.rpc import Answer, Method, RpcError, RpcServer, ask
+from armcell.ros.ros1.services import Answerer, Caller, ServedService
+from armcell.ros.ros1.settings import Ros1Settings, is_this_machine
+from armcell.ros.ros1.subscription import Sink, Subscription
+from armcell.ros.schema import Schema
+
+logger = logging.getLogger(__name__)
+CONNECTORS = 16  # connections that are being made at one time
+MAX_COMPLAINTS = 100  # different ones that are logged
+
+
+class Ros1Node:
+    """Joins a graph from `start` (or `with`) to `close`. All names here are the graph's, in full.
+
+    Args:
+        on_shutdown: told why, when somebody ends the node: the master because another node took its name,
+            or `rosnode kill`. The node is not closed by that: whoever owns it does so.
+    """
+
+    def __init__(
+        self, schema: Schema, settings: Ros1Settings, on_shutdown: Callable[[str], None] = lambda _: None
+    ):
+        self.schema, self.settings = schema, settings
+        self.name = resolve(settings.name, settings.namespace)
+        self.master = settings.master
+        self._on_shutdown = on_shutdown
+        self._lock = threading.Lock()
+        self._publications: dict[str, Publication] = {}
+        self._subscriptions: dict[str, Subscription] = {}
+        self._services: dict[str, ServedService] = {}
+        self.mistakes = 0  # connections that were refused or made no sense
+        self._complaints: set[str] = set()
+        self._reactor = Reactor(f"ros1 {self.name}")
+        self._executor = ThreadPoolExecutor(CONNECTORS, f"ros1 connect {self.name}")
+        self._caller = Caller(self.name, schema, settings.timeout, settings.max_message)
+        self._rpc = RpcServer(settings.bind, 0, self._methods(), f"ros1 xml-rpc {self.name}")
+        self._tcpros = Listener(settings.bind, 0, self._connected, f"ros1 tcpros {self.name}")
+        self.registrar: Registrar = None  # type: ignore[assignment]  # from `start` on
+        self._closed = False
+
+    # --- life ---
+    def start(self) -> None:
+        """
+        Raises:
+            InputError: no master answers, or the address cannot be listened on.
+        """
+        try:
+            ask(self.master, "getPid", self.name, timeout=self.settings.timeout)
+        except RpcError as error:
+            raise InputError(
+                f"no ROS master: {error}",
+                cure="start one (roscore), set ROS_MASTER_URI, or let armcell start its own (--own-master)",
+            ) from None
+        if self.settings.is_local and not is_this_machine(self.settings.master_address[0]):
+            logger.warning(
+                "the master is on another machine, but this node listens on loopback alone: nobody there can "
+                "connect to it; set ROS_IP to this machine's address"
+            )
+        self._rpc.start()
+        self._tcpros.start()
+        self._reactor.start()
+        self.registrar = Registrar(
+            self.master, self.name, self.uri, self.settings.timeout, self._publishers_are, self._end
+        )
+        self.registrar.start()
+
+    def close(self) -> None:
+        """Unregister everything and leave no connection and no thread."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        if self.registrar is not None:
+            self.registrar.close()
+        self._caller.close()
+        self._rpc.close()
+        self._tcpros.close()
+        with self._lock:
+            members = [*self._publications.values(), *self._subscriptions.values()]
+        for member in members:
+            member.close()
+        self._reactor.close()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def __enter__(self) -> Ros1Node:
+        self.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @property
+    def uri(self) -> str:
+        return f"http://{self.settings.host}:{self._rpc.port}/"
+
+    @property
+    def service_uri(self) -> str:
+        return f"rosrpc://{self.settings.host}:{self._tcpros.address[1]}"
+
+    def wait_registered(self, timeout: float | None = None) -> bool:
+        """Whether the master knows of everything, after waiting for that."""
+        return self.registrar.wait(timeout)
+
+    def ask_master(self, method: str, *arguments: Any) -> Any:
+        """
+        Raises:
+            RpcError: the master does not answer, or says no.
+        """
+        return ask(self.master, method, self.name, *arguments, timeout=self.settings.timeout)
+
+    # --- topics ---
+    def publish(self, topic: str, type_name: str, attach: Attach, latching: Callable[[], bool]) -> None:
+        """Offer a topic; see `Publication`."""
+        s = self.settings
+        made = Publication(
+            topic, type_name, self.schema, self.name, self._reactor, attach, latching, s.queue, s.queue_bytes
+        )
+        with self._lock:
+            if topic in self._publications:
+                raise InputError(f"{self.name} publishes {topic} already")
+            self._publications[topic] = made
+        self.registrar.want(Kind.PUBLISHER, topic, type_name)
+
+    def unpublish(self, topic: str) -> None:
+        with self._lock:
+            gone = self._publications.pop(topic, None)
+        if gone is not None:
+            self.registrar.drop(Kind.PUBLISHER, topic)
+            gone.close()
+
+    def subscribe(self, topic: str, type_name: str, open_sink: Callable[[Fields], Sink]) -> None:
+        """Subscribe to a topic; see `Subscription`. Type `*` takes any."""
+        any_type = type_name == ANY
+        md5 = ANY if any_type else self.schema.md5(type_name)
+        text = "" if any_type else self.schema.full_text(type_name)
+        made = Subscription(
+            topic, type_name, md5, text, self.name, self.uri, self._reactor, self._executor, open_sink,
+            self.settings.timeout, self.settings.max_message,
+        )  # fmt: skip
+        with self._lock:
+            if topic in self._subscriptions:
+                raise InputError(f"{self.name} subscribes to {topic} already")
+            self._subscriptions[topic] = made
+        self.registrar.want(Kind.SUBSCRIBER, topic, type_name)
+
+    def unsubscribe(self, topic: str) -> None:
+        with self._lock:
+            gone = self._subscriptions.pop(topic, None)
+        if gone is not None:
+            self.registrar.drop(Kind.SUBSCRIBER, topic)
+            gone.close()
+
+    def publications(self) -> list[Publication]:
+        with self._lock:
+            return list(self._publications.values())
+
+    def subscriptions(self) -> list[Subscription]:
+        with self._lock:
+            return list(self._subscriptions.values())
+
+    # --- services ---
+    def serve(self, name: str, type_name: str, answer: Answerer) -> None:
+        """Offer a service; see `ServedService`."""
+        made = ServedService(name, type_name, self.schema, self.name, answer, self.settings.max_message)
+        with self._lock:
+            self._services[name] = made
+        self.registrar.want(Kind.SERVICE, name, self.service_uri)
+
+    def unserve(self, name: str) -> None:
+        with self._lock:
+            gone = self._services.pop(name, None)
+        if gone is not None:
+            self.registrar.drop(Kind.SERVICE, name)
+
+    def find_service(self, name: str) -> str | None:
+        """The address of another node's service; None where there is none."""
+        try:
+            uri = self.ask_master("lookupService", name)
+        except RpcError:
+            return None
+        return uri if isinstance(uri, str) and uri and uri != self.service_uri else None
+
+    def call_service(self, name: str, type_name: str, request: Any) -> Any:
+        """Call another node's service, which may take as long as it likes.
+
+        Raises:
+            ServiceError: nobody serves it, it is of another type, or it says why not.
+        """
+        uri = self.find_service(name)
+        if uri is None:
+            raise ServiceError(f"service {name} is not served by any node")
+        with self._caller.connect(name, uri, type_name) as connection:
+            return connection.call(request)
+
+    def service(self, name: str, type_name: str) -> Any:
+        """A connection to another node's service that stays open: `call(request)`, `close()`.
+
+        Raises:
+            ServiceError: nobody serves it, or it is of another type.
+        """
+        uri = self.find_service(name)
+        if uri is None:
+            raise ServiceError(f"service {name} is not served by any node")
+        return self._caller.connect(name, uri, type_name, persistent=True)
+
+    def service_type(self, name: str) -> str:
+        """
+        Raises:
+            ServiceError: nobody serves it, or who does gives no answer.
+        """
+        uri = self.find_service(name)
+        if uri is None:
+            raise ServiceError(f"service {name} is not served by any node")
+        return self._caller.probe(name, uri)
+
+    # --- what others ask ---
+    def _methods(self) -> dict[str, Method]:
+        topic, key = rpc.graph_name("topic"), rpc.graph_name("parameter_key")
+        publishers = rpc.several("publishers", rpc.address("publishers"))
+        return {
+            "getBusStats": Method(self._bus_stats, empty=[]),
+            "getBusInfo": Method(self._bus_info, empty=[]),
+            "getMasterUri": Method(lambda _: (1, self.master, self.master), empty=""),
+            "getUri": Method(lambda _: (1, "", self.uri), empty=""),
+            "getName": Method(lambda _: (1, "", self.name), empty=""),
+            "getPid": Method(lambda _: (1, "", os.getpid()), empty=-1),
+            "shutdown": Method(self._shutdown, (rpc.text("msg"),), optional=1),
+            "getSubscriptions": Method(
+                lambda _: (1, "subscriptions", [[s.topic, s.type] for s in self.subscriptions()]), empty=[]
+            ),
+            "getPublications": Method(
+                lambda _: (1, "publications", [[p.topic, p.type] for p in self.publications()]), empty=[]
+            ),
+            "paramUpdate": Method(lambda *_: (-1, "not subscribed", 0), (key, rpc.anything), -1),
+            "publisherUpdate": Method(self._publisher_update, (topic, publishers), -1),
+            "requestTopic": Method(self._request_topic, (topic, rpc.anything), []),
+        }
+
+    def _bus_stats(self, caller: str) -> Answer:
+        published = [
+            [
+                p.topic,
+                sum(x.sent_bytes for x in p.links()),
+                [[x.number, x.sent_bytes, x.sent, 1] for x in p.links()],
+            ]
+            for p in self.publications()
+        ]
+        received = [
+            [s.topic, [[x.number, x.received_bytes, -1, int(x.connected)] for x in s.links()]]
+            for s in self.subscriptions()
+        ]
+        return 1, "", [published, received, []]
+
+    def _bus_info(self, caller: str) -> Answer:
+        out = [
+            [x.number, x.caller, "o", "TCPROS", p.topic, 1, f"TCPROS connection to [{x.peer}]"]
+            for p in self.publications() for x in p.links()
+        ]  # fmt: skip
+        into = [
+            [x.number, x.uri, "i", "TCPROS", s.topic, int(x.connected), f"TCPROS connection to [{x.uri}]"]
+            for s in self.subscriptions() for x in s.links()
+        ]  # fmt: skip
+        return 1, "bus info", out + into
+
+    def _shutdown(self, caller: str, message: str = "") -> Answer:
+        self._end(f"shut down by {caller}: {message}")
+        return 1, "shutdown", 0
+
+    def _end(self, reason: str) -> None:
+        logger.warning("%s: %s", self.name, reason[:300])
+        self._on_shutdown(reason)
+
+    def _publisher_update(self, caller: str, topic: str, publishers: list[str]) -> Answer:
+        self._publishers_are(topic, publishers)
+        return 1, "", 0
+
+    def _publishers_are(self, topic: str, uris: list[str]) -> None:
+        with self._lock:
+            subscription = self._subscriptions.get(topic)
+        if subscription is not None:
+            subscription.update(uris)
+
+    def _request_topic(self, caller: str, topic: str, protocols: Any) -> Answer:
+        with self._lock:
+            known = topic in self._publications
+        if not known:
+            return -1, f"Not a publisher of [{topic}]", []
+        if not isinstance(protocols, list) or not any(
+            isinstance(p, list) and p[:1] == ["TCPROS"] for p in protocols
+        ):
+            return 0, "no supported protocol implementations", []
+        host, port = self.settings.host, self._tcpros.address[1]
+        return 1, f"ready on {host}:{port}", ["TCPROS", host, port]
+
+    # --- who connects to the TCPROS port ---
+    def _connected(self, sock: socket.socket, peer: str) -> bool:
+        sock.settimeout(self.settings.timeout)
+        try:
+            header = receive(sock)
+        except WireError as error:
+            self._complain(peer, str(error))
+            return False
+        if "topic" in header:
+            return self._subscriber(sock, header, peer)
+        if "service" in header:
+            self._client(sock, header, peer)
+        else:
+            self._refuse(sock, peer, "no topic or service name detected")
+        return False
+
+    def _subscriber(self, sock: socket.socket, header: Fields, peer: str) -> bool:
+        missing = next((f for f in ("topic", "md5sum", "callerid") if f not in header), None)
+        if missing:
+            self._refuse(sock, peer, f"Missing required '{missing}' field")
+            return False
+        with self._lock:
+            publication = self._publications.get(header["topic"])
+            known = [[p.topic, p.type] for p in self._publications.values()]
+        if publication is None:
+            text = f"[{self.name}] is not a publisher of [{header['topic']}]. Topics are {known}"
+        else:
+            text = publication.refusal(header)
+        if publication is None or text:
+            self._refuse(sock, peer, text or "")
+            return False
+        publication.accept(sock, header, peer)
+        return True
+
+    def _client(self, sock: socket.socket, header: Fields, peer: str) -> None:
+        missing = next((f for f in ("service", "md5sum", "callerid") if f not in header), None)
+        if missing:
+            self._refuse(sock, peer, f"Missing required '{missing}' field")
+            return
+        with self._lock:
+            service = self._services.get(header["service"])
+        if service is None:
+            self._refuse(sock, peer, f"[{self.name}] is not a provider of  [{header['service']}]")
+        elif text := service.refusal(header):
+            self._refuse(sock, peer, text)
+        else:
+            service.handle(sock, header)
+
+    def _refuse(self, sock: socket.socket, peer: str, text: str) -> None:
+        self._complain(peer, text)
+        sock.sendall(encoded({"error": text}))
+
+    def _complain(self, peer: str, text: str) -> None:
+        """Log once per kind, count all."""
+        kind = re.sub(r"[0-9]+", "", text[:200])
+        with self._lock:
+            self.mistakes += 1
+            first = kind not in self._complaints and len(self._complaints) < MAX_COMPLAINTS
+            if first:
+                self._complaints.add(kind)
+        if first:
+            logger.warning("TCPROS: %s: %s", peer, text[:400])

@@ -1,0 +1,159 @@
+"""One thread for all topic connections of a node: it reads what comes, sends what waits, runs timers."""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import logging
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+logger = logging.getLogger(__name__)
+
+Task = Callable[[], None]
+
+
+class Channel(Protocol):
+    """A connected, non-blocking socket and what is to be done with it, all in the reactor's thread."""
+
+    sock: socket.socket
+
+    def readable(self) -> None:
+        """Raises OSError when the connection is over."""
+        ...
+
+    def writable(self) -> bool:
+        """Send; whether something still waits. Raises OSError when the connection is over."""
+        ...
+
+    def ended(self, reason: str) -> None:
+        """The socket is closed now."""
+        ...
+
+
+class Reactor:
+    """Runs from `start` to `close`. Channels may be added and dropped from any thread."""
+
+    def __init__(self, name: str):
+        self._selector = selectors.DefaultSelector()
+        self._ear, self._bell = socket.socketpair()
+        for end in (self._ear, self._bell):
+            end.setblocking(False)
+        self._selector.register(self._ear, selectors.EVENT_READ, None)
+        self._tasks: deque[Task] = deque()
+        self._timers: list[tuple[float, int, Task]] = []
+        self._numbers = itertools.count()
+        self._lock = threading.Lock()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """End every connection and the thread."""
+        with self._lock:
+            self._closing = True
+        self._ring()
+        if self._thread.ident is not None:
+            self._thread.join(5.0)
+
+    # --- from any thread ---
+    def add(self, channel: Channel) -> None:
+        self._soon(lambda: self._register(channel))
+
+    def drop(self, channel: Channel, reason: str = "closed") -> None:
+        self._soon(lambda: self._end(channel, reason))
+
+    def flush(self, channel: Channel) -> None:
+        """Call its `writable` as soon as it can send."""
+        self._soon(lambda: self._watch(channel, True))
+
+    def later(self, delay: float, task: Task) -> None:
+        """Run a task in so many seconds."""
+        at = time.monotonic() + delay
+        self._soon(lambda: heapq.heappush(self._timers, (at, next(self._numbers), task)))
+
+    def _soon(self, task: Task) -> None:
+        with self._lock:
+            self._tasks.append(task)
+        self._ring()
+
+    def _ring(self) -> None:
+        with contextlib.suppress(BlockingIOError, OSError):  # rung already, or closed
+            self._bell.send(b"\0")
+
+    # --- in the reactor's thread ---
+    def _run(self) -> None:
+        while True:
+            wait = max(self._timers[0][0] - time.monotonic(), 0.0) if self._timers else None
+            for key, events in self._selector.select(wait):
+                if key.data is None:
+                    with contextlib.suppress(BlockingIOError):
+                        self._ear.recv(4096)
+                else:
+                    self._serve(key.data, events)
+            self._run_tasks()
+            if self._closing:
+                break
+        for key in list(self._selector.get_map().values()):
+            if key.data is not None:
+                self._end(key.data, "closed")
+        self._run_tasks()  # channels that were added meanwhile are closed in turn
+        self._selector.close()
+        self._ear.close()
+        self._bell.close()
+
+    def _run_tasks(self) -> None:
+        while self._timers and self._timers[0][0] <= time.monotonic() and not self._closing:
+            self._safely(heapq.heappop(self._timers)[2])
+        while True:
+            with self._lock:
+                if not self._tasks:
+                    return
+                task = self._tasks.popleft()
+            self._safely(task)
+
+    def _safely(self, task: Task) -> None:
+        try:
+            task()
+        except Exception:
+            logger.exception("a task failed")
+
+    def _serve(self, channel: Channel, events: int) -> None:
+        try:
+            if events & selectors.EVENT_READ:
+                channel.readable()
+            if events & selectors.EVENT_WRITE and not channel.writable():
+                self._watch(channel, False)
+        except OSError as error:
+            self._end(channel, error.strerror or str(error))
+        except Exception as error:
+            logger.exception("a connection failed")
+            self._end(channel, repr(error))
+
+    def _register(self, channel: Channel) -> None:
+        if self._closing:
+            self._end(channel, "closed")
+            return
+        self._selector.register(channel.sock, selectors.EVENT_READ, channel)
+        self._watch(channel, True)  # what was put before
+
+    def _watch(self, channel: Channel, write: bool) -> None:
+        if channel.sock.fileno() >= 0 and channel.sock in self._selector.get_map():
+            events = selectors.EVENT_READ | (selectors.EVENT_WRITE if write else 0)
+            self._selector.modify(channel.sock, events, channel)
+
+    def _end(self, channel: Channel, reason: str) -> None:
+        if channel.sock.fileno() < 0:
+            return  # ended already
+        with contextlib.suppress(KeyError, ValueError):
+            self._selector.unregister(channel.sock)
+        channel.sock.close()
+        channel.ended(reason)

@@ -1,0 +1,158 @@
+"""How a node joins a ROS 1 graph: names, addresses and remappings, from arguments and the environment.
+
+Source: wiki.ros.org/ROS/EnvironmentVariables and wiki.ros.org/Remapping%20Arguments. What differs on purpose:
+without ROS_IP, ROS_HOSTNAME or a bind address the node listens on loopback alone, not on every interface.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+from urllib.parse import urlsplit
+
+import yaml
+
+from armcell.core import InputError
+
+MASTER = "http://localhost:11311"
+PORT = 11311
+_NODE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
+
+
+@dataclass(frozen=True)
+class Ros1Settings:
+    """A node's name and addresses; what is empty is taken from the environment by `from_environment`."""
+
+    name: str = "armcell"  # of the node, without namespace
+    namespace: str = "/"
+    master: str = MASTER  # XML-RPC address of the master
+    own_master: bool | None = None  # True: start one; None: where none is reachable; False: never
+    host: str = "127.0.0.1"  # what others are told to connect to
+    bind: str = "127.0.0.1"  # where to listen
+    remap: Mapping[str, str] = field(default_factory=dict)  # as given: from, to
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # private ones, without ~
+    queue: int = 100  # messages that wait for one subscriber; a full queue drops its oldest
+    queue_bytes: int = 16 << 20  # per subscriber, though always one message
+    max_message: int = 256 << 20  # [bytes] of one message or request; a longer one ends the connection
+    timeout: float = 5.0  # [s] for a peer to connect and to say what it wants
+
+    def __post_init__(self) -> None:
+        if not _NODE.match(self.name):
+            raise InputError(f"{self.name!r} is no node name", cure="letters, digits and _, a letter first")
+        host_and_port(self.master)
+
+    @property
+    def master_address(self) -> tuple[str, int]:
+        return host_and_port(self.master)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nobody outside this machine can connect."""
+        return is_loopback(self.bind)
+
+
+def from_environment(
+    name: str, arguments: Iterable[str] = (), bind: str | None = None,
+    environment: Mapping[str, str] | None = None, **changes: Any,
+) -> Ros1Settings:  # fmt: skip
+    """Settings as a ROS program gets them.
+
+    Args:
+        arguments: remappings, each `from:=to`, `_private:=value`, `__name:=`, `__ns:=`, `__ip:=`,
+            `__hostname:=` or `__master:=`.
+        bind: where to listen; else loopback, or everywhere if ROS_HOSTNAME or ROS_IP name another address.
+    Raises:
+        InputError: an argument is no remapping, an address is none.
+    """
+    env = os.environ if environment is None else environment
+    remap, special = split_arguments(arguments)
+    host = special.pop("__hostname", "") or special.pop("__ip", "")
+    host = host or env.get("ROS_HOSTNAME", "") or env.get("ROS_IP", "")
+    if "://" in host:
+        raise InputError(
+            f"ROS_HOSTNAME or ROS_IP is {host!r}", cure="the bare name or address of this machine"
+        )
+    if bind is None:
+        bind = "127.0.0.1" if not host or is_loopback(host) else "0.0.0.0"
+    if not host:
+        host = bind if bind not in ("0.0.0.0", "") else own_address()
+    settings = Ros1Settings(
+        name=special.pop("__name", name),
+        namespace="/" + (special.pop("__ns", "") or env.get("ROS_NAMESPACE", "")).strip("/"),
+        master=special.pop("__master", "") or env.get("ROS_MASTER_URI", "") or MASTER,
+        host=host,
+        bind=bind,
+        remap=remap,
+        parameters={k[1:]: _value(v) for k, v in special.items() if not k.startswith("__")},
+    )
+    return replace(settings, **changes)
+
+
+def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Remappings of names, and the arguments that begin with an underscore.
+
+    Raises:
+        InputError: one is not of the form from:=to.
+    """
+    remap: dict[str, str] = {}
+    special: dict[str, str] = {}
+    for argument in arguments:
+        before, colon, after = argument.partition(":=")
+        if not (colon and before and (after or before.startswith("_"))):
+            raise InputError(f"{argument!r} is no remapping", cure="write from:=to, as for a ROS program")
+        (special if before.startswith("_") else remap)[before.strip()] = after.strip()
+    return remap, special
+
+
+def _value(text: str) -> Any:
+    """A private parameter's value is YAML, as rosrun reads it."""
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text
+
+
+def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
+    """Of an address as `http://host:port/`.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        parts = urlsplit(uri)
+        if parts.scheme == scheme and parts.hostname:
+            return parts.hostname, PORT if parts.port is None else parts.port
+    except ValueError:
+        pass
+    raise InputError(f"{uri[:100]!r} is no address", cure=f"write {scheme}://HOST:PORT")
+
+
+def is_loopback(host: str) -> bool:
+    return host in ("localhost", "::1") or host.startswith("127.")
+
+
+def is_this_machine(host: str) -> bool:
+    """Whether an address or name is one of this machine's."""
+    if is_loopback(host) or host in (socket.gethostname(), "0.0.0.0"):
+        return True
+    try:
+        address = socket.gethostbyname(host)
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.bind((address, 0))  # only an address of this machine can be bound to
+        return True
+    except OSError:
+        return False
+
+
+def own_address() -> str:
+    """The address by which other machines reach this one: that of the default route."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # a documentation address; nothing is sent
+            return str(probe.getsockname()[0])
+        except OSError:
+            return "127.0.0.1"
