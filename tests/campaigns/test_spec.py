@@ -35,6 +35,12 @@ def test_values_are_distributed_as_asked(data, reference):
         assert stats.kstest(values, reference.cdf).pvalue > 0.001
 
 
+@pytest.mark.parametrize(("low", "high"), [(1, 3), (1, 4), (3, 4), (-5, -2), (10**9, 10**9 + 7)])
+def test_whole_numbers_keep_to_their_ends(low, high):
+    found = distribution({"whole": [low, high]}, "here")
+    assert found.at(0.0) == low and found.at(1.0 - 2.0**-53) == high
+
+
 def test_choices():
     found = distribution({"choice": ["a", 2, None]}, "here")
     assert [found.at(u) for u in (0.0, 0.5, 0.999)] == ["a", 2, None]
@@ -71,6 +77,7 @@ def test_what_is_no_distribution_is_told(data, told):
         ({"max_seconds": -1.0}, "positive"),
         ({"values": {"p": 1}, "parameters": {"p": [0, 1]}}, "one or the other"),
         ({"parameters": [1]}, "mapping"),
+        ({"parameters": {5: [0, 1]}}, "mapping from paths"),
     ],
 )
 def test_what_cannot_be_asked_is_told(options, told):
@@ -85,6 +92,7 @@ def test_what_cannot_be_asked_is_told(options, told):
         ({"objects.cub.mass": [0.1, 1]}, "did you mean 'objects.cube.mass'"),
         ({"objects.cube.mass": [-1, 1]}, "mass"),
         ({"physics.timestep": [0, 0.002]}, "timestep"),
+        ({"objects.cube.mass": {"choice": [0.1, -1, 0.2, 0.3, 0.4, 0.5]}}, "mass"),
     ],
 )
 def test_a_range_is_tried_on_the_cell_before_anything_runs(parameters, told):

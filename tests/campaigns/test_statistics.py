@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from armcell.campaigns.statistics import Share, causes, compare, effects, success, summary
+from armcell.core import InputError
 
 
 def rows(outcomes, **columns):
@@ -78,6 +79,31 @@ def test_nothing_matters_in_nineteen_of_twenty():
         columns = {f"p{k}": rng.random(60).tolist() for k in range(5)}
         alarms += any(e.p_value < 0.05 for e in effects(rows(rng.random(60) < 0.7, **columns)))
     assert alarms <= 20
+
+
+def test_trials_put_near_a_failure_accuse_nobody():
+    """Failures come of one parameter; the others were near their values only because sampling put them."""
+    rng = np.random.default_rng(4)
+    matters, chance = rng.random(100), rng.random(100)
+    good = matters > 0.1
+    guilty = np.flatnonzero(~good)[0]
+    near_matters, near_chance = (c[guilty] + 0.02 * rng.standard_normal(100) for c in (matters, chance))
+    some = rows(
+        np.r_[good, near_matters > 0.1],
+        matters=np.r_[matters, near_matters].tolist(), chance=np.r_[chance, near_chance].tolist(),
+    )  # fmt: skip
+    for row in some[100:]:
+        row["near_failure"] = True
+    found = {e.path: e.p_value for e in effects(some)}
+    assert found["matters"] < 0.001 and found["chance"] > 0.05
+    for row in some:
+        row["near_failure"] = False  # as if all had been drawn independently
+    assert {e.path: e.p_value for e in effects(some)}["chance"] < 0.001
+
+
+def test_nothing_is_compared_with_nothing():
+    with pytest.raises(InputError, match="second campaign has no finished trial"):
+        compare(rows([1, 0]), [])
 
 
 def test_two_campaigns():

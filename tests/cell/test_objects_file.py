@@ -23,7 +23,7 @@ from armcell.core import (
     PointCloud,
     Sphere,
 )
-from armcell.scene import CollisionObject, Material, ObjectType
+from armcell.scene import CollisionObject, Material, ObjectType, Thread
 
 
 def test_round_trip(tmp_path):
@@ -66,6 +66,21 @@ def test_round_trip(tmp_path):
                     assert a == b
     text = yaml.safe_load((tmp_path / "things.yaml").read_text())
     assert text["objects"]["cup"]["box"] == [0.1, 0.1, 0.2]  # one shape: as one writes it by hand
+
+
+def test_what_is_screwed_in_and_names_that_are_alike(tmp_path):
+    bolt = box("bolt", (0.02, 0.02, 0.1), (0.5, 0.1, 0.2), (0.3, 0, 1.0), movable=True)
+    at = bolt.T_world_object @ SE3.from_xyz(0, 0, 0.04)
+    nut = box("nut", (0.03, 0.03, 0.01), movable=True, thread=Thread("bolt", 0.001, 0.02, 0.3)).at(at)
+    meshes = [CollisionObject.single(name, mesh_of(open_bin(size)), SE3.identity())
+              for name, size in (("a b", 0.1), ("a_b", 0.2))]  # fmt: skip
+    save_objects([nut, bolt, *meshes], tmp_path / "things.yaml")
+    back = {item.name: item for item in load_objects(tmp_path / "things.yaml")}
+    assert back["nut"].thread == nut.thread and back["nut"].T_world_object.isclose(at, 1e-9, 1e-7)
+    for item in meshes:
+        assert np.allclose(back[item.name].bounds(), item.bounds())
+    with pytest.raises(InputError, match="screwed into 'bolt', which is not among"):
+        save_objects([nut], tmp_path / "nut.yaml")
 
 
 def cell(tmp_path, objects: str):

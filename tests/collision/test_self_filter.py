@@ -12,7 +12,7 @@ from tests.collision.reference import is_inside, signed_distance, triangles
 from tests.model.helpers import random_positions
 from tests.scene.helpers import box, mesh_of, panda, ur10
 
-from armcell.collision.self_filter import robot_mask, without_robot
+from armcell.collision.self_filter import object_mask, robot_mask, without_robot
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, PointCloud, Sphere
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, PlanningScene
@@ -119,6 +119,8 @@ def test_bad_input():
     with pytest.raises(InputError, match="ghost"):
         robot_mask(panda(), np.zeros((1, 3)), objects=["ghost"])
     seen = panda(CollisionObject.single("seen", PointCloud(np.zeros((1, 3)), 0.1)), box("a", (1, 1, 1)))
+    with pytest.raises(InputError, match="padding"):
+        object_mask(seen, np.zeros((1, 3)), np.nan, ["a"])
     with pytest.raises(InputError, match="cloud"):
         robot_mask(seen, np.zeros((1, 3)), objects=["seen"])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.grasping.solids import solid
 
-from armcell.core import SE3, SO3, Box, Cylinder, InputError, Sphere
+from armcell.core import SE3, SO3, Box, Cylinder, InputError, PointCloud, Sphere
 from armcell.grasping import place_candidates, resting_now, rests
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene, library_object
@@ -103,3 +103,11 @@ def test_the_top_of_a_mesh_is_a_place():
     )
     best = place_candidates(library_object("can"), block)[0]
     np.testing.assert_allclose(best.T_world_object.translation, (0.5, 0.1, 0.25), atol=1e-6)
+
+
+def test_a_cloud_of_one_flat_side_stands_on_none_that_was_seen():
+    flat = (
+        np.stack(np.meshgrid(np.arange(20), np.arange(20), [0.0], indexing="ij"), -1).reshape(-1, 3) * 0.003
+    )
+    item = CollisionObject.single("seen", PointCloud(flat, 0.004))
+    assert rests(item) == () and resting_now(item) is None

@@ -139,6 +139,10 @@ def test_broken_pictures_are_named(seen, tmp_path):
     (tmp_path / "shot_depth.png").unlink()
     with pytest.raises(InputError, match="no shot_rgb.png"):
         load_image(tmp_path / "shot.yaml")
+    with (tmp_path / "z.npy").open("wb") as file:
+        np.savez(file, depth=np.zeros((2, 2)))
+    with pytest.raises(InputError, match="archive"):
+        load_image(tmp_path / "shot.yaml", depth=tmp_path / "z.npy")
     np.save(tmp_path / "z.npy", np.zeros(5))
     with pytest.raises(InputError, match="metres"):
         load_image(tmp_path / "shot.yaml", depth=tmp_path / "z.npy")

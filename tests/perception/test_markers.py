@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armcell.core import SE3, SO3, Box, ErrorCode, InputError, UnknownNameError
+from armcell.core import (
+    SE3,
+    SO3,
+    Box,
+    CameraImage,
+    ErrorCode,
+    InputError,
+    Pinhole,
+    UnknownNameError,
+)
 from armcell.model import load_robot
 from armcell.perception import FAMILIES, find_markers, marker_picture, picture_size
 from armcell.scene import CollisionObject, PlanningScene
@@ -50,6 +59,37 @@ def test_poses_end_to_end(family, gl):
     # rays take one sample a pixel, so that edges are stairs; OpenGL's four make them ramps
     assert np.median(position) < (0.0002 if gl else 0.001) and position.max() < 0.005
     assert np.rad2deg(np.median(angle)) < (0.1 if gl else 0.7)
+
+
+def test_a_pose_that_may_be_tilted_the_other_way_is_told():
+    """Markers of 20 pixels with edges like stairs: for some the wrong one of two poses fits better."""
+    rng, truth = np.random.default_rng(0), {}
+    for n in range(12):
+        turn = SO3.exp(np.r_[rng.normal(size=2) * 0.45, 0]) @ SO3.exp([0, 0, rng.uniform(-3, 3)])
+        truth[n] = SE3(turn, np.array([0.35 + 0.17 * (n % 4), -0.2 + 0.2 * (n // 4), 0.1]))
+    camera = Camera("eye", look_at([0.6, -0.05, 1.6], [0.6, 0, 0.1]), 640, 480, 45.0)
+    sight = find_markers(take_image(world("apriltag_36h11", truth), camera, False), "apriltag_36h11", SIZE)
+    wrong = [m for m in sight.markers if m.T_world_marker.distance_to(truth[m.id])[1] > 0.15]
+    assert len(wrong) >= 2 and all(m.ambiguous for m in wrong)
+
+
+def test_a_covered_edge_is_told():
+    """Something dark along one side moves a corner by 6 pixels; the error of the pose alone is small."""
+    rows = np.pad(np.kron(marker_picture("apriltag_36h11", 0), np.ones((12, 12), np.uint8)), 60, "edge")
+    size = len(rows)
+    v, u = np.mgrid[0:size, 0:size]
+    right, low, high = size - 60 - 12, 60 + 12, size - 60 - 12  # sides of the black square
+    covered = rows.copy()
+    middle = (low + high) / 2
+    covered[
+        (v > middle) & (v < high) & (u >= right - 1) & (u < right + 6 * (v - middle) / (high - middle))
+    ] = 0
+    pinhole = Pinhole.of_fov(size, size, 30.0)
+    seen = {}
+    for what, picture in (("clean", rows), ("covered", covered)):
+        image = CameraImage("eye", pinhole, SE3.identity(), 0.0, np.repeat(picture[:, :, None], 3, 2))
+        seen[what] = find_markers(image, "apriltag_36h11", SIZE)[0]
+    assert not seen["clean"].hidden and seen["covered"].hidden
 
 
 def test_a_marker_that_is_not_there():

@@ -211,6 +211,50 @@ def test_a_node_that_ends_leaves_the_bus():
 
 
 @pytest.mark.slow
+def test_a_motion_that_was_put_during_the_proof_of_another_is_proven_beside_it():
+    """Two threads, each with one arm's motion: neither may begin unproven beside the other."""
+    node = CellNode(load("dual_ur10").connect("fake", None, time_scale=SCALE), Bus())
+    thread = node.start()
+    assert node.ready.wait(20)
+
+    def swing(side):
+        names = list(node.live.model.group(f"{side}_arm").joint_names)
+        q = node.live.driver.joint_state().reindexed(names).positions
+        end = q + 0.2 * (np.arange(len(names)) == 0)
+        return schema().new(
+            TRAJECTORY,
+            joint_names=names,
+            points=[
+                schema().new(
+                    "trajectory_msgs/JointTrajectoryPoint",
+                    positions=p,
+                    time_from_start=schema().message("builtin_interfaces/Duration").from_sec(t),
+                )
+                for t, p in ((0.0, q), (5.0, end))
+            ],
+        )
+
+    proofs, proven, left = [], node._contact, []
+
+    def contact(others, new):
+        proofs.append((new.joint_names[0].split("_")[0], len(others)))
+        found = proven(others, new)
+        if not left:
+            left.append(None)
+            left[0] = node.play(swing("left"))  # from another thread, just now
+        return found
+
+    node._contact = contact
+    try:
+        right = node.play(swing("right"))
+        assert proofs == [("right", 0), ("left", 0), ("right", 1)]
+        assert left[0].wait(20) and right.wait(20) and left[0].outcome().ok and right.outcome().ok
+    finally:
+        node.close()
+        thread.join(5)
+
+
+@pytest.mark.slow
 def test_unity_moves_the_arm_in_physics_over_tcp():
     bus = Bus()
     node = CellNode(load("panda_pick").connect("sim", 0, time_scale=1.0), bus)

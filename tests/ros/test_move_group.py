@@ -76,6 +76,52 @@ def arm(served):
     return served.cell.scene().state.reindexed(names).positions
 
 
+# --- what there is ---
+SERVED = {  # of a running move_group (Noetic, Panda), but load_map and save_map, which need an octomap server
+    "/apply_planning_scene": "moveit_msgs/ApplyPlanningScene",
+    "/check_state_validity": "moveit_msgs/GetStateValidity",
+    "/clear_octomap": "std_srvs/Empty",
+    "/compute_cartesian_path": "moveit_msgs/GetCartesianPath",
+    "/compute_fk": "moveit_msgs/GetPositionFK",
+    "/compute_ik": "moveit_msgs/GetPositionIK",
+    "/get_planner_params": "moveit_msgs/GetPlannerParams",
+    "/get_planning_scene": "moveit_msgs/GetPlanningScene",
+    "/plan_kinematic_path": "moveit_msgs/GetMotionPlan",
+    "/query_planner_interface": "moveit_msgs/QueryPlannerInterfaces",
+    "/set_planner_params": "moveit_msgs/SetPlannerParams",
+}
+HEARD = {
+    "/attached_collision_object": "moveit_msgs/AttachedCollisionObject",
+    "/collision_object": "moveit_msgs/CollisionObject",
+    "/planning_scene": "moveit_msgs/PlanningScene",
+    "/planning_scene_world": "moveit_msgs/PlanningSceneWorld",
+    "/trajectory_execution_event": "std_msgs/String",
+}
+TOLD = {
+    "/joint_states": "sensor_msgs/JointState",
+    "/move_group/display_planned_path": "moveit_msgs/DisplayTrajectory",
+    "/move_group/monitored_planning_scene": "moveit_msgs/PlanningScene",
+    "/tf": "tf2_msgs/TFMessage",
+}
+ACTIONS = {
+    "/execute_trajectory": "ExecuteTrajectory", "/move_group": "MoveGroup",
+    "/pickup": "Pickup", "/place": "Place",
+}  # fmt: skip
+
+
+def test_what_real_clients_look_for_is_there(served):
+    topics = {t.name: t for t in served.bus.topics()}
+    services = served.bus.services()
+    assert {n: services.get(n) for n in SERVED} == SERVED
+    heard, told = dict(HEARD), dict(TOLD)
+    for name, kind in ACTIONS.items():
+        heard |= {f"{name}/goal": f"moveit_msgs/{kind}ActionGoal", f"{name}/cancel": "actionlib_msgs/GoalID"}
+        told |= {f"{name}/{p}": f"moveit_msgs/{kind}Action{p.capitalize()}" for p in ("result", "feedback")}
+        told[f"{name}/status"] = "actionlib_msgs/GoalStatusArray"
+    assert {n: topics[n].type for n in heard if topics[n].subscribers} == heard
+    assert {n: topics[n].type for n in told if topics[n].publishers} == told
+
+
 # --- kinematics ---
 def test_ik_then_fk_gives_the_pose_back(bus):
     found = ik(bus)
@@ -250,12 +296,13 @@ def test_execution_its_start_its_end_and_its_stops(bus):
     assert execute(bus, slow_plan(bus), stop_after=0.2) == (State.PREEMPTED, -7)
 
 
-def test_a_stop_takes_no_time(bus):
-    """The real one: about 0.09 s after the stop."""
+def test_a_stop_does_not_wait_for_the_motion_s_end(bus):
+    """The real one answers about 0.09 s after the stop."""
     planned = slow_plan(bus)
+    duration = planned.joint_trajectory.points[-1].time_from_start.to_sec()
     began = time.monotonic()
     execute(bus, planned, stop_after=0.1)
-    assert time.monotonic() - began < 1.0
+    assert time.monotonic() - began < duration / 4 and duration > 20
 
 
 def test_a_cancelled_goal_is_preempted(bus):
@@ -305,6 +352,24 @@ def test_the_scene_is_edited_by_service_and_topics_and_told(bus, served):
     wait_for(lambda scene: "box" in scene.objects and "box" not in scene.attached)
     seen = [told.get(2) for _ in range(3)]
     assert any("box" in [o.id for o in m.world.collision_objects] for m in seen if m is not None)
+
+
+def test_a_world_replaces_the_world(bus, served):
+    from armcell.core import Octree
+    from armcell.scene import OCTOMAP, with_octomap
+
+    octree = Octree(np.array([[0.0, 0.6, 0.6]]), np.array([0.1]))
+    served.cell.change(lambda scene: with_octomap(scene, octree))
+    ball = new("CollisionObject", id="ball", primitives=[S.new("shape_msgs/SolidPrimitive", 2, [0.1])])
+    ball.pose = pose_message(S, SE3.from_xyz(0.0, 0.6, 0.3))
+    world = new("PlanningSceneWorld", collision_objects=[ball])
+    with bus.advertise("/planning_scene_world", "moveit_msgs/PlanningSceneWorld") as publisher:
+        publisher.publish(world)
+    end = time.monotonic() + 5
+    while "ball" not in served.cell.scene().objects and time.monotonic() < end:
+        time.sleep(0.01)
+    objects = served.cell.scene().objects
+    assert "ball" in objects and "table" not in objects and OCTOMAP not in objects
 
 
 def test_the_octomap_is_cleared(bus, served):

@@ -394,6 +394,10 @@ def test_an_octomap_in_a_scene(scene):
     shape = found.shapes[0][0]
     assert len(shape.sizes) == 8 and np.allclose(shape.sizes, 0.1)
     assert np.allclose(found.T_world_object.translation, (1, 0, 0))
+    seen = scene.apply(diff_from_message(message, scene))
+    out = scene_message(S, S.new("std_msgs/Header"), seen, Components.OCTOMAP).world.octomap
+    assert bytes(np.asarray(out.octomap.data, np.int8)) == data and out.octomap.resolution == 0.1
+    assert out.octomap.binary and out.octomap.id == "OcTree" and out.origin.position.x == 1.0
     octomap.data = octomap.data[:-1]
     with pytest.raises(InputError, match="cut off"):
         diff_from_message(message, scene)

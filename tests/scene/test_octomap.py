@@ -15,6 +15,7 @@ import pytest
 from armcell.core import InputError, Octree
 from armcell.scene.octomap import OccupancyMap, SensorModel, log_odds
 from armcell.scene.octree_file import load_octree
+from armcell.scene.octree_writer import octree_bytes, save_octree
 
 RESOLUTION = 0.05
 
@@ -78,6 +79,38 @@ def test_readers_agree_with_coals(octomaps):
     np.testing.assert_allclose(key(np.column_stack([mine.centres, mine.sizes])), key(boxes[:, :4]), atol=2e-4)
     for full in ("a.bt.ot", "a.bt_ml.ot"):
         assert voxels(load_octree(octomaps / full)) == voxels(mine)
+
+
+@pytest.mark.slow
+def test_what_is_written_coal_reads(octomaps, tmp_path):
+    """A map with cells of several sizes goes out and comes back, through OctoMap's own reader."""
+    ball = load_octree(octomaps / "a.bt")
+    block = Octree.from_grid(np.ones((9, 8, 20), bool), RESOLUTION, (2.0, 0.4, -0.8))
+    mine = Octree(np.vstack([ball.centres, block.centres]), np.concatenate([ball.sizes, block.sizes]))
+    save_octree(mine, tmp_path / "mine.bt")
+    theirs = np.array([list(b) for b in coal.MeshLoader().loadOctree(str(tmp_path / "mine.bt")).toBoxes()])
+    assert len(set(mine.sizes)) > 1
+    assert voxels(Octree(theirs[:, :3], theirs[:, 3])) == voxels(mine)
+    tool("bt2vrml", tmp_path / "mine.bt")
+
+
+def test_written_and_read_again(tmp_path):
+    rng = np.random.default_rng(0)
+    grid = rng.random((17, 9, 12)) < 0.6
+    grid[:8, :8, :8] = True
+    tree = Octree.from_grid(grid, 0.1, (-0.4, -0.8, 1.6))
+    save_octree(tree, tmp_path / "a.bt")
+    assert voxels(load_octree(tmp_path / "a.bt"), 0.1) == voxels(tree, 0.1)
+    twice = Octree(np.vstack([tree.centres] * 2), np.concatenate([tree.sizes] * 2))
+    assert octree_bytes(twice) == octree_bytes(tree)
+    beside = Octree(tree.centres + 0.03, tree.sizes)  # off the grid: every voxel that is reached into
+    save_octree(beside, tmp_path / "b.bt")
+    reached = {tuple(np.array(v) + s) for v in voxels(tree, 0.1) for s in np.ndindex(2, 2, 2)}
+    assert voxels(load_octree(tmp_path / "b.bt"), 0.1) == reached
+    save_octree(Octree(np.zeros((0, 3)), np.zeros(0)), tmp_path / "none.bt")
+    assert len(load_octree(tmp_path / "none.bt").sizes) == 0
+    with pytest.raises(InputError, match="farther than 327.68 m"):
+        octree_bytes(Octree([[400.0, 0, 0]], [0.01]))
 
 
 def test_one_ray_by_hand():

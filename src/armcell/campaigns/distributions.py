@@ -27,7 +27,8 @@ class Uniform:
 
     def at(self, u: float) -> float | int:
         if self.whole:
-            return math.floor(self.low + u * (self.high - self.low + 1))
+            count = int(self.high - self.low) + 1
+            return int(self.low) + min(int(u * count), count - 1)  # u * count may be rounded up to count
         return self.low + u * (self.high - self.low)
 
 
@@ -62,6 +63,13 @@ class Choice:
 
     def at(self, u: float) -> Any:
         return self.values[int(u * len(self.values))]
+
+
+def ends(found: Distribution) -> list[Any]:
+    """Values that a cell is tried with beforehand: the least, the middle and the greatest; every choice."""
+    if isinstance(found, Choice):
+        return list(found.values)
+    return [found.at(u) for u in (0.0, 0.5, 1.0 - 2.0**-53)]
 
 
 KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from armcell.campaigns.distributions import Distribution, distribution
+from armcell.campaigns.distributions import Distribution, distribution, ends
 from armcell.cell import Cell, load
 from armcell.cell.values import with_values
 from armcell.core import InputError, UnknownNameError
@@ -63,7 +63,8 @@ class CampaignSpec:
         if self.half_width is not None and self.half_width >= 0.5:
             raise InputError(f"half_width is {self.half_width:g}", cure="give a share below 0.5, e.g. 0.01")
         for name in ("parameters", "values"):
-            if not isinstance(getattr(self, name), Mapping):
+            given = getattr(self, name)
+            if not isinstance(given, Mapping) or not all(isinstance(path, str) for path in given):
                 raise InputError(
                     f"{name} is not a mapping from paths", cure="e.g. {objects.cube.mass: [0.1, 1]}"
                 )
@@ -104,7 +105,7 @@ def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
 
 
 def checked_cell(spec: CampaignSpec) -> Cell:
-    """The campaign's cell, after trying the ends of every parameter's range on it.
+    """The campaign's cell, after trying the ends of every parameter's range and all choices on it.
 
     Raises:
         UnknownNameError: a parameter that the cell does not have.
@@ -114,6 +115,6 @@ def checked_cell(spec: CampaignSpec) -> Cell:
     if not cell.spec.task:
         raise InputError("the cell has no task", file=cell.file, cure="add 'task: [...]'")
     for path, found in distributions(spec).items():
-        for u in (0.0, 0.5, 1.0 - 2.0**-53):
-            with_values(cell, {path: found.at(u)}).scene(spec.seed)
+        for value in ends(found):
+            with_values(cell, {path: value}).scene(spec.seed)
     return cell

@@ -11,6 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
+from armcell.core import InputError
+
 Row = Mapping[str, Any]
 
 UNSIDED = 0.1  # from an AUC of 0.5: neither side of the range is the better one
@@ -54,9 +56,14 @@ class Share:
         }
 
 
+def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
+    """Without the trials that adaptive sampling put near failures."""
+    return [row for row in rows if not row["near_failure"]]
+
+
 def success(rows: Sequence[Row]) -> Share:
     """Of the trials that were drawn as the campaign says: those put near failures would spoil the share."""
-    fair = [row for row in rows if not row["near_failure"]]
+    fair = fairly_drawn(rows)
     return Share(sum(bool(row["success"]) for row in fair), len(fair))
 
 
@@ -111,8 +118,10 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
     """Every varied parameter, the one that matters most first; empty where all trials went alike.
 
     For numbers Mann and Whitney's test (does one side of the range succeed more?) and Kolmogorov and
-    Smirnov's (does any part of it?), for choices chi squared.
+    Smirnov's (does any part of it?), for choices chi squared. They need trials that were drawn independently:
+    those put near failures share all parameters of a failure, and would make each of them look guilty.
     """
+    rows = fairly_drawn(rows)
     good = np.array([bool(row["success"]) for row in rows])
     if not len(rows) or good.all() or not good.any():
         return []
@@ -162,7 +171,15 @@ class Comparison:
 
 
 def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
+    """Whether the second campaign succeeds more often than the first.
+
+    Raises:
+        InputError: a campaign without a trial that counts.
+    """
     a, b = success(first), success(second)
+    for name, share in (("first", a), ("second", b)):
+        if not share.total:
+            raise InputError(f"the {name} campaign has no finished trial", cure="go on with it by --resume")
     difference = b.value - a.value
     (la, ua), (lb, ub) = a.wilson, b.wilson
     interval = (

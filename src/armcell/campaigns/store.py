@@ -45,7 +45,11 @@ class Store:
         except OSError:
             os.close(self._file)
             raise InputError("another process works on this campaign", file=folder) from None
-        self._read()
+        try:
+            self._read()
+        except InputError:
+            self.close()
+            raise
 
     @staticmethod
     def new(root: Path, spec: CampaignSpec, hashes: Mapping[str, str]) -> Store:

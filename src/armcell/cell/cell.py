@@ -10,8 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from armcell.cell.cameras import camera_of, decal_of
+from armcell.cell.dropping import dropped
 from armcell.cell.live import LiveCell
-from armcell.cell.objects_file import object_of
+from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
 from armcell.control import DriverOptions, drivers
@@ -131,6 +132,13 @@ class Cell:
             for name in seen.objects:
                 if not spec.objects[name].movable:
                     raise self._fail("perception", f"object {name!r} is fixed", "give it 'movable: true'")
+        if spec.drop is not None:
+            for name in (*spec.drop.objects, spec.drop.into):
+                if name not in spec.objects:
+                    raise UnknownNameError("object", name, spec.objects, file=where, element="drop")
+                if spec.objects[name].movable == (name == spec.drop.into):
+                    must = "fixed" if name == spec.drop.into else "movable"
+                    raise self._fail("drop", f"object {name!r} must be {must}")
         for i, step in enumerate(spec.task):
             if step.look is not None and step.look not in spec.cameras:
                 raise UnknownNameError("camera", step.look, spec.cameras, file=where, element=f"task/{i}")
@@ -166,6 +174,8 @@ class Cell:
                 if error.file is not None:
                     raise
                 raise self._fail(f"objects/{name}", error.reason, error.cure) from None
+        if seed is not None and self.spec.drop is not None:
+            scene = dropped(scene, self.spec.drop.objects, self.spec.drop.into, seed)
         return scene
 
     def connect(
@@ -208,14 +218,7 @@ class Cell:
 def _with_screwed(scene: PlanningScene, item: CollisionObject) -> PlanningScene:
     """A scene with an object that is screwed into one that is there; its pose is in that one's frame."""
     assert item.thread is not None
-    into = item.thread.into
-    if into not in scene.objects or not item.movable:
-        raise InputError(
-            f"is screwed into {into!r}: that has to stand before it in the file, and it has to be movable",
-            cure=f"before it: {', '.join(scene.objects) or 'nothing'}",
-        )
-    item = item.at(scene.object(into).T_world_object @ item.T_world_object)
-    return scene.with_object(item).with_allowed(item.name, into)
+    return scene.with_object(screwed(item, scene.objects)).with_allowed(item.name, item.thread.into)
 
 
 def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:

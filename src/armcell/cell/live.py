@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 
+from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.control import Driver
@@ -35,6 +36,7 @@ from armcell.tasks.arms import (
     screw,
     side_by_side,
 )
+from armcell.tasks.clearing import ClearSettings
 
 
 class Arm:
@@ -243,6 +245,22 @@ class LiveCell:
         """
         eye = self.camera(camera)
         return look_with(eye, self.ctx, self.seen, settings)
+
+    def clear(
+        self, bin: str, into: str, table: str, camera: str, tray_camera: str,
+        settings: ClearSettings = ClearSettings(),
+    ) -> Outcome:  # fmt: skip
+        """Take everything out of a bin, with no knowledge of what it is but two cameras', into another one.
+
+        Args:
+            table: that both stand on; what falls beside them is picked up from it.
+            camera, tray_camera: look at the bin and at `into`.
+        Returns:
+            SUCCESS when the camera sees nothing in the bin any more; the evidence has the counts.
+        """
+        gripper = self.model.gripper(arm_group=self.arm.group)
+        eyes = self.camera(camera), self.camera(tray_camera)
+        return clear_with(self.ctx, self.scene_at_start, gripper, bin, into, table, *eyes, settings)
 
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +53,6 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         given["mass"] = spec.mass
     if spec.friction is not None:
         given["material"] = Material(spec.friction)
-    if spec.thread is not None:
-        given["thread"] = Thread(**spec.thread.model_dump())
     pose = SE3.from_mapping(spec.pose, "pose")
     if spec.model is not None:
         item = library_object(spec.model, name, pose, scale=spec.mesh_scale, sizes=spec.sizes, **given)
@@ -95,15 +93,32 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
     if set(data) != {"objects"}:
         raise InputError(f"has the keys {', '.join(map(str, data)) or 'none'}, only 'objects'", file=file)
     spec: CellSpec = validated({"robot": "none", **data}, file)
-    found = []
+    found: dict[str, CollisionObject] = {}
     for name, entry in spec.objects.items():
         try:
-            found.append(object_of(name, entry, file.parent))
+            item = object_of(name, entry, file.parent)
+            found[name] = item if item.thread is None else screwed(item, found)
         except InputError as error:
             if error.file is not None:
                 raise
             raise InputError(error.reason, file=file, element=f"objects/{name}", cure=error.cure) from None
-    return tuple(found)
+    return tuple(found.values())
+
+
+def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
+    """An object with a thread in the world; its pose as in a file, in the frame of what it is screwed into.
+
+    Raises:
+        InputError: what it is screwed into is not among `others`, or it is not movable.
+    """
+    assert item.thread is not None
+    into = item.thread.into
+    if into not in others or not item.movable:
+        raise InputError(
+            f"is screwed into {into!r}: that has to stand before it in the file, and it has to be movable",
+            cure=f"before it: {', '.join(others) or 'nothing'}",
+        )
+    return item.at(others[into].T_world_object @ item.T_world_object)
 
 
 def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
@@ -111,9 +126,19 @@ def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
 
     Meshes and clouds go to files beside it, named after the file, the object and the shape's number.
     Of a material only the sliding friction is written: cell files have no other.
+
+    Raises:
+        InputError: an object that is screwed into one that is not among them.
     """
-    file = Path(path)
-    entries = {item.name: _entry(item, file) for item in objects}
+    file, entries, stems = Path(path), {}, set()
+    every = sorted(objects, key=lambda item: item.thread is not None)  # after what they are screwed into
+    named = {item.name: item for item in every}
+    for item in every:
+        stem = re.sub(r"\W+", "_", f"{file.stem}_{item.name}")
+        while stem in stems:  # of names that differ in what file names leave out
+            stem += "_"
+        stems.add(stem)
+        entries[item.name] = _entry(item, named, file.parent / stem)
     text = yaml.safe_dump({"objects": entries}, sort_keys=False, default_flow_style=None, width=110)
     file.write_text(text, encoding="utf-8")
 
@@ -124,13 +149,21 @@ def _pose(T: SE3) -> Any:
     return {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
 
 
-def _entry(item: CollisionObject, file: Path) -> dict[str, Any]:
-    stem = re.sub(r"\W+", "_", f"{file.stem}_{item.name}")
+def _entry(item: CollisionObject, every: Mapping[str, CollisionObject], beside: Path) -> dict[str, Any]:
+    """An object as a cell file has it; `beside` begins the names of files for what is large."""
     shapes = [
-        {**_shape_entry(shape, file.parent / f"{stem}_{i}"), "pose": _pose(T)}
+        {**_shape_entry(shape, beside.with_name(f"{beside.name}_{i}")), "pose": _pose(T)}
         for i, (shape, T) in enumerate(item.shapes)
     ]
-    entry: dict[str, Any] = {"shapes": shapes, "pose": _pose(item.T_world_object)}
+    T, thread = item.T_world_object, item.thread
+    if thread is not None:
+        if thread.into not in every:
+            raise InputError(
+                f"{item.name!r} is screwed into {thread.into!r}, which is not among the objects",
+                cure="write both",
+            )
+        T = every[thread.into].T_world_object.inv() @ T
+    entry: dict[str, Any] = {"shapes": shapes, "pose": _pose(T)}
     if len(shapes) == 1 and shapes[0]["pose"] == [0.0, 0.0, 0.0]:
         entry = {**shapes[0], "pose": entry["pose"]}
     entry["color"] = [float(c) for c in item.color]
@@ -142,6 +175,8 @@ def _entry(item: CollisionObject, file: Path) -> dict[str, Any]:
         entry["friction"] = float(item.material.friction)
     if item.subframes:
         entry["subframes"] = {name: _pose(T) for name, T in item.subframes.items()}
+    if thread is not None:
+        entry["thread"] = asdict(thread)
     if item.type != ObjectType():
         entry["type"] = {"key": item.type.key, "db": item.type.db}
     return entry

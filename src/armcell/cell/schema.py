@@ -215,6 +215,13 @@ class PerceptionSpec(Strict):
     surface: str | None = None  # fixed object that they stand on
 
 
+class DropSpec(Strict):
+    """Objects that physics drops into a bin before the task begins, otherwise with each seed."""
+
+    into: str  # fixed object with a level floor
+    objects: list[str] = Field(min_length=1)
+
+
 class PlaceSpec(Strict):
     object: str
     on: str
@@ -250,6 +257,7 @@ class CellSpec(Strict):
     cameras: dict[str, CameraSpec] = {}
     markers: dict[str, MarkerSpec] = {}
     perception: PerceptionSpec | None = None
+    drop: DropSpec | None = None
     task: list[StepSpec] = []
     script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
@@ -304,6 +312,8 @@ def _known_keys(location: tuple) -> list[str]:
         return list(ShapeSpec.model_fields)
     if location[0] == "perception":
         return list(PerceptionSpec.model_fields)
+    if location[0] == "drop":
+        return list(DropSpec.model_fields)
     if "place" in location:
         return list(PlaceSpec.model_fields)
     model = tables.get(str(location[0]))

@@ -84,7 +84,7 @@ def _may_be_added(parts: list[str]) -> bool:
 
 
 def _index(at: list[Any], part: str, path: str) -> int:
-    index = COMPONENTS.get(part, int(part) if part.isdigit() else -1)
+    index = COMPONENTS.get(part, int(part) if part.isdecimal() else -1)
     if part in COMPONENTS and index >= len(at) == 3:  # [x, y, z] has no rotation yet
         at += [0.0, 0.0, 0.0]
     if not 0 <= index < len(at):

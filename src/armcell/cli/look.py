@@ -188,8 +188,9 @@ def _object(item: Any, truth: dict[str, SE3]) -> dict[str, Any]:
 
 def _marker(m: Any) -> dict[str, Any]:
     T = m.T_world_marker
+    kind = "partly hidden" if m.hidden else "ambiguous" if m.ambiguous else ""
     return {
-        "name": f"marker {m.id}", "kind": "ambiguous" if m.ambiguous else "", "ok": True, "message": "",
+        "name": f"marker {m.id}", "kind": kind, "ok": True, "message": "",
         "position": T.translation.tolist(), "rpy": T.rotation.rpy.tolist(), "size": None,
         "error_px": m.error_px, "off_m": None, "off_rad": None,
     }  # fmt: skip

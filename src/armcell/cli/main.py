@@ -16,6 +16,7 @@ from armcell.cli import (
     check_state,
     doctor,
     explain,
+    export,
     ik,
     look,
     msg,
@@ -51,6 +52,8 @@ Examples:
   armcell setup my_robot.urdf -o my_cell      a cell and MoveIt's files from a URDF
 
   armcell serve panda_pick --unity            let Unity join: states out, trajectories in
+
+  armcell export unity panda_table -o project write a cell and our C# package into a Unity project
 
   armcell plan panda_pick --pose 0.5 0.2 0.3  plan a motion, with its numbers
 
@@ -91,6 +94,7 @@ app.command("doctor")(doctor.doctor)
 app.command("cells")(check.cells)
 app.add_typer(bench.app, name="bench")
 app.add_typer(msg.app, name="msg")
+app.add_typer(export.app, name="export")
 app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
 app.command("ur-controller", epilog=ur_controller.EXAMPLES)(ur_controller.ur_controller)

@@ -51,8 +51,6 @@ def robot_mask(
     Args:
         objects: names of objects in the world to count as well, so that they are not there twice.
     """
-    if not np.isfinite(padding) or padding < 0:
-        raise InputError(f"padding is {padding:g}, it must be a number of metres >= 0")
     return _mask(_placed(scene, objects), points, padding)
 
 
@@ -65,6 +63,8 @@ def object_mask(
 
 
 def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding: float) -> NDArray[np.bool_]:
+    if not np.isfinite(padding) or padding < 0:
+        raise InputError(f"padding is {padding:g}, it must be a number of metres >= 0")
     cloud = np.asarray(points, dtype=float).reshape(-1, 3)
     mask = np.zeros(len(cloud), bool)
     columns = np.ascontiguousarray(cloud.T)

@@ -14,6 +14,7 @@ from armcell.core.errors import ArmcellError, ErrorCode, InputError, MissingExtr
 from armcell.core.events import Event, Observer, StateSample
 from armcell.core.explanation import Explanation, Suggestion
 from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core.height_map import HeightMap
 from armcell.core.images import CameraImage, Pinhole
 from armcell.core.joints import JointPath, JointState, JointTrajectory
 from armcell.core.registry import Registry
@@ -51,6 +52,7 @@ __all__ = [
     "ExecutionResult",
     "Explanation",
     "Goal",
+    "HeightMap",
     "IKResult",
     "InputError",
     "JointConstraint",

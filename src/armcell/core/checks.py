@@ -48,11 +48,15 @@ def _like(default: Any, value: Any, what: str) -> Any:
         if not isinstance(value, str):
             raise InputError(f"{what} is {value!r}, a text is needed")
         return value
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise InputError(f"{what} is {value!r}, true or false is needed")
+        return value
     if isinstance(default, tuple):
         if not isinstance(value, (list, tuple)) or len(value) != len(default) or not all(map(_number, value)):
             raise InputError(f"{what} is {value!r}, a list of {len(default)} numbers is needed")
         return tuple(float(v) for v in value)
-    if isinstance(default, int) and not isinstance(default, bool):
+    if isinstance(default, int):
         if not _number(value) or int(value) != value:
             raise InputError(f"{what} is {value!r}, a whole number is needed")
         return int(value)

@@ -13,6 +13,7 @@ from armcell.grasping.candidates import (
 )
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import grip_force, needed_force
+from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
 from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placing import RELEASE_GAP, Placement, place_candidates, support_surface
 from armcell.grasping.quality import (
@@ -28,8 +29,10 @@ from armcell.grasping.surface import Surface, cloud_surface, surface_of
 
 __all__ = [
     "RELEASE_GAP",
+    "AboveSettings",
     "Grasp",
     "Hand",
+    "HeapGrasp",
     "Noise",
     "PadContact",
     "Placement",
@@ -44,6 +47,7 @@ __all__ = [
     "generators",
     "grasp_candidates",
     "grasp_quality",
+    "grasps_from_above",
     "grip_force",
     "hand_of",
     "how_near",

@@ -51,11 +51,14 @@ def rests(item: CollisionObject) -> tuple[Rest, ...]:
 
 
 def _rests(surface: Surface) -> list[Rest]:
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
     corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
     corners = np.unique(corners.round(7), axis=0)
-    hull = ConvexHull(corners)
+    try:
+        hull = ConvexHull(corners)
+    except QhullError:  # a cloud of one flat side: what it stands on was not seen
+        return []
     points, found, seen = corners[hull.vertices], [], np.zeros((0, 3))
     order = np.argsort(-_simplex_areas(corners, hull.simplices), kind="stable")
     for down, offset in zip(hull.equations[order, :3], hull.equations[order, 3], strict=True):

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from armcell.moveit import matrix
 from armcell.moveit.ros_time import Duration, Time
 from armcell.ros.definitions import PLACEHOLDER, field_parts
 from armcell.ros.messages import python_name
@@ -101,6 +102,8 @@ class MessageClasses:
             "__module__": f"{name.split('/')[0]}.msg",
             PLACEHOLDER: 0,
         }
+        if name == matrix.MATRIX:
+            namespace |= matrix.METHODS
         return dataclasses.make_dataclass(
             name.split("/")[1], specs, bases=(ScriptMessage,), namespace=namespace,
             eq=False, repr=False, slots=True,
@@ -121,7 +124,7 @@ class MessageClasses:
         return lambda: [zero] * length
 
     def local(self, message: Any) -> Any:
-        """A script's own copy of a message from the bus: arrays are tuples then, as decoded by genpy."""
+        """A script's own copy of a message from the bus: arrays of numbers are tuples then, as with genpy."""
         name = message._type
         if name in STAMPS:
             return STAMPS[name](message.sec, message.nanosec)
@@ -143,9 +146,8 @@ class MessageClasses:
 def _local_array(kind: str, value: Any) -> Any:
     if kind in BYTES:
         return bytes(value) if isinstance(value, bytes | bytearray) else np.asarray(value, np.uint8).tobytes()
-    if isinstance(value, np.ndarray):
-        return tuple(value.tolist())
-    return list(value) if kind == "string" else tuple(value)
+    values = value.tolist() if isinstance(value, np.ndarray) else value
+    return list(values) if kind in ("string", "bool") else tuple(values)
 
 
 @functools.cache

@@ -6,8 +6,9 @@ from armcell.perception.cloud import organised
 from armcell.perception.draw import drawn
 from armcell.perception.files import cloud_image, load_image, save_image
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
+from armcell.perception.heights import height_map, pieces
 from armcell.perception.known import closest_equivalent, pose_error
-from armcell.perception.look import LookSettings, SeenObject, Sight, look
+from armcell.perception.look import LookSettings, SeenObject, Sight, look, unusable
 from armcell.perception.mapping import CameraMap, MapSettings, MapUpdate
 from armcell.perception.markers import (
     FAMILIES,
@@ -40,6 +41,7 @@ __all__ = [
     "drawn",
     "find_markers",
     "find_plane",
+    "height_map",
     "load_camera_info",
     "load_image",
     "load_record",
@@ -47,8 +49,10 @@ __all__ = [
     "marker_picture",
     "organised",
     "picture_size",
+    "pieces",
     "pose_error",
     "rectified",
     "save_camera_info",
     "save_image",
+    "unusable",
 ]

@@ -99,6 +99,8 @@ def load_depth(path: str | Path) -> NDArray[np.float32]:
             array = np.load(file, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise InputError(f"cannot be read as a NumPy array: {error}", file=file) from None
+        if not isinstance(array, np.ndarray):
+            raise InputError("is an archive of arrays (.npz), depth is one array", file=file)
         if array.ndim != 2 or array.dtype.kind != "f":
             raise InputError(
                 f"holds {array.dtype} of shape {array.shape}, depth needs metres (h, w)", file=file

@@ -22,6 +22,7 @@ IN_HAND, TO_HAND = "in_hand", "to_hand"
 LEAST_POSES = 4
 LEAST_TURN = np.deg2rad(15.0)  # [rad] that some pair of poses must be turned by
 LEAST_SPREAD = 0.1  # of the axes of turning: 0 all parallel, 1/3 evenly in space
+HALF_TURN = np.deg2rad(165.0)  # [rad] from here on noise decides which way round a turn is
 LEVER = 0.3  # [m] a radian of error weighs as much as so many metres
 
 
@@ -123,9 +124,11 @@ def _refused(hands: Sequence[SE3]) -> str:
 def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
     """X of A_i^-1 A_k X = X B_i B_k^-1 in closed form: rotation by the axes of turning, then translation."""
     pairs = [(A[i].inv() @ A[k], B[i] @ B[k].inv()) for i, k in combinations(range(len(A)), 2)]
+    turns = [(b.rotation.log(), a.rotation.log()) for a, b in pairs]
+    clear = [t for t in turns if np.linalg.norm(t, axis=1).max() < HALF_TURN]
     M = np.zeros((3, 3))
-    for a, b in pairs:
-        M += np.outer(b.rotation.log(), a.rotation.log())
+    for b, a in clear or turns:
+        M += np.outer(b, a)
     U, _, Vt = np.linalg.svd(M.T)  # the rotation that takes the b onto the a (Kabsch)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     rows = np.vstack([a.rotation.matrix - np.eye(3) for a, _ in pairs])

@@ -109,12 +109,8 @@ def _starts(
     return found
 
 
-def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    return _outline_of(shapes)
-
-
 @lru_cache(maxsize=64)
-def _outline_of(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
+def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
     """Corners (n, 3) of the hull of an object."""
     from scipy.spatial import ConvexHull
 

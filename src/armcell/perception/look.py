@@ -34,6 +34,7 @@ from armcell.perception.plane import SupportPlane, find_plane
 from armcell.perception.primitives import fit_primitives
 from armcell.perception.segment import clusters
 from armcell.perception.solids import solid_of
+from armcell.perception.usable import unusable
 from armcell.scene import CollisionObject, PlanningScene
 
 F64 = NDArray[np.float64]
@@ -173,34 +174,6 @@ def look(
     objects = _named(parts, known, settings)
     missing = tuple(n for n in _names(known) if n not in {o.name for o in objects})
     return ended(_summary(objects, missing, plane))
-
-
-def unusable(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Why a picture's depth cannot be used; None if it can."""
-    name = f"camera {image.camera!r}"
-    if now is not None and now - image.time > max_age:
-        return Outcome(
-            ErrorCode.SENSOR_INFO_STALE,
-            f"{name}: the newest picture is {now - image.time:.2f} s old, more than {max_age:g} s "
-            "(is the camera frozen? restart it, or raise max_age)",
-            {"age_s": now - image.time},
-        )
-    if image.depth is None:
-        return Outcome(
-            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
-            f"{name} has no depth (use an RGB-D camera: 'depth: true' in the cell file)",
-        )
-    with np.errstate(invalid="ignore"):
-        share = float(np.mean(np.isfinite(image.depth) & (image.depth > 0)))
-    if share < 0.01:
-        what = "no pixel" if share == 0 else f"only {share:.1%} of the pixels"
-        return Outcome(
-            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA,
-            f"{name}: {what} has a depth (is the lens covered, or everything nearer or farther than it "
-            "measures?)",
-            {"share": share},
-        )
-    return None
 
 
 def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:

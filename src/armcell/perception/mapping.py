@@ -12,7 +12,7 @@ from scipy import ndimage
 from armcell.collision import object_mask, robot_mask
 from armcell.core import CameraImage, ErrorCode, InputError, Outcome
 from armcell.perception.cloud import organised
-from armcell.perception.look import unusable
+from armcell.perception.usable import unusable
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
 
 

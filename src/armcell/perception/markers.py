@@ -19,6 +19,7 @@ from armcell.core import (
     Outcome,
     UnknownNameError,
 )
+from armcell.perception.usable import stale
 
 F64 = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ FAMILIES = {
 }
 QUIET = 1  # cells of white around a marker's picture
 AMBIGUOUS = 2.0  # a pose tilted the other way fits nearly as well if its error is so many times at most
+CORNER_PX = 0.2  # [px] and so much more: corners are not better known, so a smaller error may be chance
+CROOKED_PX = 0.3  # [px] median distance of an edge from its line, from which it counts as partly hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,7 @@ class SeenMarker:
     corners: F64  # (4, 2) [px] from the picture's upper left corner, clockwise
     error_px: float  # root mean square of the corners' reprojection
     ambiguous: bool  # small or far: a pose tilted the other way fits nearly as well
+    hidden: bool  # an edge is no straight line: something covers a part of it, the pose may be far off
 
 
 @dataclass(frozen=True)
@@ -94,13 +98,9 @@ def find_markers(
     cv2, dictionary = _dictionary(family)
     expected = tuple(sorted(set(wanted)))
     name = f"camera {image.camera!r}"
-    if now is not None and now - image.time > max_age:
-        return MarkerSight(
-            ErrorCode.SENSOR_INFO_STALE,
-            f"{name}: the newest picture is {now - image.time:.2f} s old, more than {max_age:g} s "
-            "(is the camera frozen? restart it, or raise max_age)",
-            missing=expected, time=image.time,
-        )  # fmt: skip
+    old = stale(image, max_age, now)
+    if old is not None:
+        return MarkerSight(old.code, old.message, old.evidence, missing=expected, time=image.time)
     if image.rgb is None:
         return MarkerSight(
             ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, f"{name} gave no colour, markers need it",
@@ -115,8 +115,9 @@ def find_markers(
     for quad, number in zip(corners, [] if ids is None else np.ravel(ids), strict=True):
         edge = sizes.get(int(number)) if sizes is not None else size
         if isinstance(edge, int | float):
-            exact = refined_corners(grey.astype(float), np.asarray(quad, float).reshape(4, 2), cells)
-            found.append(_pose(cv2, image, int(number), exact, float(edge)))
+            about = np.asarray(quad, float).reshape(4, 2)
+            exact, crooked = refined_corners(grey.astype(float), about, cells)
+            found.append(_pose(cv2, image, int(number), exact, float(edge), crooked > CROOKED_PX))
     found.sort(key=lambda marker: marker.id)
     missing = tuple(n for n in expected if n not in {m.id for m in found})
     ok = bool(found) and not missing
@@ -168,8 +169,8 @@ def _dictionary(family: str) -> tuple[Any, Any]:
     return cv2, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, FAMILIES[family]))
 
 
-def refined_corners(grey: F64, corners: F64, cells: int) -> F64:
-    """Corners (4, 2) [px] where lines through a marker's four edges meet.
+def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
+    """Corners (4, 2) [px] where lines through a marker's four edges meet, and how crooked the edges are.
 
     OpenCV's own refinements are 0.1 to 0.7 px too far in or out, by the size of their window, which at ten
     times the marker's size is millimetres of distance. Here an edge is where the change from black to white
@@ -179,14 +180,19 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> F64:
         grey: (h, w) brightness.
         corners: (4, 2) from the upper left one, clockwise, about right.
         cells: along a side, the black border included.
+    Returns:
+        The corners; and of the worst edge the median distance [px] from its line, infinite (and the corners
+        as they were) where an edge is not to be seen.
     """
     from scipy.ndimage import map_coordinates
 
     along, steps = np.linspace(0.12, 0.88, 32), np.linspace(-1.0, 1.0, 25)
+    crooked = np.inf
     for _ in range(3):
         side = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         reach = float(np.clip(0.6 * side.min() / cells, 1.0, 3.0))
         lines: list[F64] = []
+        crooked = 0.0
         for k in range(4):
             a, b = corners[k], corners[(k + 1) % 4]
             way = (b - a) / side[k]
@@ -198,16 +204,17 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> F64:
             weight = rise.sum(axis=1)
             good = weight > 0.5 * weight.max()
             if weight.max() < 10 or good.sum() < 8:  # no edge to be seen: leave it to what OpenCV found
-                return corners
+                return corners, np.inf
             middle = (steps[1:] + steps[:-1]) / 2 * reach
             edges = places[good] + ((rise @ middle) / np.maximum(weight, 1e-9))[good, None] * out
             normal, offset = _line(edges)
             off = np.abs(edges @ normal - offset)
+            crooked = max(crooked, float(np.median(off)))
             normal, offset = _line(edges[off <= max(3 * float(np.median(off)), 0.05)])
             lines.append(np.r_[normal, offset])
         pairs = [(lines[k - 1], lines[k]) for k in range(4)]
         corners = np.array([np.linalg.solve(np.stack([p[:2], q[:2]]), [p[2], q[2]]) for p, q in pairs], float)
-    return corners
+    return corners, crooked
 
 
 def _line(points: F64) -> tuple[F64, float]:
@@ -217,7 +224,7 @@ def _line(points: F64) -> tuple[F64, float]:
     return normal, float(normal @ centre)
 
 
-def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float) -> SeenMarker:
+def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool) -> SeenMarker:
     """By infinitesimal plane-based pose estimation (Collins and Bartoli, IJCV 109, 2014), then refined."""
     h = size / 2
     square = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
@@ -232,6 +239,7 @@ def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float) 
     found.sort(key=lambda each: each[0])
     error, T = found[0]
     ambiguous = any(
-        other < AMBIGUOUS * error + 0.02 and T.distance_to(T_other)[1] > 0.1 for other, T_other in found[1:]
+        other < AMBIGUOUS * error + CORNER_PX and T.distance_to(T_other)[1] > 0.1
+        for other, T_other in found[1:]
     )
-    return SeenMarker(number, image.T_world_camera @ T, T, corners, error, ambiguous)
+    return SeenMarker(number, image.T_world_camera @ T, T, corners, error, ambiguous, hidden)

@@ -91,11 +91,15 @@ class ActionServer:
         execute: works on a goal in a thread of its own, watches `goal.cancel`, returns how it ended.
         concurrent: False as actionlib's SimpleActionServer: a new goal cancels the one at work and waits
             for its end; True: each starts at once.
+        owner: a transport that serves it for somebody behind its wire (see `Bus.advertise`).
     Raises:
         UnknownNameError: no such action.
     """
 
-    def __init__(self, bus: Bus, name: str, type_name: str, execute: Execute, concurrent: bool = False):
+    def __init__(
+        self, bus: Bus, name: str, type_name: str, execute: Execute, concurrent: bool = False,
+        owner: object = None,
+    ):  # fmt: skip
         self.bus, self.name = bus, resolve(name)
         self.type = bus.schema.action(type_name)
         self._execute, self._concurrent = execute, concurrent
@@ -113,6 +117,8 @@ class ActionServer:
             bus.subscribe(f"{self.name}/goal", f"{self.type}ActionGoal", self._on_goal, GOAL_QUEUE),
             bus.subscribe(f"{self.name}/cancel", "actionlib_msgs/GoalID", self._on_cancel, GOAL_QUEUE),
         ]
+        for member in (*self._subs, *self._pub.values()):
+            member.owner = owner
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:

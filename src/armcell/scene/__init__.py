@@ -37,6 +37,7 @@ from armcell.scene.objects import (
 )
 from armcell.scene.octomap import OccupancyMap, SensorModel
 from armcell.scene.octree_file import load_octree, octree_from_bytes
+from armcell.scene.octree_writer import octree_bytes, save_octree
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
 
 __all__ = [
@@ -81,7 +82,9 @@ __all__ = [
     "mesh_facts",
     "mesh_object",
     "object_names",
+    "octree_bytes",
     "octree_from_bytes",
+    "save_octree",
     "save_scene_file",
     "shape_volume",
     "solid_inertia",

@@ -123,7 +123,7 @@ class OccupancyMap:
         keys = np.floor(np.asarray(points, float).reshape(-1, 3) / self.resolution).astype(np.int64)
         out = np.full(len(keys), np.nan, np.float32)
         inside = np.flatnonzero(np.all((keys >= -HALF) & (keys < HALF), axis=1))
-        codes = _codes(keys[inside])
+        codes = voxel_codes(keys[inside])
         if len(self.codes):
             i = np.minimum(np.searchsorted(self.codes, codes), len(self.codes) - 1)
             known = self.codes[i] == codes
@@ -204,7 +204,7 @@ def _gather(v):
 
 
 @njit(cache=True)
-def _codes(keys):
+def voxel_codes(keys):
     """Codes (n,) of voxels (n, 3) counted from the origin."""
     out = np.empty(len(keys), np.int64)
     for i in range(len(keys)):

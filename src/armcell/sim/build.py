@@ -154,6 +154,8 @@ def _set_options(spec: mujoco.MjSpec, settings: PhysicsSettings) -> None:
     option.gravity = settings.gravity
     # MuJoCo 4.0.0's sparse Newton solver has a known defect, and "auto" turns to it at 60 degrees of freedom
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    if settings.sleep:
+        option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     spec.compiler.balanceinertia = True
     spec.compiler.fusestatic = False
     spec.compiler.degree = False

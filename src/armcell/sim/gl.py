@@ -63,6 +63,7 @@ class GLRenderer:
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, backend: str, smooth: bool = True):
         self.size = (width, height)
+        self._open = False
         self._model = model
         self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         self._gl.make_current()
@@ -75,6 +76,7 @@ class GLRenderer:
         self._option = mujoco.MjvOption()
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._scene.flags[flag] = 0
+        self._open = True
 
     def render(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.uint8]:
         """A picture by one of the model's cameras.
@@ -86,6 +88,7 @@ class GLRenderer:
         self._draw(data, camera, sides)
         width, height = self.size
         picture = np.empty((height, width, 3), dtype=np.uint8)
+        self._gl.make_current()  # another renderer may have been freed meanwhile
         mujoco.mjr_readPixels(picture, None, mujoco.MjrRect(0, 0, width, height), self._context)
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
@@ -94,6 +97,7 @@ class GLRenderer:
         self._draw(data, camera, sides)
         width, height = self.size
         buffer = np.empty((height, width), dtype=np.float32)
+        self._gl.make_current()
         mujoco.mjr_readPixels(None, buffer, mujoco.MjrRect(0, 0, width, height), self._context)
         return np.ascontiguousarray(self._metres(buffer)[::-1])
 
@@ -118,8 +122,17 @@ class GLRenderer:
         return np.where(b > 0, near * far / (near + b * (far - near)), 0.0).astype(np.float32)
 
     def close(self) -> None:
-        self._context.free()
-        self._gl.free()
+        """Free what it holds. With its own context current: names of buffers are numbers, and another's with
+        the same number would go instead."""
+        if self._open:
+            self._open = False
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # at the interpreter's end modules are gone
+            self.close()
 
 
 def _probe(backend: str) -> bool:

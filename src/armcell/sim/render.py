@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 from functools import lru_cache
 
 import mujoco
@@ -96,7 +97,8 @@ class _DrawnScene:
     def __init__(self, world: SimWorld):
         self.source = world.built.mj
         self.decals = world.decals
-        self.built: BuiltModel = build(world.built.scene, world.settings, visuals=True, decals=self.decals)
+        awake = replace(world.settings, sleep=False)  # asleep, cameras would not be moved either
+        self.built: BuiltModel = build(world.built.scene, awake, visuals=True, decals=self.decals)
         self.data = mujoco.MjData(self.built.mj)
         model = self.built.mj
         self._camera = model.camera(RENDER_CAMERA).id

@@ -37,6 +37,8 @@ class PhysicsSettings:
     iterations: int = 100
     noslip_iterations: int = 0  # 2 lowers the creep of a held object six times, at 2/3 of the speed
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # [m/s^2]
+    # Objects that lie still are not worked out until something touches them: for cells with many objects.
+    sleep: bool = False
 
     # Arm joints, within JointLimits.effort. "pid": the engine's, force = kp (u_pos - q) + kv (u_vel - qd).
     # "position": kp (u_pos - q) - kv qd, which lags by kv/kp times the speed. "torque": the pid law and

@@ -52,7 +52,7 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...
         ]  # fmt: skip
         height = float(scene.object(item).T_world_object.translation[2])
         after = (CheckGrasp(item, gripper, height, s.lift_distance), Expect(item, supports, expected=False))
-        draft, outcome = _planned(ctx, stages, f"pick {item}")
+        draft, outcome = planned(ctx, stages, f"pick {item}")
         if draft is None:
             return outcome
         outcome = perform_all(ctx, draft.steps + after)
@@ -86,7 +86,7 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         Planned("approach", "after_approach"),
         Close(item, gripper, supports, s.grasp_settle),
     ]
-    draft, outcome = _planned(ctx, stages, f"grasp {item}")
+    draft, outcome = planned(ctx, stages, f"grasp {item}")
     if draft is None:
         return outcome
     outcome = perform_all(ctx, draft.steps)
@@ -109,7 +109,7 @@ def let_go(ctx: TaskContext, item: str) -> Outcome:
         Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
                  in_tip_frame=True, allow=((item, gripper.hand_links),)),
     ]  # fmt: skip
-    draft, outcome = _planned(ctx, stages, f"let go of {item}")
+    draft, outcome = planned(ctx, stages, f"let go of {item}")
     if draft is None:
         return outcome
     return perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
@@ -142,7 +142,7 @@ def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None =
         Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
                  in_tip_frame=True, allow=((item, gripper.hand_links),)),
     ]  # fmt: skip
-    draft, outcome = _planned(ctx, stages, f"place {item} on {on}")
+    draft, outcome = planned(ctx, stages, f"place {item} on {on}")
     if draft is None:
         return outcome
     outcome = perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
@@ -154,7 +154,7 @@ def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> O
     goal = NamedGoal(goal) if isinstance(goal, str) else goal
     label = name or (f"move to {goal.name}" if isinstance(goal, NamedGoal) else "move")
     speed = ctx.settings.carry if ctx.holding else ctx.settings.free
-    draft, outcome = _planned(ctx, [Connect(label, group, speed, goal=goal)], label)
+    draft, outcome = planned(ctx, [Connect(label, group, speed, goal=goal)], label)
     return outcome if draft is None else perform_all(ctx, draft.steps)
 
 
@@ -190,7 +190,8 @@ def _back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
         perform_all(ctx, draft.steps)
 
 
-def _planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
+def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
+    """Stages planned from the measured state: the draft, or None and why there is none."""
     warm_up()  # not on the time of a plan
     planning = Planning(ctx.settings, ctx.seed, ctx.cancel)
     draft = search(stages, Draft(ctx.scene()), planning)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 from armcell.control import execute
 from armcell.core import ErrorCode, JointTrajectory, Outcome
@@ -204,7 +205,10 @@ class Dwell:
         return staged(ctx, report, wait)
 
 
-Step = Motion | Grip | Hold | Release | Expect | Watch | CheckGrasp | StillHeld | Dwell
+class Step(Protocol):
+    """Something that a task does."""
+
+    def perform(self, ctx: TaskContext) -> Outcome: ...
 
 
 def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
@@ -219,7 +223,7 @@ def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) ->
     return outcome
 
 
-def perform_all(ctx: TaskContext, steps: tuple[Step, ...]) -> Outcome:
+def perform_all(ctx: TaskContext, steps: Iterable[Step]) -> Outcome:
     """Perform steps until one fails."""
     for step in steps:
         if ctx.cancel.is_set():

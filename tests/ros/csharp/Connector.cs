@@ -177,7 +177,12 @@ namespace RosMessageTypes.BuiltinInterfaces
     public class TimeMsg : Message
     {
         public override string RosMessageName => "time";
-        public uint sec, nanosec;
+#if ROS2
+        public int sec;
+#else
+        public uint sec;
+#endif
+        public uint nanosec;
         public static TimeMsg Deserialize(MessageDeserializer d)
         {
             TimeMsg m = new TimeMsg();
@@ -191,7 +196,12 @@ namespace RosMessageTypes.BuiltinInterfaces
     public class DurationMsg : Message
     {
         public override string RosMessageName => "duration";
-        public int sec, nanosec;
+        public int sec;
+#if ROS2
+        public uint nanosec;
+#else
+        public int nanosec;
+#endif
         public static DurationMsg Deserialize(MessageDeserializer d)
         {
             DurationMsg m = new DurationMsg();

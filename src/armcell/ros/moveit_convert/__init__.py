@@ -17,6 +17,7 @@ from armcell.ros.moveit_convert.scenes import (
     diff_from_message,
     object_changes,
     scene_message,
+    world_from_message,
 )
 from armcell.ros.moveit_convert.states import (
     robot_state_from_message,
@@ -43,4 +44,5 @@ __all__ = [
     "robot_trajectory_message",
     "scene_message",
     "trajectory_message",
+    "world_from_message",
 ]

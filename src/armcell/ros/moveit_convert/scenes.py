@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import InputError
-from armcell.ros.convert import pose_from_message, transform_message
+from armcell.core import InputError, Octree
+from armcell.ros.convert import pose_from_message, pose_message, transform_message
 from armcell.ros.moveit_convert.objects import (
     ADD,
     APPEND,
@@ -32,6 +32,7 @@ from armcell.scene import (
     AllowByDefault,
     AppendShapes,
     AttachObject,
+    CollisionObject,
     DetachObject,
     MoveObject,
     PlanningScene,
@@ -42,6 +43,7 @@ from armcell.scene import (
     SetFixedFrame,
     SetOctomap,
     SetPadding,
+    octree_bytes,
     octree_from_bytes,
 )
 from armcell.scene.diff import Change
@@ -165,9 +167,7 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
     # Attached ones first, as MoveIt has it: what is attached and removed from the world in one diff is held.
     for attached in message.robot_state.attached_collision_objects:
         add(attached_changes(attached, now, scene))
-    for item in world.collision_objects:
-        add(object_changes(item, now, scene))
-    add(_octomap(world.octomap))
+    add(_world(world, now, scene))
     add(_allowed(message.allowed_collision_matrix, now))
     if message.link_padding or message.link_scale:
         add([
@@ -183,6 +183,26 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
         if c.id in now.objects or c.id in now.attached
     )
     return SceneDiff(tuple(changes))
+
+
+def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
+    """The changes that a moveit_msgs/PlanningSceneWorld makes: it replaces the world, octomap and all.
+
+    Raises:
+        InputError: something that cannot be meant, or a frame that is not there.
+    """
+    empty = SceneDiff.of(RemoveAllObjects(), *([SetOctomap(None)] if OCTOMAP in scene.objects else []))
+    return empty + SceneDiff(tuple(_world(message, empty.applied_to(scene), scene)))
+
+
+def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
+    """The changes of a PlanningSceneWorld, each seen in the scene as the ones before leave it."""
+    changes: list[Change] = []
+    for item in message.collision_objects:
+        more = object_changes(item, now, known)
+        now = SceneDiff(tuple(more)).applied_to(now)
+        changes += more
+    return [*changes, *_octomap(message.octomap)]
 
 
 def _frames(transforms: Any, scene: PlanningScene) -> list[Change]:
@@ -259,7 +279,21 @@ def scene_message(
         message.world.collision_objects = [
             schema.new("moveit_msgs/CollisionObject", header=header, id=item.name) for item in world
         ]
+    if parts & Components.OCTOMAP and OCTOMAP in scene.objects:
+        message.world.octomap = _octomap_message(schema, header, scene.objects[OCTOMAP])
     return message
+
+
+def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
+    """The scene's octomap as OctoMap's binary data, its resolution the smallest cell."""
+    [(octree, T_object_shape)] = item.shapes
+    assert isinstance(octree, Octree)
+    data, resolution = octree_bytes(octree)
+    octomap = schema.new(
+        "octomap_msgs/Octomap", header, True, "OcTree", resolution, np.frombuffer(data, np.int8)
+    )
+    origin = pose_message(schema, item.T_world_object @ T_object_shape)
+    return schema.new("octomap_msgs/OctomapWithPose", header, origin, octomap)
 
 
 def _matrix(schema: Schema, scene: PlanningScene) -> Any:

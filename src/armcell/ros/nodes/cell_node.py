@@ -58,7 +58,7 @@ class CellNode:
         self._cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
         live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
-        self._stop = threading.Event()
+        self._stop, self._putting = threading.Event(), threading.Lock()
         self.ready = threading.Event()
         """Set once the cell is connected and publishes."""
         self.executed = 0
@@ -130,7 +130,6 @@ class CellNode:
         fingers = {g.joint_name: g for g in model.grippers.values()}
         if set(trajectory.joint_names) <= set(fingers):
             return self._close_or_open(trajectory, fingers)
-        self._wait_for_others(trajectory)
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             # Where it is now decides, not where it was when the message came.
@@ -141,7 +140,7 @@ class CellNode:
             return playing(driver, now, settings, cancel)
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
-        return self.conductor.put(work)
+        return self._put_beside(work, trajectory)
 
     def _halt(self, trajectory: JointTrajectory) -> Work:
         joints = trajectory.joint_names or self.live.model.joint_names
@@ -167,31 +166,49 @@ class CellNode:
 
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
-    def _wait_for_others(self, trajectory: JointTrajectory) -> None:
-        """Return when the motion can begin beside what runs in other joints.
+    def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
+        """Begin a motion once it is proven free of contact beside what runs in other joints.
 
         Raises:
-            InputError: it cannot even when nothing else moves.
+            InputError: the cell is closed, or too many motions wait.
         """
-        while True:
-            now = self.live.driver.now
-            others = [
-                w for w in self.conductor.works()
-                if w.trajectory is not None and not w.joints & set(trajectory.joint_names)
-            ]  # fmt: skip
-            if not others:
-                return
-            running = [remaining(w.trajectory, now - (w.began or now)) for w in others if w.trajectory]
-            scene = self.conductor.call(self.live.scene)
-            contact = contact_together(scene, running, trajectory)
-            if not contact:
-                return
-            if not all(w.is_over for w in others):
-                self.say(f"waits until the other arm has arrived: {contact}")
-                while not all(w.wait(0.05) for w in others):
-                    if self._stop.is_set():
-                        raise InputError("the cell is closed")
+        while not self._stop.is_set():
+            others = self._others(work)
+            if (late := self._not_begun(work, others)) is not None:
+                late.wait(self.live.driver.period)  # when it begins is part of the proof
                 continue
+            if contact := self._contact(others, trajectory):
+                self.say(f"waits until the other arm has arrived: {contact}")
+                while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
+                    pass
+                continue
+            with self._putting:  # what somebody has put since then is not proven
+                if set(self._others(work)) <= set(others):
+                    return self.conductor.put(work)
+        raise InputError("the cell is closed")
+
+    def _others(self, work: Work) -> list[Work]:
+        """Motions of other joints."""
+        works = self.conductor.works()
+        return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
+
+    def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
+        """A motion of other joints that waits for its turn, or what keeps this one waiting."""
+        before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
+        late = [w for w in others if w.began is None]
+        return next((w for w in (*before, *late) if not w.is_over), None)
+
+    def _contact(self, others: list[Work], new: JointTrajectory) -> str:
+        """What a motion would touch that began now beside others; empty where nothing."""
+        if not others:
+            return ""
+        scene, now = self.conductor.call(lambda: (self.live.scene(), self.live.driver.now))
+        running = [
+            remaining(w.trajectory, now - w.began)
+            for w in others
+            if w.trajectory is not None and w.began is not None and not w.is_over
+        ]
+        return contact_together(scene, running, new) if running else ""
 
     def _ended(self, work: Work) -> None:
         self.executed += 1

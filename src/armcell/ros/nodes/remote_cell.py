@@ -32,10 +32,8 @@ STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint state
 STALE = 2.0  # [s] without joint states: the simulator is gone
 ARRIVED = 0.01  # [rad or m] from the trajectory's end
 AT_REST = 0.02  # [rad/s or m/s]
-GRACE, FACTOR = (
-    5.0,
-    3.0,
-)  # a motion may take FACTOR times its duration and GRACE [s] more, of the wall's clock
+FACTOR = 3.0  # a motion may take that many times its duration, by the wall's clock,
+GRACE = 5.0  # [s] and that much longer
 GRIP_TIME = 0.3  # [s] of the wall's clock that fingers stand before they count as stalled
 GRIP_TIMEOUT = 6.0  # [s]
 GRIP_START = 0.4  # [s] in which fingers may begin to move
@@ -45,6 +43,9 @@ POLL = 0.01  # [s]
 
 class RemoteCell:
     """`CellAccess` over a bus that a simulator is joined to.
+
+    One motion at a time, of several arms too: whether two would meet is not looked at here, and what the
+    simulator tells of a motion does not say which it means.
 
     Args:
         scene: the cell's scene at the start; measured states and poses replace its own as they come.
@@ -208,11 +209,14 @@ class RemoteCell:
             return [w for w in self._running if wanted is None or w.joints & wanted]
 
     def _begin(self, work: Work, follow: Callable[[Work], ExecutionResult]) -> Work:
-        for other in self.works(work.joints):
-            other.cancel.set()
-            other.wait(1.0)
-        with self._lock:
-            self._running.append(work)
+        """Begin a work when those of the same joints are ended, and (a motion) when the other arms are still.
+
+        Raises:
+            InputError: the cell is closed.
+        """
+        while not self._begun(work):
+            if self._closed.is_set():
+                raise InputError("the cell is closed")
 
         def run() -> None:
             try:
@@ -223,18 +227,41 @@ class RemoteCell:
         threading.Thread(target=run, name=work.name, daemon=True).start()
         return work
 
+    def _begun(self, work: Work) -> bool:
+        """Whether nothing is in a work's way any more; else what shares its joints is told to end."""
+        with self._lock:
+            self._running = [w for w in self._running if not w.is_over]
+            moves = work.trajectory is not None
+            others = [
+                w for w in self._running if w.joints & work.joints or (moves and w.trajectory is not None)
+            ]
+            if not others:
+                self._running.append(work)
+                return True
+        for other in others:
+            if other.joints & work.joints:
+                other.cancel.set()
+        others[0].wait(0.05)
+        return False
+
     def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
         trajectory = trajectory_from_message(message, self.model, self.joints())
-        if len(trajectory.times):
-            self._check_start(trajectory, settings)
+        if not len(trajectory.times):
+            joints = trajectory.joint_names or self.model.joint_names
+            return self._begin(Work("stop", joints), lambda work: self._stopped(message))
 
         def follow(work: Work) -> ExecutionResult:
+            self._check_start(trajectory, settings)
             with self._lock:
                 self._said.clear()
             self._trajectories.publish(message)
             return self._follow(work, trajectory)
 
         return self._begin(Work("trajectory", trajectory.joint_names, trajectory=trajectory), follow)
+
+    def _stopped(self, message: Any) -> ExecutionResult:
+        self._trajectories.publish(message)
+        return ExecutionResult(ErrorCode.SUCCESS, "stop")
 
     def _check_start(self, trajectory: JointTrajectory, settings: ExecutionSettings) -> None:
         here = self.joints().reindexed(trajectory.joint_names).positions
@@ -247,8 +274,6 @@ class RemoteCell:
             )
 
     def _follow(self, work: Work, trajectory: JointTrajectory) -> ExecutionResult:
-        if not len(trajectory.times):
-            return ExecutionResult(ErrorCode.SUCCESS, "stop")
         names, end = trajectory.joint_names, trajectory.positions[-1]
         give_up = time.monotonic() + FACTOR * trajectory.duration + GRACE
         error = np.inf
@@ -258,14 +283,8 @@ class RemoteCell:
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
             with self._lock:
                 said = list(self._said)
-            for text in said:
-                what, _, why = text.partition(": ")
-                if what == "done":
-                    return ExecutionResult(ErrorCode.SUCCESS, why)
-                if what in ("failed", "refused"):
-                    return ExecutionResult(ErrorCode.CONTROL_FAILED, f"the simulator: {why}")
-                if what == "stopped":
-                    return ExecutionResult(ErrorCode.PREEMPTED, f"the simulator: {why}")
+            if (told := _told(said)) is not None:
+                return told
             if not said:  # one that says nothing: look at the joints
                 state = self.joints().reindexed(names)
                 error = float(np.max(np.abs(state.positions - end)))
@@ -320,3 +339,21 @@ class RemoteCell:
         for work in self.works():
             work.cancel.set()
         self.stop_joints(())
+
+
+def _told(said: list[str]) -> ExecutionResult | None:
+    """How a motion ended by what /trajectory_status has said since it was sent; None: it has not.
+
+    What comes before "executing" is of an earlier motion, or of its stop; only a refusal comes without.
+    """
+    begun = False
+    for text in said:
+        what, _, why = text.partition(": ")
+        begun |= text.startswith("executing")
+        if what == "refused" or (begun and what == "failed"):
+            return ExecutionResult(ErrorCode.CONTROL_FAILED, f"the simulator: {why}")
+        if begun and what == "done":
+            return ExecutionResult(ErrorCode.SUCCESS, why)
+        if begun and what == "stopped":
+            return ExecutionResult(ErrorCode.PREEMPTED, f"the simulator: {why}")
+    return None

@@ -15,6 +15,7 @@ from armcell.ros.moveit_convert import (
     diff_from_message,
     object_changes,
     scene_message,
+    world_from_message,
 )
 from armcell.ros.nodes.access import CellAccess
 from armcell.scene import OCTOMAP, WORLD, PlanningScene, SceneDiff, SetOctomap
@@ -26,8 +27,10 @@ MONITORED = ("/move_group/monitored_planning_scene", "/monitored_planning_scene"
 
 
 class SceneNode:
-    """/get_planning_scene, /apply_planning_scene, /clear_octomap; in: /planning_scene, /collision_object,
-    /attached_collision_object; out: /move_group/monitored_planning_scene (and without the namespace).
+    """/get_planning_scene, /apply_planning_scene, /clear_octomap.
+
+    In: /planning_scene, /planning_scene_world (replaces the world), /collision_object,
+    /attached_collision_object. Out: /move_group/monitored_planning_scene (and without the namespace).
     """
 
     def __init__(self, cell: CellAccess, bus: Bus):
@@ -39,6 +42,9 @@ class SceneNode:
             bus.serve("/apply_planning_scene", "moveit_msgs/ApplyPlanningScene", self._apply),
             bus.serve("/clear_octomap", "std_srvs/Empty", self._clear_octomap),
             bus.subscribe("/planning_scene", "moveit_msgs/PlanningScene", self._on(diff_from_message), 50),
+            bus.subscribe(
+                "/planning_scene_world", "moveit_msgs/PlanningSceneWorld", self._on(world_from_message), 50
+            ),
             bus.subscribe(
                 "/collision_object", "moveit_msgs/CollisionObject", self._on(_one(object_changes)), 100
             ),
@@ -115,8 +121,10 @@ class SceneNode:
                 for publisher in self._out:
                     if changed or publisher.subscribers:
                         publisher.publish(message)
-            except InputError as error:  # closed meanwhile
+            except InputError as error:  # closed meanwhile, or the simulator is not there yet
                 logger.debug("planning scene not told: %s", error)
+                if changed and not self._stop.wait(PUBLISH_PERIOD):
+                    self._changed.set()
 
 
 def _one(changes: Callable[[Any, PlanningScene], Any]) -> Callable[[Any, PlanningScene], SceneDiff]:

@@ -99,6 +99,7 @@ def approaches(
     opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
     scene = opened.with_allowed(item, gripper.hand_links)
     T_world_tcp = scene.object(item).T_world_object @ grasp.T_object_tcp
+    expected = () if scene.object(item).has_cloud else (Expect(item, gripper.finger_links),)  # no body
     found = False
     for arm in reachable(scene, gripper, T_world_tcp, planning, stage, grasp.name):
         at_grasp = scene.with_state(arm)
@@ -110,7 +111,7 @@ def approaches(
         approach = reversed_in_time(result.trajectory)
         yield draft.then(
             Grip("open", gripper, grasp.opening, gripper.max_force),
-            Expect(item, gripper.finger_links),
+            *expected,
             scene=opened,
             grasp=grasp,
             candidate=grasp.name,

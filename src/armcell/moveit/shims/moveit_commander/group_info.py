@@ -8,9 +8,7 @@ import numpy as np
 
 from armcell.core import JointState
 from armcell.kinematics import kinematic_tree
-from armcell.moveit.calls import (
-    measured_scene,
-)
+from armcell.moveit.calls import measured_scene
 from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.conversions import list_to_pose_stamped
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
@@ -135,8 +133,14 @@ class GroupInfo:
 
     # --- state ---
     def get_current_joint_values(self) -> list[float]:
+        return self._every_value({})
+
+    def _every_value(self, positions: dict[str, float]) -> list[float]:
+        """Of joints that mimic others, too: the given positions, elsewhere the present ones."""
         scene = measured_scene()
-        values = kinematic_tree(scene.model).full_positions(scene.positions)
+        q = scene.positions.copy()
+        q[scene.model.columns(positions)] = list(positions.values())
+        values = kinematic_tree(scene.model).full_positions(q)
         return [values[n] for n in self._variables()]
 
     def _link(self, end_effector_link: str, what: str) -> str:
@@ -155,17 +159,18 @@ class GroupInfo:
         return measured_scene().frame_pose(link).rotation.rpy.tolist()
 
     def get_random_joint_values(self) -> list[float]:
+        return self._every_value(self._random_positions())
+
+    def _random_positions(self) -> dict[str, float]:
         names = self._group.joint_names
         model = self._session.model
         low = np.maximum(model.limits(names, "lower"), -np.pi)
         high = np.minimum(model.limits(names, "upper"), np.pi)
-        return self._session.rng.uniform(low, high).tolist()
+        return dict(zip(names, self._session.rng.uniform(low, high).tolist()))
 
     def get_random_pose(self, end_effector_link: str = "") -> Any:
         link = self._link(end_effector_link, "get the pose of")
-        scene = measured_scene().with_state(
-            JointState(self._group.joint_names, np.array(self.get_random_joint_values()))
-        )
+        scene = measured_scene().with_state(JointState.from_mapping(self._random_positions()))
         T = scene.frame_pose(link)
         return list_to_pose_stamped([*T.translation, *T.quat_xyzw], self.get_planning_frame())
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armcell.moveit.calls import (
-    joint_constraints,
-    pose_constraints,
-)
+from armcell.moveit.calls import joint_constraints, pose_constraints
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.group_info import JOINT, ORIENTATION, POSITION, kind_of
 from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets
@@ -91,7 +88,9 @@ class GroupSettings(GroupTargets):
 
     # --- planner ---
     def set_planning_time(self, seconds: float) -> None:
-        self._time = float(seconds)
+        """What is not above 0 changes nothing, as in MoveIt."""
+        if seconds > 0:
+            self._time = float(seconds)
 
     def get_planning_time(self) -> float:
         return self._time
@@ -167,7 +166,8 @@ class GroupSettings(GroupTargets):
 
     def _goals(self) -> list[Any]:
         if self._active == JOINT:
-            values = dict(zip(self._group.joint_names, self.get_joint_value_target()))
+            every = dict(zip(self._variables(), self.get_joint_value_target()))
+            values = {n: every[n] for n in self._group.joint_names}
             return [joint_constraints(self._session, values, self._joint_tolerance)]
         position = None if self._active == ORIENTATION else self._position_tolerance
         orientation = None if self._active == POSITION else self._orientation_tolerance

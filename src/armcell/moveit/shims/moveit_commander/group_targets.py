@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from armcell.core import ArmcellError, InputError
-from armcell.moveit.calls import (
-    measured_scene,
-)
+from armcell.moveit.calls import measured_scene
 from armcell.moveit.shims.moveit_commander.conversions import list_to_pose, pose_to_list
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.group_info import (
@@ -33,9 +31,8 @@ class GroupTargets(GroupInfo):
 
     # --- targets ---
     def get_joint_value_target(self) -> list[float]:
-        now = dict(zip(self._variables(), self.get_current_joint_values()))
-        values = {**now, **self._joint_target}
-        return [values[n] for n in self._group.joint_names]
+        """Of joints that mimic others, too; joints without a target keep their places."""
+        return self._every_value(self._joint_target)
 
     def set_joint_value_target(self, arg1: Any, arg2: Any = None, arg3: Any = None) -> None:
         kind = kind_of(arg1)
@@ -210,33 +207,32 @@ class GroupTargets(GroupInfo):
         self._poses.clear()
 
     def set_random_target(self) -> None:
-        self._set_joints(dict(zip(self._group.joint_names, self.get_random_joint_values())))
+        self._set_joints(self._random_positions())
 
     # --- named ---
     def get_named_targets(self) -> list[str]:
         return [*self._session.model.named_states.get(self._name, {}), *self._remembered]
 
     def set_named_target(self, name: str) -> None:
+        text = f"Unable to set target {name}. Is the target within bounds?"
+        if name not in self.get_named_targets():
+            known = ", ".join(self.get_named_targets())
+            raise MoveItCommanderException(f"{text} It is not known; known: {known}")
         try:
             self._set_joints(self.get_named_target_values(name))
         except MoveItCommanderException as error:
-            known = ", ".join(self.get_named_targets())
-            text = f"Unable to set target {name}. Is the target within bounds?"
-            more = (
-                f" It is not known; known: {known}" if name not in self.get_named_targets() else f" {error}"
-            )
-            raise MoveItCommanderException(text + more) from None
+            raise MoveItCommanderException(f"{text} {error}") from None
 
     def get_named_target_values(self, target: str) -> dict[str, float]:
+        """Empty where there is no such target, which is told."""
         if target in self._remembered:
             return self._by_name(self._remembered[target])
-        return dict(self._session.model.named_states.get(self._name, {}).get(target, {})) or self._nothing(
-            target
-        )
-
-    @staticmethod
-    def _nothing(target: str) -> dict[str, float]:
-        raise MoveItCommanderException(f"Unable to set target {target}. Is the target within bounds?")
+        if target not in self.get_named_targets():
+            self._session.say(
+                "ERROR", f"The requested named target '{target}' does not exist, returning empty positions."
+            )
+            return {}
+        return dict(self._session.model.named_states[self._name][target])
 
     def remember_joint_values(self, name: str, values: Any = None) -> None:
         self._remembered[name] = (

@@ -8,6 +8,7 @@ import numpy as np
 
 from armcell.core import JointState
 from armcell.kinematics import kinematic_tree
+from armcell.model import Gripper
 from armcell.moveit.calls import (
     SUCCESS,
     finished,
@@ -154,43 +155,49 @@ class MoveGroupCommander(GroupSettings):
 
     # --- objects ---
     def attach_object(self, object_name: str, link_name: str = "", touch_links: Any = ()) -> bool:
-        link = link_name or self._eef
+        """To a link, the end effector's or the group's first where none is named. True: it was asked for."""
+        link = link_name or self._eef or next(iter(self._group.link_names), "")
         if not link:
             return False
-        model = self._session.model
-        touch = list(touch_links) or [
-            n for g in model.grippers.values() if self._name in (g.arm_group, g.group) for n in g.hand_links
-        ]
+        touch = list(touch_links) or [link, *(n for g in self._grippers() for n in g.hand_links if n != link)]
         item = self._new("CollisionObject", id=object_name)
         attached = self._new("AttachedCollisionObject", link_name=link, object=item, touch_links=touch)
-        return self._apply([attached])
+        self._apply([attached])
+        return True
+
+    def _grippers(self) -> list[Gripper]:
+        """Those that the group carries or is."""
+        every = self._session.model.grippers.values()
+        return [g for g in every if self._name in (g.arm_group, g.group)]
 
     def detach_object(self, name: str = "") -> bool:
-        """An object by its name, what a link carries, or all that the group carries."""
+        """An object by its name, what a link carries, or all the group carries. True: it was asked for."""
         link = name if name in self._session.model.links else ""
         bodies = measured_scene().attached
         links = {self._eef, *self._group.link_names}
-        for gripper in self._session.model.grippers.values():
-            if self._name in (gripper.arm_group, gripper.group):
-                links |= {gripper.tcp_link, *gripper.hand_links}
+        for gripper in self._grippers():
+            links |= {gripper.tcp_link, *gripper.hand_links}
         mine = [
             n
             for n, b in bodies.items()
             if n == name or (b.link == link if link else not name and b.link in links)
         ]
-        if not mine:
-            return False
-        return self._apply([
+        self._apply([
             self._new("AttachedCollisionObject", object=self._new("CollisionObject", id=n, operation=REMOVE))
             for n in mine
         ])  # fmt: skip
+        return True
 
-    def _apply(self, attached: list[Any]) -> bool:
+    def _apply(self, attached: list[Any]) -> None:
         scene = self._new("PlanningScene", is_diff=True)
         scene.robot_state.is_diff = True
         scene.robot_state.attached_collision_objects = attached
         request = self._new("ApplyPlanningSceneRequest", scene)
-        return bool(self._session.call(self._server("apply_planning_scene"), request).success)
+        if not self._session.call(self._server("apply_planning_scene"), request).success:
+            names = ", ".join(a.object.id for a in attached)
+            self._session.say(
+                "WARN", f"the planning scene did not take {names}; the reason is in the line above"
+            )
 
     def pick(self, object_name: str, grasp: Any = (), plan_only: bool = False) -> int:
         """The error code. Without grasps they are found; approach, lift and force where they are missing."""
@@ -201,14 +208,14 @@ class MoveGroupCommander(GroupSettings):
         )  # fmt: skip
         return self._picked_or_placed("pickup", goal, plan_only)
 
-    def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> int:
-        """The error code. A location is where the object is to be."""
+    def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> bool:
+        """Whether it was placed (only pick gives the code). A location: where the object is to be."""
         goal = self._new(
             "PlaceGoal", group_name=self._name, attached_object_name=object_name,
             place_locations=self._locations(location), support_surface_name=self._support,
             allowed_planning_time=self._time, planner_id=self._planner,
         )  # fmt: skip
-        return self._picked_or_placed("place", goal, plan_only)
+        return self._picked_or_placed("place", goal, plan_only) == SUCCESS
 
     def _locations(self, location: Any) -> list[Any]:
         if location is None:

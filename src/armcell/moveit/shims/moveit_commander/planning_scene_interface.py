@@ -80,60 +80,39 @@ class PlanningSceneInterface:
 
     # --- attaching ---
     def attach_object(self, object: Any, link: str | None = None, touch_links: Any = None) -> None:
-        """An AttachedCollisionObject, or a CollisionObject and the link that carries it."""
-        if object._type == "moveit_msgs/AttachedCollisionObject":
-            self._submit(object, attach=True)
-            return
-        self._submit(self._attached_one(link or "", object, touch_links), attach=True)
+        """An AttachedCollisionObject, a CollisionObject, or the name of one that the world has."""
+        if isinstance(object, str):
+            object = self._new("moveit_msgs/CollisionObject", id=object)
+        if object._type == "moveit_msgs/CollisionObject":
+            object = self._new("moveit_msgs/AttachedCollisionObject", object=object)
+        if link is not None:
+            object.link_name = link
+        object.touch_links = [object.link_name] if touch_links is None else list(touch_links)
+        self._submit(object, attach=True)
 
     def attach_mesh(
-        self,
-        link: str,
-        name: str,
-        pose: Any = None,
-        filename: str = "",
-        size: Any = (1, 1, 1),
+        self, link: str, name: str, pose: Any = None, filename: str = "", size: Any = (1, 1, 1),
         touch_links: Any = None,
-    ) -> None:
-        item = (
-            self.make_mesh(name, pose, filename, size)
-            if pose is not None and filename
-            else self._existing(name)
-        )
-        self._submit(self._attached_one(link, item, touch_links), attach=True)
+    ) -> None:  # fmt: skip
+        new = pose is not None and filename
+        self.attach_object(self.make_mesh(name, pose, filename, size) if new else name, link, touch_links)
 
     def attach_box(
         self, link: str, name: str, pose: Any = None, size: Any = (1, 1, 1), touch_links: Any = None
     ) -> None:
-        item = self.make_box(name, pose, size) if pose is not None else self._existing(name)
-        self._submit(self._attached_one(link, item, touch_links), attach=True)
+        self.attach_object(name if pose is None else self.make_box(name, pose, size), link, touch_links)
 
     def attach_sphere(
         self, link: str, name: str, pose: Any = None, radius: float = 1, touch_links: Any = None
     ) -> None:
-        item = self.make_sphere(name, pose, radius) if pose is not None else self._existing(name)
-        self._submit(self._attached_one(link, item, touch_links), attach=True)
+        self.attach_object(name if pose is None else self.make_sphere(name, pose, radius), link, touch_links)
 
     def attach_cylinder(
-        self,
-        link: str,
-        name: str,
-        pose: Any = None,
-        height: float = 1,
-        radius: float = 1,
+        self, link: str, name: str, pose: Any = None, height: float = 1, radius: float = 1,
         touch_links: Any = None,
-    ) -> None:
-        item = self.make_cylinder(name, pose, height, radius) if pose is not None else self._existing(name)
-        self._submit(self._attached_one(link, item, touch_links), attach=True)
-
-    def _existing(self, name: str) -> Any:
-        return self._new("moveit_msgs/CollisionObject", id=name)
-
-    def _attached_one(self, link: str, item: Any, touch_links: Any) -> Any:
-        touch = [link] if touch_links is None else list(touch_links)
-        return self._new(
-            "moveit_msgs/AttachedCollisionObject", link_name=link, object=item, touch_links=touch
-        )
+    ) -> None:  # fmt: skip
+        item = name if pose is None else self.make_cylinder(name, pose, height, radius)
+        self.attach_object(item, link, touch_links)
 
     # --- removing ---
     def clear(self) -> None:

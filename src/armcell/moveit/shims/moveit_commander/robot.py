@@ -9,7 +9,10 @@ from armcell.moveit.calls import measured_scene
 from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.conversions import list_to_pose_stamped
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
+from armcell.moveit.shims.moveit_commander.markers import markers
 from armcell.moveit.shims.moveit_commander.move_group import MoveGroupCommander
+from armcell.ros.moveit_convert import Components
+from armcell.scene import WORLD
 
 
 class RobotCommander:
@@ -79,13 +82,11 @@ class RobotCommander:
         current_session()
 
     def get_planning_frame(self) -> str:
-        return "world"
+        return WORLD
 
     def get_robot_markers(self, *args: Any) -> Any:
         """A MarkerArray of the robot's collision geometry where it is."""
         session, scene = current_session(), measured_scene()
-        from armcell.moveit.shims.moveit_commander.markers import markers
-
         wanted = args[0] if args and isinstance(args[0], list | tuple) else list(scene.model.links)
         return markers(session, scene, wanted)
 
@@ -122,7 +123,7 @@ class RobotCommander:
 
     def get_current_state(self) -> Any:
         request = current_session().new("moveit_msgs/GetPlanningSceneRequest")
-        request.components.components = 6
+        request.components.components = int(Components.ROBOT_STATE | Components.ROBOT_STATE_ATTACHED_OBJECTS)
         return current_session().call("/get_planning_scene", request).scene.robot_state
 
     def get_current_variable_values(self) -> dict[str, float]:

@@ -1,0 +1,36 @@
+"""What a camera saw from above, as one height per cell of a grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Heights over a rectangle of the world's x and y.
+
+    Cells that nothing was seen of are as high as the highest seen beside them: what is hidden may be there.
+    """
+
+    heights: NDArray[np.float64]  # (nx, ny) [m, world z]
+    seen: NDArray[np.bool_]  # (nx, ny)
+    origin: tuple[float, float]  # [m, world] middle of the first cell
+    resolution: float  # [m]
+
+    def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Middles (n, 3) [m, world] of the tops of cells (n, 2)."""
+        found = np.empty((len(cells), 3))
+        found[:, :2] = np.asarray(self.origin) + self.resolution * cells
+        found[:, 2] = self.heights[cells[:, 0], cells[:, 1]]
+        return found
+
+    def cells_within(self, low: tuple[float, float], high: tuple[float, float]) -> NDArray[np.bool_]:
+        """(nx, ny) the cells with their middle in a rectangle of the world."""
+        nx, ny = self.heights.shape
+        x = self.origin[0] + self.resolution * np.arange(nx)
+        y = self.origin[1] + self.resolution * np.arange(ny)
+        inside_x, inside_y = (x >= low[0]) & (x <= high[0]), (y >= low[1]) & (y <= high[1])
+        return inside_x[:, None] & inside_y[None, :]

@@ -1,0 +1,290 @@
+"""The bridge between a bus and a ROS 2 domain.
+
+Everything that the bus publishes, serves or acts on is offered in the domain; what the bus subscribes to is
+looked for there; services and actions that nobody serves on the bus are asked for there. Topics follow the
+bus: the bridge looks whenever somebody comes or goes.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from armcell.core import ArmcellError, InputError
+from armcell.ros.bus import Bus, Handler, TopicInfo
+from armcell.ros.names import resolve
+from armcell.ros.ros2 import names
+from armcell.ros.ros2.codec import ros2_codec
+from armcell.ros.ros2.context import Context
+from armcell.ros.ros2.dialect import distro_from_environment
+from armcell.ros.ros2.goals import ActionServing
+from armcell.ros.ros2.parameters import ParameterServices
+from armcell.ros.ros2.qos import Profile
+from armcell.ros.ros2.range import Reach, from_environment
+from armcell.ros.ros2.reaching import ActionReaching
+from armcell.ros.ros2.services import Asked, Client, Server
+from armcell.ros.ros2.topics import Incoming, Outgoing
+
+logger = logging.getLogger(__name__)
+LOOK = 0.1  # [s] at the latest, discovery is looked at
+PERIOD = 1.0  # [s] between two looks even if nobody came or went, and for those who cannot talk to us
+SHUT_DOWN = 5.0  # [s]
+ACTION_TOPICS = {
+    "/goal": "ActionGoal", "/result": "ActionResult", "/feedback": "ActionFeedback",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Ros2Settings:
+    """How a bus joins a ROS 2 domain."""
+
+    reach: Reach = field(default_factory=from_environment)
+    node: str = "/armcell"  # how `ros2 node list` shows us
+    distro: str = field(default_factory=distro_from_environment)  # whose message definitions are used
+    qos: Mapping[str, Profile] = field(default_factory=dict)  # by topic; others get ROS 2's usual one
+    service_timeout: float = 60.0  # [s] a service in the domain has to answer
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "node", resolve(self.node))
+
+
+@dataclass(frozen=True)
+class Ros2Status:
+    """For status lines."""
+
+    domain: int
+    nodes: tuple[str, ...]  # the others
+    topics_out: int
+    topics_in: int
+    services: int
+    actions: int
+    dropped: int
+    errors: int
+
+
+class Ros2Bridge:
+    """Joins a bus to a domain, from `start` (or `with`) to `close`.
+
+    Raises (start):
+        MissingExtraError: cyclonedds is not installed.
+        UnknownNameError: no such distribution.
+        InputError, DdsError: the domain cannot be joined.
+    """
+
+    def __init__(self, bus: Bus, settings: Ros2Settings | None = None):
+        self.bus, self.settings = bus, settings or Ros2Settings()
+        self._context: Context | None = None
+        self._out: dict[str, Outgoing] = {}
+        self._in: dict[str, Incoming] = {}
+        self._servers: dict[str, tuple[str, Server]] = {}
+        self._actions: dict[str, ActionServing] = {}
+        self._reaching: dict[str, ActionReaching] = {}
+        self._clients: dict[str, Client] = {}
+        self._refused: set[tuple[str, str]] = set()
+        self._parameters: ParameterServices | None = None
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="ros2 bridge", daemon=True)
+
+    def start(self) -> None:
+        codec = ros2_codec(self.bus.schema, self.settings.distro)
+        self._context = Context(self.bus, codec, self.settings.reach, self.settings.node)
+        self._parameters = ParameterServices(self._context, self.settings.node)
+        self.bus.find_elsewhere(self._find)
+        self._look(self._context)
+        self._thread.start()
+
+    def __enter__(self) -> Ros2Bridge:
+        self.start()
+        return self
+
+    def close(self) -> None:
+        """Leave the domain and the bus. Closing twice is fine."""
+        context = self._context
+        if context is None or self._stop.is_set():
+            return
+        self._stop.set()
+        self._thread.join(SHUT_DOWN)
+        self.bus.forget_elsewhere(self._find)
+        parts: list[Any] = [self._parameters, *self._actions.values(), *self._reaching.values()]
+        parts += [*self._out.values(), *self._in.values(), *self._clients.values()]
+        parts += [server for _, server in self._servers.values()]
+        for part in parts:
+            try:
+                part.close()
+            except ArmcellError as error:
+                logger.warning("closing: %s", error)
+        context.close()
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    # --- what others see of it ---
+    def status(self) -> Ros2Status:
+        """How it stands now."""
+        context = self._joined()
+        return Ros2Status(
+            self.settings.reach.domain,
+            tuple(context.graph.nodes()),
+            len(self._out),
+            len(self._in),
+            len(self._servers),
+            len(self._actions),
+            context.dropped,
+            sum(context.complaints.values()),
+        )
+
+    def topics(self) -> dict[str, str]:
+        """Types of the topics that other nodes have, by name."""
+        return self._joined().graph.topics()
+
+    def services(self) -> dict[str, str]:
+        """Types of the services that other nodes serve, by name."""
+        return self._joined().graph.services()
+
+    def nodes(self) -> list[str]:
+        """Full names of the other nodes."""
+        return self._joined().graph.nodes()
+
+    def wait_for_node(self, name: str, timeout: float) -> bool:
+        """Whether another node is there, after waiting for it [s]."""
+        give_up = time.monotonic() + timeout
+        while resolve(name) not in self.nodes():
+            if time.monotonic() > give_up:
+                return False
+            time.sleep(LOOK)
+        return True
+
+    def _joined(self) -> Context:
+        if self._context is None:
+            raise InputError("the bridge has not been started")
+        return self._context
+
+    # --- services behind us ---
+    def _find(self, name: str) -> Handler | None:
+        """What answers a service in the domain; None where nobody serves it there."""
+        context = self._joined()
+        type_name = context.graph.services().get(name)
+        if type_name is None or type_name not in self.bus.schema.services or self._stop.is_set():
+            return None
+        with self._lock:
+            client = self._clients.get(name)
+            if client is None or client.type != type_name:
+                client = self._clients[name] = Client(context, name, type_name)
+
+        def ask(request: Any) -> Any:
+            if request._type != f"{type_name}Request":
+                raise InputError(f"service {name} takes {type_name}Request, not {request._type}")
+            return client.call(request, self.settings.service_timeout)
+
+        return ask
+
+    # --- following the bus ---
+    def _run(self) -> None:
+        context = self._joined()
+        seen, next_look = (-1, -1), 0.0
+        while not self._stop.is_set():
+            version = self.bus.wait_change(seen[0], LOOK)
+            now, due = (version, context.graph.version), time.monotonic() >= next_look
+            if now != seen or due:
+                seen = now
+                self._look(context)
+            if due:
+                next_look = time.monotonic() + PERIOD
+                for part in (*self._out.values(), *self._in.values()):
+                    part.look()
+
+    def _look(self, context: Context) -> None:
+        """Make what the bus has now known in the domain, and close what it has no more."""
+        infos = {info.name: info for info in self.bus.topics(besides=self)}
+        acting = self._action_names(infos)
+        self._look_actions(context, infos, acting)
+        topics = [i for i in infos.values() if not _is_of_action(i, acting)]
+        latched = {i.name: (i.type, i.latched) for i in topics if i.publishers}
+        wanted = {i.name: i.type for i in topics if i.subscribers}
+        for name, outgoing in list(self._out.items()):
+            if latched.get(name) != (outgoing.type, outgoing.latched):
+                self._out.pop(name).close()
+        for name, incoming in list(self._in.items()):
+            if wanted.get(name) != incoming.type:
+                self._in.pop(name).close()
+        for name, (type_name, keep) in latched.items():
+            if name not in self._out:
+                self._try(name, self._out, Outgoing, type_name, keep)
+        for name, type_name in wanted.items():
+            if name not in self._in:
+                self._try(name, self._in, Incoming, type_name)
+        for incoming in self._in.values():
+            incoming.look()
+        self._look_services(context)
+        context.announcer.tell()
+
+    def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
+        """Add a part; what cannot be sent is said once."""
+        if (name, type_name) in self._refused:
+            return
+        profile = self.settings.qos.get(name)
+        try:
+            table[name] = make(self._joined(), self, name, type_name, *more, profile=profile)
+        except ArmcellError as error:
+            self._refused.add((name, type_name))
+            self._joined().complain(f"join {name}", f"{name}: {error}")
+
+    def _look_services(self, context: Context) -> None:
+        served = self.bus.services()
+        for name, (type_name, server) in list(self._servers.items()):
+            if served.get(name) != type_name:
+                del self._servers[name]
+                server.close()
+        for name, type_name in served.items():
+            if name not in self._servers:
+                self._servers[name] = (type_name, self._serve(context, name, type_name))
+
+    def _serve(self, context: Context, name: str, type_name: str) -> Server:
+        def on_request(server: Server, request: Any, asked: Asked) -> None:
+            server.reply(asked, self.bus.call(name, request))
+
+        return Server(context, name, type_name, on_request)
+
+    # --- actions: ROS 1's five topics on the bus ---
+    def _action_names(self, infos: Mapping[str, TopicInfo]) -> dict[str, str]:
+        """Types of actions by name: what has a goal topic with an action's type."""
+        found = {}
+        for info in infos.values():
+            action = info.type.removesuffix("ActionGoal")
+            if info.name.endswith("/goal") and action != info.type and action in self.bus.schema.actions:
+                found[info.name.removesuffix("/goal")] = action
+        return found
+
+    def _look_actions(
+        self, context: Context, infos: Mapping[str, TopicInfo], acting: Mapping[str, str]
+    ) -> None:
+        outside = context.graph.services()
+        served = {n: t for n, t in acting.items() if infos[f"{n}/goal"].subscribers}
+        reached = {
+            n: t for n, t in acting.items()
+            if n not in served and outside.get(n + names.SEND_GOAL) == f"{t}_SendGoal"
+        }  # fmt: skip
+        for wanted, table, make in (
+            (served, self._actions, ActionServing),
+            (reached, self._reaching, ActionReaching),
+        ):
+            parts: dict[str, Any] = table  # type: ignore[assignment]
+            for name, part in list(parts.items()):
+                if wanted.get(name) != part.type and not part.busy:
+                    parts.pop(name).close()
+            for name, type_name in wanted.items():
+                if name not in parts:
+                    parts[name] = make(context, self, name, type_name)
+
+
+def _is_of_action(info: TopicInfo, acting: Mapping[str, str]) -> bool:
+    """Whether a topic is one of an action's five, which ROS 2 has in its own way."""
+    base, _, part = info.name.rpartition("/")
+    if base not in acting:
+        return False
+    return part in ("cancel", "status") or info.type == acting[base] + ACTION_TOPICS.get(f"/{part}", "-")

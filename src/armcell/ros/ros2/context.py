@@ -1,0 +1,114 @@
+"""What all parts of the bridge share: the bus, our place in the domain, and one log of what went wrong."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from armcell.ros.bus import Bus
+from armcell.ros.ros2.codec import Ros2Codec
+from armcell.ros.ros2.dds import Participant, Reader, Sample, Writer
+from armcell.ros.ros2.graph import Announcer, Graph
+from armcell.ros.ros2.names import DdsName
+from armcell.ros.ros2.qos import Profile
+from armcell.ros.ros2.range import Reach
+
+logger = logging.getLogger(__name__)
+WORKERS = 8  # service calls answered at a time
+MAX_CALLS = 64  # waiting and running
+MAX_COMPLAINTS = 200  # different ones
+
+
+class Context:
+    """Made once a bridge starts, closed with it.
+
+    Raises:
+        MissingExtraError: cyclonedds is not installed.
+        InputError, DdsError: the domain cannot be joined.
+    """
+
+    def __init__(self, bus: Bus, codec: Ros2Codec, reach: Reach, node: str):
+        self.bus, self.codec = bus, codec
+        self.participant = Participant(reach, codec)
+        self.graph = Graph(self.participant, codec)
+        self.announcer = Announcer(self.participant, codec, node)
+        self.complaints: Counter[str] = Counter()
+        self.dropped = 0
+        self._lock = threading.Lock()
+        self._calls = 0
+        self._clients = 0
+        self._workers = ThreadPoolExecutor(WORKERS, "ros2 service")
+
+    def close(self) -> None:
+        self._workers.shutdown(wait=False, cancel_futures=True)
+        self.participant.close()
+
+    @property
+    def closed(self) -> bool:
+        return self.participant.closed
+
+    def complain(self, kind: str, text: str) -> None:
+        """Log something once per kind; count the rest."""
+        with self._lock:
+            if kind not in self.complaints and len(self.complaints) >= MAX_COMPLAINTS:
+                kind = "more"
+            self.complaints[kind] += 1
+            first = self.complaints[kind] == 1
+        if first:
+            logger.warning("%s", text[:400])
+
+    def has_dropped(self) -> None:
+        with self._lock:
+            self.dropped += 1
+
+    # --- endpoints that belong to our node ---
+    def writer(self, name: DdsName, profile: Profile, user_data: str = "", wait: bool = False) -> Writer:
+        writer = self.participant.writer(name, profile, user_data.encode(), wait)
+        self.announcer.add(writer.guid, True)
+        return writer
+
+    def reader(
+        self, name: DdsName, profile: Profile, on_sample: Callable[[Sample], None], user_data: str = ""
+    ) -> Reader:
+        reader = self.participant.reader(name, profile, on_sample, user_data.encode())
+        self.announcer.add(reader.guid, False)
+        return reader
+
+    def drop(self, *endpoints: Writer | Reader) -> None:
+        for endpoint in endpoints:
+            self.announcer.remove(endpoint.guid)
+            endpoint.close()
+
+    def service_id(self) -> str:
+        """A name for one client or server, as rmw_cyclonedds_cpp makes it: both of its endpoints carry it."""
+        with self._lock:
+            self._clients += 1
+            number = self._clients
+        data = self.participant.guid[:12] + number.to_bytes(4, "big")
+        return ".".join(f"{byte:x}" for byte in data)
+
+    # --- work that may take its time ---
+    def work(self, run: Callable[..., Any], *arguments: Any) -> bool:
+        """Run in a thread of the pool; False where too much waits already."""
+        with self._lock:
+            if self._calls >= MAX_CALLS:
+                return False
+            self._calls += 1
+        try:
+            self._workers.submit(self._run, run, arguments)
+        except RuntimeError:  # shut down
+            return False
+        return True
+
+    def _run(self, run: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        try:
+            run(*arguments)
+        except Exception:
+            logger.exception("a ROS 2 service failed")
+        finally:
+            with self._lock:
+                self._calls -= 1

@@ -1,0 +1,382 @@
+"""Cyclone DDS with bytes: our codec makes them, the library carries them.
+
+`cyclonedds` for Python checks and describes types, so it is given those of our definitions (`idl.py`); its
+own, slower encoding is not used. Writing goes straight to the C library, whose calls let other Python
+threads run (those of the wrapper do not).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes as ct
+import itertools
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+from armcell.core import ArmcellError, InputError, MissingExtraError
+from armcell.ros.ros2.codec import Ros2Codec
+from armcell.ros.ros2.idl import Types
+from armcell.ros.ros2.names import DdsName
+from armcell.ros.ros2.qos import Profile, policies
+from armcell.ros.ros2.range import Reach
+
+logger = logging.getLogger(__name__)
+BATCH = 64  # samples taken at once
+ANY_STATE = 3 | 12 | 112  # sample, view and instance states
+SHUT_DOWN = 5.0  # [s]
+NEVER = (1 << 63) - 1
+TIMEOUT = -10  # DDS_RETCODE_TIMEOUT
+OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE = (
+    "dds_get_offered_incompatible_qos_status",
+    "dds_get_requested_incompatible_qos_status",
+)
+
+
+class DdsError(ArmcellError):
+    """The DDS library refused something."""
+
+
+class _Sample(ct.Structure):
+    """What the wrapper's types read and write: bytes and their number."""
+
+    _fields_ = [("data", ct.c_void_p), ("size", ct.c_size_t)]
+
+
+class _QosStatus(ct.Structure):
+    _fields_ = [("total", ct.c_uint32), ("change", ct.c_int32), ("policy", ct.c_uint32)]
+
+
+def _prototypes() -> dict[str, tuple[Any, tuple[Any, ...]]]:
+    entity, pointer, number = ct.c_int32, ct.c_void_p, ct.c_int32
+    return {
+        "dds_create_domain": (entity, (ct.c_uint32, ct.c_char_p)),
+        "dds_create_participant": (entity, (ct.c_uint32, pointer, pointer)),
+        "dds_create_writer": (entity, (entity, entity, pointer, pointer)),
+        "dds_create_reader": (entity, (entity, entity, pointer, pointer)),
+        "dds_create_readcondition": (entity, (entity, ct.c_uint32)),
+        "dds_create_waitset": (entity, (entity,)),
+        "dds_waitset_attach": (number, (entity, entity, ct.c_ssize_t)),
+        "dds_waitset_detach": (number, (entity, entity)),
+        "dds_waitset_set_trigger": (number, (entity, ct.c_bool)),
+        "dds_waitset_wait": (number, (entity, ct.POINTER(ct.c_ssize_t), ct.c_size_t, ct.c_int64)),
+        "dds_write": (number, (entity, ct.POINTER(_Sample))),
+        "dds_delete": (number, (entity,)),
+        "dds_get_guid": (number, (entity, ct.c_char_p)),
+        "dds_get_instance_handle": (number, (entity, ct.POINTER(ct.c_uint64))),
+        "dds_get_matched_subscriptions": (number, (entity, ct.POINTER(ct.c_uint64), ct.c_size_t)),
+        "dds_get_matched_publications": (number, (entity, ct.POINTER(ct.c_uint64), ct.c_size_t)),
+        OFFERED_INCOMPATIBLE: (number, (entity, ct.POINTER(_QosStatus))),
+        REQUESTED_INCOMPATIBLE: (number, (entity, ct.POINTER(_QosStatus))),
+        "dds_strretcode": (ct.c_char_p, (number,)),
+    }
+
+
+@cache
+def library() -> SimpleNamespace:
+    """The functions used, of the C library and of the wrapper's C part.
+
+    Raises:
+        MissingExtraError: cyclonedds is not installed.
+    """
+    try:
+        from cyclonedds import _clayer, builtin
+        from cyclonedds.internal import DDS
+        from cyclonedds.qos import _CQos
+    except ImportError:
+        raise MissingExtraError("cyclonedds", "ros2") from None
+    found = SimpleNamespace(c=_clayer, cqos=_CQos, builtin=builtin)
+    for name, (result, arguments) in _prototypes().items():
+        function = DDS._dll_handle[name]
+        function.restype, function.argtypes = result, arguments
+        setattr(found, name, function)
+    return found
+
+
+def check(result: int, what: str) -> int:
+    """A handle or count as the library returned it.
+
+    Raises:
+        DdsError: it returned an error.
+    """
+    if result < 0:
+        raise DdsError(f"{what}: {library().dds_strretcode(-result).decode()}")
+    return result
+
+
+class Sample(NamedTuple):
+    """One sample as it came."""
+
+    data: bytes
+    writer: int  # the publication's handle
+    timestamp: int  # [ns] of the source's clock
+
+
+class _Domains:
+    """Domains of this process: one configuration each, ended with their last participant."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._domains: dict[int, tuple[int, str]] = {}
+        self._users: Counter[int] = Counter()
+
+    def enter(self, reach: Reach) -> None:
+        dds, xml = library(), reach.xml()
+        with self._lock:
+            have = self._domains.get(reach.domain)
+            if have is None:
+                handle = dds.dds_create_domain(reach.domain, xml.encode())
+                self._domains[reach.domain] = (check(handle, f"domain {reach.domain}"), xml)
+            elif have[1] != xml:
+                raise InputError(f"this process has joined domain {reach.domain} with another reach already")
+            self._users[reach.domain] += 1
+
+    def leave(self, domain: int) -> None:
+        with self._lock:
+            self._users[domain] -= 1
+            if not self._users[domain]:
+                library().dds_delete(self._domains.pop(domain)[0])
+
+
+_DOMAINS = _Domains()
+
+
+class Participant:
+    """Our place in a domain, with one thread that reads for all its readers.
+
+    Raises:
+        MissingExtraError: cyclonedds is not installed.
+        InputError, DdsError: the domain cannot be joined.
+    """
+
+    def __init__(self, reach: Reach, codec: Ros2Codec, enclave: str = "/"):
+        self._dds = library()
+        self.reach, self.codec = reach, codec
+        self._types = Types(codec)
+        self.closed = False
+        self._topics: dict[DdsName, int] = {}
+        self._takers: dict[int, Callable[[], None]] = {}
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        _DOMAINS.enter(reach)
+        try:
+            with self._qos(Profile(), f"enclave={enclave};".encode(), bare=True) as qos:
+                made = self._dds.dds_create_participant(reach.domain, qos, None)
+            self.handle = check(made, "participant")
+            self._waitset = check(self._dds.dds_create_waitset(self.handle), "waitset")
+            check(self._dds.dds_waitset_attach(self._waitset, self._waitset, 0), "waitset")
+        except DdsError:
+            _DOMAINS.leave(reach.domain)
+            raise
+        self._thread = threading.Thread(target=self._read, name="ros2 read", daemon=True)
+        self._thread.start()
+
+    @property
+    def guid(self) -> bytes:
+        return self.guid_of(self.handle)
+
+    def guid_of(self, handle: int) -> bytes:
+        """The 16 bytes by which others know an entity."""
+        found = ct.create_string_buffer(16)
+        check(self._dds.dds_get_guid(handle, found), "guid")
+        return found.raw
+
+    def close(self) -> None:
+        """Leave the domain. Must not be called from a reader's callback."""
+        with self._lock:
+            if self.closed:
+                return
+            self.closed = True
+        self._dds.dds_waitset_set_trigger(self._waitset, True)
+        self._thread.join(SHUT_DOWN)
+        self._dds.dds_delete(self.handle)
+        _DOMAINS.leave(self.reach.domain)
+
+    # --- endpoints ---
+    def writer(self, name: DdsName, profile: Profile, user_data: bytes = b"", wait: bool = False) -> Writer:
+        with self._qos(profile, user_data, wait=wait) as qos:
+            made = self._dds.dds_create_writer(self.handle, self._topic(name), qos, None)
+        return Writer(self, name, check(made, f"writer of {name.topic}"))
+
+    def reader(
+        self,
+        name: DdsName,
+        profile: Profile,
+        on_sample: Callable[[Sample], None],
+        user_data: bytes = b"",
+        ignore_own: bool = True,
+    ) -> Reader:
+        """`on_sample` runs in the participant's reading thread, in order."""
+        with self._qos(profile, user_data, ignore_own) as qos:
+            made = self._dds.dds_create_reader(self.handle, self._topic(name), qos, None)
+        handle = check(made, f"reader of {name.topic}")
+        return Reader(self, name, handle, self._watch(handle, lambda: self._take(handle, on_sample)))
+
+    def watch_endpoints(self, publications: bool, on_endpoint: Callable[[Any], None]) -> Reader:
+        """Tell of every endpoint that comes or goes, as `cyclonedds` DcpsEndpoints."""
+        builtin = self._dds.builtin
+        topic = builtin.BuiltinTopicDcpsPublication if publications else builtin.BuiltinTopicDcpsSubscription
+        handle = check(self._dds.dds_create_reader(self.handle, topic._ref, None, None), "discovery")
+
+        def take() -> None:
+            while found := self._dds.c.ddspy_take_endpoint(
+                handle, BATCH, builtin.endpoint_constructor, builtin.cqos_to_qos
+            ):
+                if isinstance(found, int):
+                    return
+                for endpoint in found:
+                    on_endpoint(endpoint)
+
+        return Reader(self, DdsName("", "", ""), handle, self._watch(handle, take))
+
+    @contextlib.contextmanager
+    def _qos(self, profile: Profile, user_data: bytes, ignore: bool = False, wait: bool = False, bare=False):
+        from cyclonedds.qos import Policy, Qos
+
+        made = Qos(Policy.Userdata(user_data)) if bare else policies(profile, user_data, ignore, wait)
+        qos = self._dds.cqos.qos_to_cqos(made)
+        try:
+            yield qos
+        finally:
+            self._dds.cqos.cqos_destroy(qos)
+
+    def _topic(self, name: DdsName) -> int:
+        with self._lock:
+            if name not in self._topics:
+                made = self._dds.c.ddspy_topic_create(
+                    self.handle, name.topic, self._types.of(name), None, None
+                )
+                self._topics[name] = check(made, f"topic {name.topic} of type {name.type}")
+            return self._topics[name]
+
+    def delete(self, handle: int) -> None:
+        if not self.closed:
+            self._dds.dds_delete(handle)
+
+    # --- reading ---
+    def _watch(self, reader: int, take: Callable[[], None]) -> int:
+        """Call `take` whenever a reader has something; returns the number to stop that with."""
+        condition = check(self._dds.dds_create_readcondition(reader, ANY_STATE), "condition")
+        with self._lock:
+            number = next(self._numbers)
+            self._takers[number] = take
+        check(self._dds.dds_waitset_attach(self._waitset, condition, number), "waitset")
+        return number
+
+    def forget(self, number: int) -> None:
+        with self._lock:
+            self._takers.pop(number, None)
+
+    def _take(self, handle: int, on_sample: Callable[[Sample], None]) -> None:
+        while isinstance(found := self._dds.c.ddspy_take(handle, ANY_STATE, BATCH), list) and found:
+            for data, info in found:
+                if info.valid_data:
+                    on_sample(Sample(data, info.publication_handle, info.source_timestamp))
+            if len(found) < BATCH:
+                return
+
+    def _read(self) -> None:
+        triggered = (ct.c_ssize_t * BATCH)()
+        while not self.closed:
+            count = self._dds.dds_waitset_wait(self._waitset, triggered, BATCH, NEVER)
+            if count < 0:
+                return
+            for number in list(triggered[: min(count, BATCH)]):
+                take = self._takers.get(number)
+                if take is None:
+                    continue
+                try:
+                    take()
+                except Exception:
+                    logger.exception("a ROS 2 reader failed")
+
+
+class _Endpoint:
+    def __init__(self, participant: Participant, name: DdsName, handle: int):
+        self._participant, self.name, self.handle = participant, name, handle
+        self._dds = library()
+        self.guid = participant.guid_of(handle)
+        self._incompatible = 0
+
+    @property
+    def instance(self) -> int:
+        """The number by which this process knows the endpoint."""
+        found = ct.c_uint64()
+        check(self._dds.dds_get_instance_handle(self.handle, ct.byref(found)), "handle")
+        return found.value
+
+    def _matched(self, function: Any) -> list[int]:
+        handles = (ct.c_uint64 * BATCH)()
+        count = function(self.handle, handles, BATCH)
+        return list(handles[: max(min(count, BATCH), 0)])
+
+    def newly_incompatible(self, function: str) -> bool:
+        """Whether an endpoint was met since the last call whose quality of service does not fit."""
+        status = _QosStatus()
+        if getattr(self._dds, function)(self.handle, ct.byref(status)) < 0:
+            return False
+        before, self._incompatible = self._incompatible, status.total
+        return status.total > before
+
+    def close(self) -> None:
+        self._participant.delete(self.handle)
+
+
+class Writer(_Endpoint):
+    """Writes bytes."""
+
+    def write(self, data: bytes | bytearray | memoryview) -> bool:
+        """Whether there was room for a sample (CDR's four bytes included).
+
+        Raises:
+            DdsError: the library refused it for another reason.
+        """
+        size = len(data)
+        padded = (ct.c_char * (size + -size % 4))()
+        memoryview(padded).cast("B")[:size] = data
+        sample = _Sample(ct.addressof(padded), len(padded))
+        result = self._dds.dds_write(self.handle, ct.byref(sample))
+        if result == TIMEOUT:
+            return False
+        check(result, f"writing to {self.name.topic}")
+        return True
+
+    def readers(self) -> list[int]:
+        """Handles of the readers that get what is written."""
+        return self._matched(self._dds.dds_get_matched_subscriptions)
+
+    def reader_qos(self, handle: int) -> Any:
+        """The quality of service of a matched reader; None when it has gone."""
+        builtin = self._dds.builtin
+        found = self._dds.c.ddspy_get_matched_subscription_data(
+            self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos
+        )
+        return getattr(found, "qos", None)
+
+
+class Reader(_Endpoint):
+    """Reads until closed."""
+
+    def __init__(self, participant: Participant, name: DdsName, handle: int, number: int):
+        super().__init__(participant, name, handle)
+        self._number = number
+
+    def writers(self) -> list[int]:
+        """Handles of the writers that are read."""
+        return self._matched(self._dds.dds_get_matched_publications)
+
+    def writer_qos(self, handle: int) -> Any:
+        """The quality of service of a matched writer; None when it has gone."""
+        builtin = self._dds.builtin
+        found = self._dds.c.ddspy_get_matched_publication_data(
+            self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos
+        )
+        return getattr(found, "qos", None)
+
+    def close(self) -> None:
+        self._participant.forget(self._number)
+        super().close()

@@ -1,0 +1,160 @@
+"""Who else is in the domain: endpoints, services and nodes, kept up to date by discovery."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+from armcell.core import ArmcellError
+from armcell.ros.ros2 import names
+from armcell.ros.ros2.codec import Ros2Codec
+from armcell.ros.ros2.dds import Participant, Sample
+from armcell.ros.ros2.qos import DISCOVERY, DISCOVERY_READER, Profile, profile_of, user_values
+
+logger = logging.getLogger(__name__)
+ALIVE = 16  # DDS_ALIVE_INSTANCE_STATE
+MAX_ENDPOINTS = 20_000  # a flood of them must not fill the memory
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A writer or reader of another participant."""
+
+    topic: str
+    type: str
+    profile: Profile
+    user: tuple[tuple[str, str], ...]
+    participant: bytes
+    writes: bool
+
+
+class Graph:
+    """The others of a participant's domain. Thread-safe; `version` counts changes."""
+
+    def __init__(self, participant: Participant, codec: Ros2Codec):
+        self._participant, self._codec = participant, codec
+        self._own = participant.guid
+        self._lock = threading.Lock()
+        self._endpoints: dict[bytes, Endpoint] = {}
+        self._nodes: dict[bytes, list[str]] = {}
+        self.version = 0
+        self._readers = [
+            participant.watch_endpoints(True, lambda e: self._on_endpoint(e, True)),
+            participant.watch_endpoints(False, lambda e: self._on_endpoint(e, False)),
+        ]
+        self._readers.append(participant.reader(names.DISCOVERY, DISCOVERY_READER, self._on_nodes))
+
+    # --- what there is ---
+    def endpoints(self, dds_topic: str, writes: bool) -> list[Endpoint]:
+        """The writers or readers of a topic, ours left out."""
+        with self._lock:
+            return [e for e in self._endpoints.values() if e.topic == dds_topic and e.writes == writes]
+
+    def topics(self) -> dict[str, str]:
+        """Types of ROS topics by name; of the first endpoint where they differ."""
+        with self._lock:
+            endpoints = list(self._endpoints.values())
+        found: dict[str, str] = {}
+        for endpoint in endpoints:
+            name, type_name = names.ros_topic(endpoint.topic), names.ros_type(endpoint.type)
+            if name and type_name:
+                found.setdefault(name, type_name)
+        return found
+
+    def services(self) -> dict[str, str]:
+        """Types by name of services with a server that reads requests and writes replies."""
+        with self._lock:
+            endpoints = list(self._endpoints.values())
+        replies = {e.topic for e in endpoints if e.writes}
+        found = {}
+        for e in endpoints:
+            name = names.ros_service(e.topic)
+            type_name = names.ros_type(e.type)
+            if name and type_name and not e.writes and f"rr{name}Reply" in replies:
+                found[name] = type_name.removesuffix("_Request")
+        return found
+
+    def nodes(self) -> list[str]:
+        """Full names of the other nodes."""
+        with self._lock:
+            return sorted(name for nodes in self._nodes.values() for name in nodes)
+
+    # --- discovery, in the participant's thread ---
+    def _on_endpoint(self, found: Any, writes: bool) -> None:
+        key, alive = found.key.bytes, found.sample_info.instance_state == ALIVE
+        with self._lock:
+            if not alive:
+                gone = self._endpoints.pop(key, None)
+                if gone is not None and not any(
+                    e.participant == gone.participant for e in self._endpoints.values()
+                ):
+                    self._nodes.pop(gone.participant, None)
+            elif found.participant_key.bytes != self._own and len(self._endpoints) < MAX_ENDPOINTS:
+                self._endpoints[key] = Endpoint(
+                    found.topic_name,
+                    found.type_name,
+                    profile_of(found.qos),
+                    tuple(user_values(found.qos).items()),
+                    found.participant_key.bytes,
+                    writes,
+                )
+            self.version += 1
+
+    def _on_nodes(self, sample: Sample) -> None:
+        try:
+            info = self._codec.decode(names.DISCOVERY.message, sample.data)
+        except ArmcellError as error:
+            logger.warning("ros_discovery_info: %s", error)
+            return
+        nodes = [f"{n.node_namespace.rstrip('/')}/{n.node_name}" for n in info.node_entities_info_seq]
+        with self._lock:
+            self._nodes[bytes(info.gid.data[:16])] = nodes
+            self.version += 1
+
+
+class Announcer:
+    """Tells others that our endpoints belong to a node, so that `ros2 node list` shows it."""
+
+    def __init__(self, participant: Participant, codec: Ros2Codec, node: str):
+        self._participant, self._codec = participant, codec
+        namespace, _, self._name = node.rpartition("/")
+        self._namespace = namespace or "/"
+        self._lock = threading.Lock()
+        self._gids: dict[bytes, bool] = {}
+        self._told: dict[bytes, bool] | None = None
+        self._writer = participant.writer(names.DISCOVERY, DISCOVERY)
+
+    def add(self, guid: bytes, writes: bool) -> None:
+        with self._lock:
+            self._gids[guid] = writes
+
+    def remove(self, guid: bytes) -> None:
+        with self._lock:
+            self._gids.pop(guid, None)
+
+    def tell(self) -> None:
+        """Publish where something has changed since the last time."""
+        with self._lock:
+            gids = dict(self._gids)
+        if gids == self._told:
+            return
+        self._told = gids
+        new = self._codec.new
+        node = new(
+            "rmw_dds_common/NodeEntitiesInfo",
+            node_namespace=self._namespace,
+            node_name=self._name,
+            reader_gid_seq=[self._gid(g) for g, writes in gids.items() if not writes],
+            writer_gid_seq=[self._gid(g) for g, writes in gids.items() if writes],
+        )
+        info = new(
+            names.DISCOVERY.message, gid=self._gid(self._participant.guid), node_entities_info_seq=[node]
+        )
+        self._writer.write(self._codec.encode(info))
+
+    def _gid(self, guid: bytes) -> Any:
+        gid = self._codec.new("rmw_dds_common/Gid")
+        gid.data[:16] = list(guid)  # Humble's has eight zeros behind
+        return gid

@@ -1,0 +1,130 @@
+"""Quality of service: ROS 2's profiles, and which of them a topic gets.
+
+Source of the values: rmw's qos_profiles.h, tf2_ros/qos.hpp, rclcpp's ClockQoS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from armcell.core.checks import require
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What an endpoint offers or asks for."""
+
+    reliable: bool = True
+    latched: bool = False  # transient local: the last `depth` messages are kept for whoever comes later
+    depth: int = 10  # messages kept; 0: all
+
+    def __post_init__(self) -> None:
+        require(self.depth >= 0, f"depth is {self.depth}, it must be 0 (all) or more")
+
+    def __str__(self) -> str:
+        reliability = "reliable" if self.reliable else "best effort"
+        return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
+
+    def lacks(self, requested: Profile) -> list[str]:
+        """What a publisher with this profile does not give a subscriber; empty where they can talk."""
+        missing = []
+        if requested.reliable and not self.reliable:
+            missing.append("reliable delivery")
+        if requested.latched and not self.latched:
+            missing.append("transient local durability (latched messages)")
+        return missing
+
+
+DEFAULT = Profile()
+SENSOR_DATA = Profile(reliable=False, depth=5)
+SERVICES = Profile()
+PARAMETERS = Profile(depth=1000)
+LATCHED = Profile(latched=True, depth=1)
+TF = Profile(depth=100)
+TF_STATIC = Profile(latched=True, depth=100)
+CLOCK = Profile(depth=1)
+DISCOVERY = Profile(latched=True, depth=1)
+DISCOVERY_READER = Profile(latched=True, depth=0)
+
+LARGE = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/PointCloud2")
+
+
+def offered(topic: str, type_name: str, latched: bool) -> Profile:
+    """What we publish a topic with.
+
+    Images and clouds are offered reliably, too, with sensor data's short queue: subscribers of either kind
+    get them (RViz asks for reliable ones, camera pipelines for best effort).
+    """
+    if topic == "/tf_static":
+        return TF_STATIC
+    if latched:
+        return LATCHED
+    if topic == "/tf":
+        return TF
+    if topic == "/clock":
+        return CLOCK
+    if type_name in LARGE:
+        return Profile(depth=SENSOR_DATA.depth)
+    return DEFAULT
+
+
+def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
+    """What we subscribe with: the most that every known publisher gives, ROS 2's default without any."""
+    known = list(publishers)
+    if not known:
+        return Profile(depth=depth)
+    return Profile(all(p.reliable for p in known), all(p.latched for p in known), depth)
+
+
+BLOCKING = 100_000_000  # [ns] the longest that writing a service message may wait
+
+
+def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False) -> Any:
+    """As a `cyclonedds` Qos.
+
+    Args:
+        ignore_own: a reader does not get what its own participant writes.
+        wait: writing waits up to `BLOCKING` for room; else a full writer refuses at once.
+    """
+    from cyclonedds.qos import Policy, Qos
+
+    kept = Policy.History.KeepAll if profile.depth == 0 else Policy.History.KeepLast(profile.depth)
+    found: list[Any] = [
+        Policy.Reliability.Reliable(BLOCKING if wait else 0)
+        if profile.reliable
+        else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if profile.latched else Policy.Durability.Volatile,
+        kept,
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    ]
+    if profile.latched:
+        found.append(Policy.DurabilityService(0, kept, -1, -1, -1))
+    if user_data:
+        found.append(Policy.Userdata(user_data))
+    if ignore_own:
+        found.append(Policy.IgnoreLocal.Participant)
+    return Qos(*found)
+
+
+def profile_of(qos: Any) -> Profile:
+    """What another endpoint's `cyclonedds` Qos says; its depth is told to nobody."""
+    from cyclonedds.qos import Policy
+
+    return Profile(
+        reliable=_policy(qos, "Reliability") != Policy.Reliability.BestEffort,
+        latched=_policy(qos, "Durability") not in (None, Policy.Durability.Volatile),
+    )
+
+
+def user_values(qos: Any) -> dict[str, str]:
+    """The `key=value;` pairs that ROS puts into an endpoint's user data."""
+    policy = _policy(qos, "Userdata")
+    text: str = policy.data.decode("latin-1") if policy is not None else ""
+    pairs = [part.partition("=") for part in text.split(";")]
+    return {key: value for key, equals, value in pairs if equals}
+
+
+def _policy(qos: Any, scope: str) -> Any:
+    return next((policy for policy in qos if policy.__scope__.split(".")[0] == scope), None)

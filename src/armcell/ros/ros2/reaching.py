@@ -1,0 +1,91 @@
+"""Actions that are served in the domain, for clients on the bus."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from armcell.core import ArmcellError
+from armcell.ros.actions import ActionServer, Done, Goal, State
+from armcell.ros.bus import ServiceError
+from armcell.ros.ros2 import names
+from armcell.ros.ros2.context import Context
+from armcell.ros.ros2.dds import Sample
+from armcell.ros.ros2.goals import ABORTED, CANCELED, SUCCEEDED
+from armcell.ros.ros2.qos import DEFAULT
+from armcell.ros.ros2.services import Client
+
+FIND = 5.0  # [s] for the action's server to be found, and to say whether it accepts
+POLL = 0.02  # [s]
+DONE = {SUCCEEDED: State.SUCCEEDED, CANCELED: State.PREEMPTED, ABORTED: State.ABORTED}
+
+
+class ActionReaching:
+    """Serves an action on the bus by asking its server in the domain."""
+
+    def __init__(self, context: Context, owner: object, name: str, type_name: str):
+        self._context, self.name, self.type = context, name, type_name
+        self._goals: dict[bytes, Goal] = {}
+        feedback = names.topic(name + names.FEEDBACK, f"{type_name}_FeedbackMessage", "action")
+        self._message = feedback.message
+        context.codec.prepare(feedback.message)
+        self._send = Client(context, name + names.SEND_GOAL, f"{type_name}_SendGoal", "action")
+        self._cancel = Client(context, name + names.CANCEL_GOAL, "action_msgs/CancelGoal")
+        self._get = Client(context, name + names.GET_RESULT, f"{type_name}_GetResult", "action")
+        self._feedback = context.reader(feedback, DEFAULT, self._on_feedback)
+        self._server = ActionServer(context.bus, name, type_name, self._execute, True, owner)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether a server in the domain has been found."""
+        return self._send.is_there and self._get.is_there
+
+    @property
+    def busy(self) -> bool:
+        """Whether a goal is under way: whoever sent it has to be told how it ends."""
+        return bool(self._goals)
+
+    def close(self) -> None:
+        self._server.close()
+        for client in (self._send, self._cancel, self._get):
+            client.close()
+        self._context.drop(self._feedback)
+
+    def _execute(self, goal: Goal) -> Done:
+        uuid = os.urandom(16)
+        self._goals[uuid] = goal
+        try:
+            return self._follow(goal, uuid)
+        except ArmcellError as error:
+            return Done(State.ABORTED, self._context.bus.schema.new(f"{self.type}Result"), str(error))
+        finally:
+            self._goals.pop(uuid, None)
+
+    def _follow(self, goal: Goal, uuid: bytes) -> Done:
+        new = self._context.codec.new
+        goal_id = new("unique_identifier_msgs/UUID", list(uuid))
+        asked = self._send.call(new(f"{self.type}_SendGoal_Request", goal_id, goal.message), FIND)
+        if not asked.accepted:
+            empty = self._context.bus.schema.new(f"{self.type}Result")
+            return Done(State.REJECTED, empty, "the ROS 2 server rejected the goal")
+        answer = self._get.ask(new(f"{self.type}_GetResult_Request", goal_id))
+        cancelled, seen = False, time.monotonic()
+        while (response := answer.wait(POLL)) is None:
+            if goal.cancel.is_set() and not cancelled:
+                cancelled = True
+                info = new("action_msgs/GoalInfo", goal_id)
+                self._cancel.ask(new("action_msgs/CancelGoalRequest", info))
+            seen = time.monotonic() if self.is_there else seen
+            if self._context.closed or time.monotonic() - seen > FIND:
+                raise ServiceError("the ROS 2 server went away")
+        return Done(DONE.get(response.status, State.ABORTED), response.result)
+
+    def _on_feedback(self, sample: Sample) -> None:
+        try:
+            message = self._context.codec.decode(self._message, sample.data)
+        except ArmcellError as error:
+            self._context.complain(f"feedback {self.name}", f"action {self.name}: {error}")
+            return
+        goal = self._goals.get(bytes(message.goal_id.uuid))
+        if goal is not None:
+            goal.feedback(message.feedback)

@@ -1,0 +1,70 @@
+"""A cell as files for Unity: our package with the message classes Unity lacks, the robot, the scene."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from armcell.cell import Cell
+from armcell.core import InputError
+from armcell.ros.csharp import csharp, write
+from armcell.ros.schema import Schema, schema
+from armcell.ros.unity.scene import scene_json
+from armcell.ros.unity.urdf import file_name, write_urdf
+
+PACKAGE = "com.armcell.unity"
+MESSAGES = "Messages"  # folder of the package that the generated classes go to
+SCENE, URDF = "scene.json", "robot.urdf"
+
+
+@dataclass(frozen=True)
+class UnityExport:
+    """Where things were written. `left_out`: objects Unity gets no colliders for (clouds, octrees)."""
+
+    package: Path
+    cell: Path
+    left_out: tuple[str, ...]
+    is_project: bool  # the folder is a Unity project
+
+
+def package_source() -> Path:
+    """The folder of the C# package; in a checkout a link to `unity/`.
+
+    Raises:
+        InputError: it is not there.
+    """
+    folder = Path(__file__).parent / "package"
+    if not (folder / "package.json").is_file():
+        raise InputError("is missing, armcell is not installed whole", file=folder, cure="install it again")
+    return folder
+
+
+def export_unity(
+    cell: Cell, folder: Path, seed: int | None = None, types: Schema | None = None
+) -> UnityExport:
+    """Write `Packages/com.armcell.unity` and `Assets/Armcell/<cell>` below a folder.
+
+    The folder may be a Unity project. What an earlier export wrote is replaced; other files are left alone.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    package, target = folder / "Packages" / PACKAGE, folder / "Assets" / "Armcell" / file_name(cell.name)
+    try:
+        is_project = (folder / "ProjectSettings").is_dir()
+        copy_package(package, types)
+        target.mkdir(parents=True, exist_ok=True)
+        write_urdf(cell.model, target, URDF)
+        data, left_out = scene_json(cell, seed, target, URDF)
+        (target / SCENE).write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write there ({error.strerror})", file=error.filename) from None
+    return UnityExport(package, target, tuple(left_out), is_project)
+
+
+def copy_package(target: Path, types: Schema | None = None) -> None:
+    """The C# package with the generated classes of moveit_msgs and control_msgs."""
+    shutil.copytree(package_source(), target, dirs_exist_ok=True)
+    write(csharp(types or schema()), target / MESSAGES)

@@ -1,0 +1,74 @@
+"""Meshes as files that Unity's side reads: binary STL, and hulls small enough for its physics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from armcell.core import Mesh
+
+Array = NDArray[np.float64]
+MAX_HULL_POINTS = 128
+"""A convex MeshCollider of Unity has at most 255 triangles; a hull of n points has at most 2 n - 4."""
+
+
+def write_stl(mesh: Mesh, file: Path) -> None:
+    """A binary STL [m]. Corners in the mesh's order; normals by the right hand."""
+    corners = mesh.vertices[mesh.faces]  # (f, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    rows = np.zeros(
+        len(corners), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("tag", "<u2")])
+    )
+    rows["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    rows["corners"] = corners
+    file.write_bytes(b"armcell".ljust(80, b" ") + np.uint32(len(rows)).tobytes() + rows.tobytes())
+
+
+def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
+    """The convex hull of at most so many of a mesh's corners, and how far [m] the others stand out beyond the
+    planes of its faces.
+
+    Corners are taken one by one, each time the one farthest outside, so the hull lies inside the mesh's own.
+
+    Raises:
+        QhullError: the mesh is flat.
+    """
+    corners = np.unique(mesh.vertices, axis=0)
+    corners = corners[ConvexHull(corners).vertices]
+    chosen = _spread(corners)
+    while True:
+        hull = ConvexHull(corners[chosen])
+        outside = (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+        farthest = int(np.argmax(outside))
+        if outside[farthest] < 1e-9 or len(chosen) >= min(points, len(corners)):
+            return _oriented(corners[chosen], hull), max(float(outside[farthest]), 0.0)
+        chosen.append(farthest)
+
+
+def _spread(corners: Array) -> list[int]:
+    """Indices of four or more corners that span a volume: the extremes along ever more directions."""
+    directions = np.vstack([np.eye(3), -np.eye(3), [[1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]]])
+    chosen = list(dict.fromkeys(np.argmax(corners @ directions.T, axis=0).tolist()))
+    for i in range(len(corners)):
+        try:
+            ConvexHull(corners[chosen])
+            break
+        except (QhullError, ValueError):  # fewer than four, or in one plane
+            if i not in chosen:
+                chosen.append(i)
+    return chosen
+
+
+def _oriented(points: Array, hull: ConvexHull) -> Mesh:
+    """The hull's faces with outward normals."""
+    index = np.full(len(points), -1)
+    index[hull.vertices] = np.arange(len(hull.vertices))
+    faces, vertices = index[hull.simplices], points[hull.vertices]
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Mesh(vertices, faces.astype(np.int32))

@@ -1,0 +1,146 @@
+"""What a cell is, besides its robot's URDF, as one JSON file for Unity: frames and units are ROS's (FLU, m,
+rad, quaternions xyzw); Unity's side converts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from armcell.cell import Cell
+from armcell.collision.convex import convex_pieces
+from armcell.control import ExecutionSettings
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.model import Gripper, RobotModel
+from armcell.records.mcap_writer import ros_name
+from armcell.ros.nodes.gripping import TOPIC as GRIPPER
+from armcell.ros.nodes.states import RATE
+from armcell.ros.unity.meshes import small_hull, write_stl
+from armcell.ros.unity.urdf import file_name
+from armcell.scene import CollisionObject
+
+FORMAT = 1
+FIXED_TIMESTEP = 0.005  # [s] PhysX keeps contacts of a grasp with this; Unity's 0.02 lets them slip
+SOLVER_ITERATIONS, VELOCITY_ITERATIONS = 40, 20
+STIFFNESS, DAMPING = 10000.0, 1000.0  # [Nm/rad, Nm s/rad] of an arm joint with full effort
+FULL_EFFORT = 50.0  # [Nm] joints with less get gains in proportion, as in armcell's own physics
+SLIDE_STIFFNESS, SLIDE_DAMPING = 50000.0, 5000.0  # [N/m, N s/m]
+FINGER_STIFFNESS, FINGER_DAMPING = 5000.0, 200.0  # [N/m, N s/m]
+
+
+def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[dict[str, Any], list[str]]:
+    """The scene's data, and the names of objects that are left out (point clouds and octrees).
+
+    Args:
+        seed: draw of the randomised values; nominal when None.
+        folder: meshes of objects are written below it.
+        urdf: the robot's file, from the folder.
+    """
+    scene = cell.scene(seed)
+    objects = [item for item in scene.objects.values() if not item.has_cloud]
+    movable = [item.name for item in objects if item.movable]
+    data = {
+        "format": FORMAT,
+        "name": cell.name,
+        "robot": {
+            "urdf": urdf,
+            "start": dict(zip(scene.model.joint_names, scene.positions.tolist(), strict=True)),
+            "grippers": [_gripper(g, len(scene.model.grippers)) for g in scene.model.grippers.values()],
+            "drives": _drives(scene.model),
+            "may_touch": sorted(sorted(pair) for pair in scene.model.disabled_collisions if len(pair) == 2),
+        },
+        "objects": [_object(item, folder, len(movable) == 1) for item in objects],
+        "physics": {
+            "fixed_timestep": FIXED_TIMESTEP,
+            "solver_iterations": SOLVER_ITERATIONS,
+            "solver_velocity_iterations": VELOCITY_ITERATIONS,
+            "gravity": list(cell.physics.gravity),
+            "grip_mode": cell.physics.grip_mode,
+            "finger_speed": cell.physics.finger_speed,
+            "weld_force": cell.physics.weld_force,
+            "hybrid_slip": cell.physics.hybrid_slip,
+            "hybrid_turn": cell.physics.hybrid_turn,
+        },
+        "execution": asdict(ExecutionSettings()),
+        "rate": RATE,
+    }
+    return data, [item.name for item in scene.objects.values() if item.has_cloud]
+
+
+def _gripper(gripper: Gripper, count: int) -> dict[str, Any]:
+    data = asdict(gripper)
+    data["topic"] = GRIPPER if count == 1 else f"/{gripper.name}{GRIPPER}"
+    return data
+
+
+def _drives(model: RobotModel) -> dict[str, dict[str, float]]:
+    """Stiffness, damping and largest force or torque of every movable joint."""
+    fingers = {g.joint_name: g for g in model.grippers.values()}
+    drives = {}
+    for joint in model.joints.values():
+        if not joint.movable:
+            continue
+        source = joint.mimic.joint if joint.mimic else joint.name
+        effort = joint.limits.effort
+        gripper = fingers.get(source)
+        if gripper is not None:
+            stiffness, damping = FINGER_STIFFNESS, FINGER_DAMPING
+            effort = gripper.max_force * abs(gripper.width_per_joint) / 2
+        elif joint.type == "prismatic":
+            stiffness, damping = SLIDE_STIFFNESS, SLIDE_DAMPING
+        else:
+            share = min(effort / FULL_EFFORT, 1.0) if math.isfinite(effort) else 1.0
+            stiffness, damping = STIFFNESS * share, DAMPING * share
+        drives[joint.name] = {"stiffness": stiffness, "damping": damping}
+        if math.isfinite(effort):
+            drives[joint.name]["force_limit"] = effort
+    return drives
+
+
+def _pose(T: SE3) -> dict[str, list[float]]:
+    return {"position": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
+
+
+def _object(item: CollisionObject, folder: Path, only: bool) -> dict[str, Any]:
+    data: dict[str, Any] = {
+        "name": item.name,
+        "pose": _pose(item.T_world_object),
+        "movable": item.movable,
+        "color": list(item.color),
+        "friction": item.material.friction,
+        "shapes": [
+            {**shape, "pose": _pose(T)}
+            for i, (solid, T) in enumerate(item.shapes)
+            for shape in _shapes(solid, f"{file_name(item.name)}_{i}", folder)
+        ],
+    }
+    if item.movable:
+        data["mass"] = item.mass_kg
+        data["topic"] = "/object_pose" if only else f"/object_pose/{ros_name(item.name)}"
+    return data
+
+
+def _shapes(shape: Shape, name: str, folder: Path) -> list[dict[str, Any]]:
+    """One shape; of a mesh its looks and its convex pieces."""
+    match shape:
+        case Box():
+            return [{"type": "box", "size": [shape.x, shape.y, shape.z]}]
+        case Sphere():
+            return [{"type": "sphere", "radius": shape.radius}]
+        case Cylinder() | Capsule() | Cone():
+            kind = type(shape).__name__.lower()
+            return [{"type": kind, "radius": shape.radius, "length": shape.length}]
+        case Plane():
+            return [{"type": "plane"}]
+        case Mesh():
+            path = folder / "meshes" / "objects"
+            path.mkdir(parents=True, exist_ok=True)
+            write_stl(shape, path / f"{name}.stl")
+            pieces = []
+            for i, piece in enumerate(convex_pieces(shape)):
+                write_stl(small_hull(piece)[0], path / f"{name}_hull{i}.stl")
+                pieces.append(f"meshes/objects/{name}_hull{i}.stl")
+            return [{"type": "mesh", "visual": f"meshes/objects/{name}.stl", "hulls": pieces}]
+    raise ValueError(f"{type(shape).__name__} is no solid")

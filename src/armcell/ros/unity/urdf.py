@@ -1,0 +1,178 @@
+"""A robot as one flattened URDF: no xacro, every name final, every mesh a file of its own beside it.
+
+What importers stumble over is put right: relative paths, distinct names of visual and collision meshes, one
+colour per mesh, an inertia on every link in its principal axes, collision meshes as convex pieces.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from armcell.collision.convex import convex_pieces
+from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from armcell.model import Inertial, Joint, Link, RobotModel
+from armcell.model.assets import DEFAULT_COLOR
+from armcell.ros.unity.meshes import small_hull, write_stl
+from armcell.sim.visuals import visual_parts
+
+SMALL_MASS = 1e-3  # [kg] of a link that has none: engines need one
+SMALL_INERTIA = 1e-7  # [kg m^2]
+
+
+def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Path:
+    """Write the robot and its meshes (below `meshes/`) into a folder, which is made when missing.
+
+    Returns:
+        The URDF's path.
+    """
+    for kind in ("visual", "collision"):
+        (folder / "meshes" / kind).mkdir(parents=True, exist_ok=True)
+    robot = etree.Element("robot", name=model.name)
+    writer = _Writer(folder)
+    for link in model.links.values():
+        writer.link(robot, link)
+    for joint in model.joints.values():
+        _joint(robot, joint)
+    etree.indent(robot)
+    file = folder / name
+    file.write_bytes(etree.tostring(robot, xml_declaration=True, encoding="utf-8", pretty_print=True))
+    return file
+
+
+def file_name(name: str) -> str:
+    """A link's or object's name as a part of a file name."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+
+
+def principal(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
+    """Mass [kg], frame at the centre of mass along the principal axes, moments (3,) [kg m^2]; small where
+    there are none.
+    """
+    if inertial is None or inertial.mass <= 0:
+        T = SE3.identity() if inertial is None else inertial.T_link_com
+        return SMALL_MASS, T, np.full(3, SMALL_INERTIA)
+    moments, axes = np.linalg.eigh((inertial.inertia + inertial.inertia.T) / 2)
+    if np.linalg.det(axes) < 0:
+        axes[:, 2] *= -1.0
+    turned = SE3(SO3(axes), np.zeros(3))
+    return inertial.mass, inertial.T_link_com @ turned, np.maximum(moments, SMALL_INERTIA)
+
+
+class _Writer:
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def link(self, robot: etree._Element, link: Link) -> None:
+        element = etree.SubElement(robot, "link", name=link.name)
+        mass, T, (ixx, iyy, izz) = principal(link.inertial)
+        inertial = etree.SubElement(element, "inertial")
+        _origin(inertial, T)
+        etree.SubElement(inertial, "mass", value=_text(mass))
+        values = {"ixx": ixx, "ixy": 0.0, "ixz": 0.0, "iyy": iyy, "iyz": 0.0, "izz": izz}
+        etree.SubElement(inertial, "inertia", **{k: _text(v) for k, v in values.items()})
+        self._visuals(element, link)
+        self._collisions(element, link)
+
+    def _visuals(self, element: etree._Element, link: Link) -> None:
+        drawn = 0
+        for visual in link.visuals:
+            if visual.shape is None:
+                parts: list[tuple[Shape, tuple]] = list(visual_parts(visual))
+            else:
+                parts = [(visual.shape, visual.color or DEFAULT_COLOR)]
+            for shape, color in parts:
+                drawn += self._draw(element, link.name, drawn, shape, visual.T_link_visual, color)
+        if not drawn:  # as elsewhere: what has no looks is drawn by what collides
+            for collision in link.collisions:
+                drawn += self._draw(
+                    element, link.name, drawn, collision.shape, collision.T_link_shape, DEFAULT_COLOR
+                )
+
+    def _draw(
+        self, element: etree._Element, link: str, number: int, shape: Shape, T: SE3, color: tuple
+    ) -> int:
+        """One visual; capsules are three. How many were written."""
+        solids = _solids(shape, T)
+        for i, (solid, T_link_solid) in enumerate(solids):
+            visual = etree.SubElement(element, "visual")
+            self._geometry(visual, "visual", f"{file_name(link)}_{number + i}", solid, T_link_solid)
+            material = etree.SubElement(visual, "material", name=f"{file_name(link)}_{number + i}")
+            etree.SubElement(material, "color", rgba=" ".join(_text(c) for c in color))
+        return len(solids)
+
+    def _collisions(self, element: etree._Element, link: Link) -> None:
+        number = 0
+        for collision in link.collisions:
+            shape, T = collision.shape, collision.T_link_shape
+            pieces = convex_pieces(shape) if isinstance(shape, Mesh) else (shape,)
+            for piece in pieces:
+                small = small_hull(piece)[0] if isinstance(piece, Mesh) else piece
+                for solid, T_link_solid in _solids(small, T):
+                    child = etree.SubElement(element, "collision")
+                    self._geometry(
+                        child, "collision", f"{file_name(link.name)}_{number}", solid, T_link_solid
+                    )
+                    number += 1
+
+    def _geometry(self, element: etree._Element, kind: str, name: str, shape: Shape, T: SE3) -> None:
+        _origin(element, T)
+        geometry = etree.SubElement(element, "geometry")
+        match shape:
+            case Box():
+                etree.SubElement(geometry, "box", size=_texts(shape.x, shape.y, shape.z))
+            case Sphere():
+                etree.SubElement(geometry, "sphere", radius=_text(shape.radius))
+            case Cylinder():
+                etree.SubElement(geometry, "cylinder", radius=_text(shape.radius), length=_text(shape.length))
+            case Mesh():
+                path = f"meshes/{kind}/{name}.stl"
+                write_stl(shape, self._folder / path)
+                etree.SubElement(geometry, "mesh", filename=path)
+            case _:
+                raise ValueError(f"a link has no {type(shape).__name__}")
+
+
+def _solids(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
+    """URDF has no capsule: it is a cylinder and two balls."""
+    if not isinstance(shape, Capsule):
+        return [(shape, T)]
+    ball = Sphere(shape.radius)
+    ends = [T @ SE3.from_xyz(0, 0, side * shape.length / 2) for side in (-1, 1)]
+    return [(Cylinder(shape.radius, shape.length), T), *((ball, end) for end in ends)]
+
+
+def _joint(robot: etree._Element, joint: Joint) -> None:
+    element = etree.SubElement(robot, "joint", name=joint.name, type=joint.type)
+    etree.SubElement(element, "parent", link=joint.parent)
+    etree.SubElement(element, "child", link=joint.child)
+    _origin(element, joint.T_parent_joint)
+    if not joint.movable:
+        return
+    etree.SubElement(element, "axis", xyz=_texts(*joint.axis))
+    limits = joint.limits
+    given = {
+        "lower": limits.lower, "upper": limits.upper, "velocity": limits.velocity, "effort": limits.effort,
+    }  # fmt: skip
+    etree.SubElement(element, "limit", **{k: _text(v) for k, v in given.items() if np.isfinite(v)})
+    if joint.mimic is not None:
+        m = joint.mimic
+        etree.SubElement(
+            element, "mimic", joint=m.joint, multiplier=_text(m.multiplier), offset=_text(m.offset)
+        )
+    etree.SubElement(element, "dynamics", damping=_text(joint.damping), friction=_text(joint.friction))
+
+
+def _origin(element: etree._Element, T: SE3) -> None:
+    etree.SubElement(element, "origin", xyz=_texts(*T.translation), rpy=_texts(*T.rotation.rpy))
+
+
+def _text(value: float) -> str:
+    return repr(float(value))
+
+
+def _texts(*values: float) -> str:
+    return " ".join(_text(v) for v in values)

@@ -1,0 +1,106 @@
+"""Octrees as OctoMap writes them: the binary form that `.bt` files and octomap_msgs/Octomap carry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import InputError, Octree
+from armcell.scene.octomap import HALF, voxel_codes
+from armcell.scene.octree_file import BINARY, DEPTH
+
+I64 = NDArray[np.int64]
+
+OFF = 1e-3  # of a voxel: this near to the grid is on it
+MOST = 20_000_000  # voxels that cells off the grid are made of
+LEAF, INNER = 2, 3  # two bits of a child, as a little-endian number
+
+
+def octree_bytes(octree: Octree) -> tuple[bytes, float]:
+    """An octree's binary data and its resolution [m]: the smallest cell. No data where there are no cells.
+
+    Cells that are not on the octree's grid become the voxels that they reach into.
+
+    Raises:
+        InputError: it reaches farther than OctoMap's 2^15 voxels from the origin, or has too many of them.
+    """
+    if not len(octree.sizes):
+        return b"", 0.05
+    resolution = float(octree.sizes.min())
+    starts, sizes = _apart(*_cells(octree, resolution))
+    level = np.round(np.log2(sizes) / 3).astype(np.int64)  # 0: a voxel
+    # Each inner node is written before what is below it: by its first voxel, the larger one first.
+    parents, depths, bits = [], [], []
+    inner = np.zeros(0, np.int64)  # first voxels of the inner nodes one level below
+    for up in range(1, DEPTH + 1):
+        children = np.concatenate([starts[level == up - 1], inner])
+        kind = np.repeat([LEAF, INNER], [len(children) - len(inner), len(inner)])
+        which = (children >> (3 * (up - 1))) & 7
+        inner, back = np.unique((children >> (3 * up)) << (3 * up), return_inverse=True)
+        both = np.zeros(len(inner), np.int64)
+        np.bitwise_or.at(both, back, kind << (2 * which))
+        parents.append(inner)
+        depths.append(np.full(len(inner), DEPTH - up))
+        bits.append(both)
+    order = np.lexsort((np.concatenate(depths), np.concatenate(parents)))
+    return np.concatenate(bits)[order].astype("<u2").tobytes(), resolution
+
+
+def save_octree(octree: Octree, path: str | Path) -> None:
+    """Write a `.bt` file, for OctoMap's own programs.
+
+    Raises:
+        InputError: see `octree_bytes`; or the file cannot be written.
+    """
+    data, resolution = octree_bytes(octree)
+    bits = np.frombuffer(data, "<u2")
+    nodes = 1 + sum(int(np.count_nonzero((bits >> (2 * k)) & 3)) for k in range(8)) if data else 0
+    header = f"\nid OcTree\nsize {nodes}\nres {resolution:.9g}\ndata\n".encode()
+    try:
+        Path(path).write_bytes(BINARY + header + data)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=Path(path)) from None
+
+
+def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
+    """Codes of the first voxels (n,) and numbers of voxels (n,) of the cells."""
+    edges = octree.sizes / resolution
+    whole = 2.0 ** np.round(np.log2(edges))
+    low = octree.centres / resolution - edges[:, None] / 2
+    keys = np.round(low)
+    on = (np.abs(edges - whole) < OFF) & np.all(np.abs(low - keys) < OFF, axis=1)
+    on &= np.all(np.mod(keys, whole[:, None]) == 0, axis=1)
+    voxels = _reached(low[~on], edges[~on])
+    first = np.vstack([keys[on].astype(np.int64), voxels])
+    number = np.concatenate([whole[on] ** 3, np.ones(len(voxels))]).astype(np.int64)
+    edge = np.round(np.cbrt(number)).astype(np.int64)[:, None]
+    if np.any(first < -HALF) or np.any(first + edge > HALF):
+        raise InputError(
+            f"the octree reaches farther than {HALF * resolution:g} m from its origin",
+            cure=f"OctoMap has 2^15 voxels of {resolution:g} m to each side: use a coarser one",
+        )
+    return voxel_codes(first), number
+
+
+def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
+    """The voxels (m, 3) that cells with low corners (n, 3) and edges (n,), in voxels, reach into."""
+    first = np.floor(low + OFF).astype(np.int64)
+    count = np.ceil(low + edges[:, None] - OFF).astype(np.int64) - first
+    if np.prod(count, axis=1).sum() > MOST:
+        raise InputError(
+            f"cells off OctoMap's grid are more than {MOST} of its voxels", cure="use a coarser octree"
+        )
+    steps = [np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), -1).reshape(-1, 3) for n in count]
+    return np.vstack([np.zeros((0, 3), np.int64), *(f + s for f, s in zip(first, steps, strict=True))])
+
+
+def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
+    """Without cells that are within others."""
+    order = np.lexsort((-numbers, starts))
+    starts, numbers = starts[order], numbers[order]
+    ends = np.maximum.accumulate(starts + numbers)
+    own = np.ones(len(starts), bool)
+    own[1:] = starts[1:] >= ends[:-1]
+    return starts[own], numbers[own]

@@ -1,0 +1,133 @@
+"""Stages of clearing a bin: a grasp of the heap, and where to put what comes up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armcell.core import SE3, SO3, Box, PlanResult
+from armcell.grasping import HeapGrasp
+from armcell.model import Gripper
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.tasks.clearing.steps import HELD, Drop, Squeeze, StillThere
+from armcell.tasks.search import Draft, Planning
+from armcell.tasks.settings import Speed
+from armcell.tasks.stages.grasp import approaches, finger_state, reachable
+from armcell.tasks.stages.moves import shifted, straight, with_contacts
+from armcell.tasks.steps import Motion
+from armcell.timing import reversed_in_time
+
+HEAP = "heap"
+"""Name in the planning scene of the points that a camera saw in the bin."""
+WIDEST = 0.06  # [m] half the length a held thing is thought to have at most
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseFromHeap:
+    """Those grasps that can be reached, with their way straight down, in their order."""
+
+    grasps: Sequence[HeapGrasp]
+    gripper: Gripper
+    speed: Speed
+    distance: float  # [m] of the approach
+    name: str = "grasp"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        for grasp in self.grasps:
+            yield from approaches(draft, planning, self.name, HEAP, self.gripper, grasp, self._back)
+
+    def _back(self, at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
+        up = shifted(T_world_tcp, (0.0, 0.0, -self.distance), in_own_frame=True)
+        return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, up, self.speed)
+
+
+@dataclass(frozen=True, eq=False)
+class CloseOnHeap:
+    """Close; what is thought to be between the fingers is attached."""
+
+    gripper: Gripper
+    floor: float  # [m, world z] of the bin: as far down the thing may reach
+    settle: float
+    thinnest: float
+    name: str = "close"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        grasp: HeapGrasp = draft.data["grasp"]
+        bottom = self.floor + 0.002
+        T_tcp_box = SE3.from_xyz(0.0, 0.0, _below_tcp(grasp, (grasp.top + bottom) / 2))
+        half = min(grasp.reach, WIDEST)
+        box = Box(2 * half, max(grasp.width, 0.004), max(grasp.top - bottom, 0.004))
+        scene = draft.scene.with_state(finger_state(self.gripper, grasp.width))
+        item = CollisionObject.single(
+            HELD, box, scene.frame_pose(self.gripper.tcp_link) @ T_tcp_box, movable=True
+        )
+        scene = scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
+        yield draft.then(
+            Squeeze(self.gripper, grasp.force, self.settle, self.thinnest, box, T_tcp_box), scene=scene
+        )
+
+
+def _below_tcp(grasp: HeapGrasp, z: float) -> float:
+    """How far a height [m, world] is below the tcp of a hand that points down."""
+    return float(grasp.T_object_tcp.translation[2]) - z
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseSpot:
+    """Places (x, y and the height under them) above which the hand opens, in their order."""
+
+    spots: Sequence[tuple[float, float, float]]  # [m, world]
+    hang: float  # [m] that the held thing reaches below the tcp
+    gripper: Gripper
+    speed: Speed
+    distance: float  # [m] of the way down
+    turns: int = 8
+    name: str = "spot"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        gripper = self.gripper
+        now = draft.scene.frame_pose(gripper.tcp_link).rotation
+        for x, y, under in self.spots:
+            for k in range(self.turns):
+                R = SO3.exp((0.0, 0.0, 2 * np.pi * k / self.turns)) @ now
+                T = SE3(R, np.array([x, y, under + self.hang]))
+                name = f"({x:.2f}, {y:.2f}) at {360 // self.turns * k} deg"
+                for arm in reachable(draft.scene, gripper, T, planning, self.name, name):
+                    at_spot = draft.scene.with_state(arm)
+                    up = T.shifted(z=self.distance)
+                    result = straight(at_spot, gripper.arm_group, gripper.tcp_link, up, self.speed)
+                    if not result.ok or result.trajectory is None:
+                        planning.reject("lower", name, result.message)
+                        continue
+                    lower = reversed_in_time(result.trajectory)
+                    yield draft.then(
+                        candidate=name,
+                        pre_place=lower.positions[0],
+                        lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance),
+                        after_lower=at_spot,
+                    )
+
+
+@dataclass(frozen=True, eq=False)
+class OpenAbove:
+    """Open the hand and let go of what is in it."""
+
+    gripper: Gripper
+    margin: float  # [m] wider than now
+    settle: float
+    thinnest: float
+    name: str = "open"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        joint = draft.scene.state[self.gripper.joint_name]
+        width = min(self.gripper.width(joint) + self.margin, self.gripper.max_width)
+        scene = draft.scene.with_detached(HELD).without_object(HELD)
+        yield draft.then(
+            StillThere(self.gripper, self.thinnest),
+            Drop(self.gripper, width, self.settle),
+            scene=with_contacts(
+                scene.with_state(finger_state(self.gripper, width)), ((HEAP, self.gripper.hand_links),)
+            ),
+        )

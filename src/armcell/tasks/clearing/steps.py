@@ -1,0 +1,100 @@
+"""Steps with something in the hand that nobody knows: what is felt is all there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from armcell.control import GripperReading
+from armcell.core import SE3, ErrorCode, Outcome, Shape
+from armcell.model import Gripper
+from armcell.scene import CollisionObject
+from armcell.tasks.context import StageReport, TaskContext
+from armcell.tasks.steps import DONE, Grip, staged
+
+HELD = "held thing"
+"""Name in the planning scene of what the hand holds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Squeeze:
+    """Close until the fingers press on something [N] or meet; from here on that something is in the scene."""
+
+    gripper: Gripper
+    force: float
+    settle: float
+    thinnest: float  # [m]
+    shape: Shape  # of what is thought to be between the fingers
+    T_tcp_shape: SE3
+    name: str = "close"
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        return staged(ctx, StageReport(self.name), lambda: self._close(ctx))
+
+    def _close(self, ctx: TaskContext) -> Outcome:
+        driver, name = ctx.driver, self.gripper.name
+        driver.command_gripper(name, 0.0, self.force)
+        end = driver.now + ctx.settings.gripper_timeout
+        while driver.now < end and not ctx.cancel.is_set():
+            ctx.advance(0.02)
+            reading = driver.gripper(name)
+            if reading.force_per_finger >= 0.8 * self.force or reading.width <= self.thinnest:
+                break
+        if ctx.cancel.is_set():
+            return Outcome(ErrorCode.PREEMPTED, "cancelled")
+        ctx.advance(self.settle)
+        reading = driver.gripper(name)
+        if not holds(reading, self.thinnest):
+            return Outcome(ErrorCode.CONTROL_FAILED, f"closed on nothing ({reading.width * 1000:.1f} mm)")
+        scene = ctx.scene()
+        T = scene.frame_pose(self.gripper.tcp_link) @ self.T_tcp_shape
+        item = CollisionObject.single(HELD, self.shape, T, movable=True)
+        scene = scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
+        ctx.change_scene(scene)
+        width, force = reading.width * 1000, reading.force_per_finger
+        ctx.emit("grasp", f"holds something {width:.0f} mm wide with {force:.0f} N per finger")
+        return DONE
+
+
+@dataclass(frozen=True, eq=False)
+class StillThere:
+    """Is there still something between the fingers?"""
+
+    gripper: Gripper
+    thinnest: float  # [m]
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        reading = ctx.driver.gripper(self.gripper.name)
+        if holds(reading, self.thinnest):
+            return DONE
+        text = f"lost it: the fingers are {reading.width * 1000:.1f} mm apart and feel nothing"
+        ctx.emit("grasp", text)
+        return Outcome(ErrorCode.CONTROL_FAILED, text)
+
+
+@dataclass(frozen=True, eq=False)
+class Drop:
+    """Open to a width [m]; nothing is held any more."""
+
+    gripper: Gripper
+    width: float
+    settle: float
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        outcome = Grip("open", self.gripper, self.width, self.gripper.max_force, self.settle).perform(ctx)
+        empty_handed(ctx)
+        return outcome
+
+
+def holds(reading: GripperReading, thinnest: float) -> bool:
+    """Whether a gripper that was told to close is kept open by something."""
+    return reading.width > thinnest and reading.force_per_finger > 1.0
+
+
+def empty_handed(ctx: TaskContext) -> None:
+    """The planning scene without what was held."""
+    scene = ctx.base
+    if HELD in scene.attached:
+        scene = scene.with_detached(HELD)
+    if HELD in scene.objects:
+        scene = scene.without_object(HELD)
+    ctx.change_scene(scene)

@@ -1,0 +1,184 @@
+"""Clearing a bin from pictures only, in physics."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from tests.tasks.helpers import AtStage, notes
+
+import armcell
+from armcell.cell import Cell, run_task
+from armcell.cell.schema import validated
+from armcell.core import ErrorCode, InputError, UnknownNameError
+from armcell.scene import library_object
+
+CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
+
+
+@cache
+def whole() -> Cell:
+    return armcell.load("bin_clearing")
+
+
+def with_things(**poses) -> Cell:
+    """The cell with a few things only, where they are told to be."""
+    data = whole().spec.model_dump(exclude_unset=True)
+    drop = data["drop"]["objects"]
+    for name in drop:
+        if name in poses:
+            data["objects"][name]["pose"] = poses[name]
+        else:
+            del data["objects"][name]
+    data["perception"]["objects"] = list(poses)
+    del data["drop"]
+    return Cell("small", whole().file, validated(data, whole().file))
+
+
+def two_things() -> Cell:
+    return with_things(box_1=(0.62, -0.30, 0.2195), can_1=(0.78, -0.36, 0.2195))
+
+
+def names(cell) -> list[str]:
+    return [report.name for report in cell.reports]
+
+
+def test_what_a_seed_drops_lies_in_the_bin_and_is_the_same_every_time():
+    cell = whole()
+    scene, again = cell.scene(3), cell.scene(3)
+    nominal, other = cell.scene(), cell.scene(4)
+    turned = 0
+    for name in cell.spec.drop.objects:
+        T = scene.object(name).T_world_object
+        assert T.isclose(again.object(name).T_world_object, 0.0, 0.0)
+        assert not T.isclose(other.object(name).T_world_object, 1e-3, 1e-3)
+        assert abs(T.translation[0] - 0.70) < 0.22 and abs(T.translation[1] + 0.32) < 0.24
+        turned += (
+            abs(T.rotation.matrix[2, 2] - nominal.object(name).T_world_object.rotation.matrix[2, 2]) > 0.5
+        )
+    assert turned > 5  # most do not stand as they are described
+
+
+def test_what_was_dropped_is_at_rest():
+    with whole().connect("sim", seed=3) as live:
+        world = live.driver.world
+        before = {n: world.object_pose(n) for n in whole().spec.drop.objects}
+        world.step(500)
+        moved = [before[n].distance_to(world.object_pose(n))[0] for n in before]
+    assert max(moved) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        ({"into": "floor", "objects": ["nothing"]}, "nothing"),
+        ({"into": "box_1", "objects": ["can_1"]}, "must be fixed"),
+        ({"into": "bin", "objects": ["work_table"]}, "must be movable"),
+    ],
+)
+def test_a_drop_that_cannot_be_is_said(change, says):
+    data = whole().spec.model_dump(exclude_unset=True)
+    data["drop"] = change
+    with pytest.raises((InputError, UnknownNameError), match=says):
+        Cell("wrong", whole().file, validated(data, whole().file))
+
+
+def test_the_planner_knows_nothing_of_the_things():
+    with two_things().connect("sim", seed=0) as live:
+        assert not {"box_1", "can_1"} & set(live.scene().objects)
+        assert not {"box_1", "can_1"} & set(live.driver.object_poses())
+
+
+def test_things_whose_poses_are_known_are_refused():
+    data = whole().spec.model_dump(exclude_unset=True)
+    data["perception"]["objects"] = ["box_1"]
+    del data["drop"]
+    cell = Cell("known", whole().file, validated(data, whole().file))
+    with cell.connect("sim", seed=0) as live, pytest.raises(InputError, match="known without a camera"):
+        live.clear("bin", **CALL)
+
+
+@pytest.mark.slow
+def test_two_things_are_moved_to_the_tray():
+    with two_things().connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert (outcome.evidence["cleared"], outcome.evidence["left"]) == (2, 0)
+        assert live.driver.unwanted_contacts() == [] and live.driver.welds() == []
+
+
+@pytest.mark.slow
+def test_what_is_dropped_on_the_way_is_found_again():
+    with two_things().connect("sim", seed=0) as live:
+        fingers = live.model.gripper()
+
+        def let_go() -> None:
+            live.driver.world.set_gripper_target(fingers.name, fingers.max_width)
+
+        live.ctx.observers.append(AtStage("move to tray", let_go))
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["dropped"] == 1
+        assert outcome.evidence["cleared"] == 2
+        assert live.driver.unwanted_contacts() == []
+
+
+@pytest.mark.slow
+def test_what_is_taken_away_before_the_hand_closes_is_a_miss_and_no_more():
+    with two_things().connect("sim", seed=0) as live:
+        world = live.driver.world
+
+        def take_away() -> None:
+            for name in ("box_1", "can_1"):
+                pose = world.object_pose(name)
+                world.set_object_pose(name, pose.shifted(y=-0.09 if name == "box_1" else 0.09))
+
+        live.ctx.observers.append(AtStage("approach", take_away))
+        outcome = live.clear("bin", **CALL)
+        assert outcome.ok, outcome.message
+        assert outcome.evidence["missed"] >= 1 and outcome.evidence["cleared"] == 2
+        assert any("nothing" in text for text in notes(live, "note"))
+
+
+@pytest.mark.slow
+def test_a_frozen_camera_ends_it_with_its_reason():
+    with two_things().connect("sim", seed=0) as live:
+        live.cameras["above_bin"].image(rgb=False)
+        live.ctx.observers.append(
+            AtStage("move to tray", lambda: setattr(live.cameras["above_bin"], "frozen", True))
+        )
+        outcome = live.clear("bin", **CALL)
+        assert outcome.code is ErrorCode.SENSOR_INFO_STALE
+        assert "frozen" in outcome.message and "above_bin" in outcome.message
+        assert names(live).count("close") == 1
+        assert outcome.evidence["cleared"] == 1
+
+
+@pytest.mark.slow
+def test_what_no_hand_fits_around_is_left_with_a_reason():
+    plate = library_object("box", sizes={"length": 0.16, "width": 0.15, "height": 0.03})
+    cell = with_things(box_1=(0.70, -0.32, 0.2195))
+    data = cell.spec.model_dump(exclude_unset=True)
+    low, high = plate.bounds()
+    data["objects"]["box_1"] = {
+        "box": tuple((high - low).tolist()),
+        "pose": (0.7, -0.32, 0.235),
+        "movable": True,
+    }
+    with Cell("plate", cell.file, validated(data, cell.file)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.code is ErrorCode.FAILURE
+        assert "given up" in outcome.message and "1 in bin" in outcome.message
+        assert outcome.evidence["left"] == 1 and outcome.evidence["picks"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 5])
+def test_twenty_mixed_things(seed):
+    cell = whole()
+    with cell.connect("sim", seed=seed) as live:
+        result = run_task(cell, live, seed, "sim")
+    assert result["measures"]["cleared"] >= 19
+    assert result["unwanted_contacts"] == [] and result["welds"] == []
+    assert np.isfinite(result["min_clearance_m"])

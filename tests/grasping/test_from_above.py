@@ -1,0 +1,113 @@
+"""Grasps on a map of heights: checked by geometry of things whose size is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armcell.core import HeightMap, InputError
+from armcell.grasping import AboveSettings, grasps_from_above, hand_of
+from armcell.model import load_robot
+
+CELL = 0.003
+MODEL = load_robot("ur10_gripper")
+HAND = hand_of(MODEL, MODEL.gripper())
+TIPS = 0.012  # [m] the fingers end beyond the tcp (parallel_gripper.urdf)
+FINGER = (0.011, 0.012)  # [m] half width and thickness of a finger, there as well
+
+
+def with_boxes(*boxes, size=(0.5, 0.5)):
+    """A map with boxes (x, y, length, width, yaw, height), and the number of the box in each cell."""
+    n = [round(s / CELL) + 1 for s in size]
+    x, y = np.meshgrid(CELL * np.arange(n[0]), CELL * np.arange(n[1]), indexing="ij")
+    heights, labels = np.zeros(n), np.full(n, -1)
+    for k, (cx, cy, length, width, yaw, height) in enumerate(boxes):
+        u = np.cos(yaw) * (x - cx) + np.sin(yaw) * (y - cy)
+        v = -np.sin(yaw) * (x - cx) + np.cos(yaw) * (y - cy)
+        inside = (np.abs(u) <= length / 2) & (np.abs(v) <= width / 2)
+        heights[inside], labels[inside] = height, k
+    return HeightMap(heights, np.ones(n, bool), (0.0, 0.0), CELL), labels
+
+
+def closing(grasp):
+    return grasp.T_object_tcp.rotation.matrix[:, 1]
+
+
+def under_fingers(seen, grasp):
+    """The highest cell under either open finger (independent of the kernel: cells in rotated rectangles)."""
+    index = np.argwhere(np.isfinite(seen.heights))
+    local = grasp.T_object_tcp.inv().apply(seen.at(index))
+    beyond = np.abs(local[:, 1]) - grasp.opening / 2
+    inside = (np.abs(local[:, 0]) <= FINGER[0]) & (beyond >= 0) & (beyond <= FINGER[1])
+    return seen.at(index)[inside, 2].max()
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 22.5, 45, 90, 135])
+def test_a_box_is_held_across_its_narrow_side(yaw_deg):
+    yaw = np.deg2rad(yaw_deg)
+    seen, labels = with_boxes((0.25, 0.25, 0.12, 0.04, yaw, 0.05))
+    best = grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0]
+    across = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    assert abs(closing(best) @ across) > 0.98
+    assert best.width == pytest.approx(0.04, abs=2.5 * CELL)
+    np.testing.assert_allclose(best.T_object_tcp.translation[:2], 0.25, atol=0.01)
+    np.testing.assert_allclose(best.T_object_tcp.rotation.matrix[:, 2], (0, 0, -1), atol=1e-9)
+
+
+def test_no_open_finger_goes_into_anything():
+    rng = np.random.default_rng(4)
+    boxes = [
+        (
+            *rng.uniform(0.08, 0.42, 2),
+            *rng.uniform(0.02, 0.1, 2),
+            rng.uniform(0, np.pi),
+            rng.uniform(0.02, 0.1),
+        )
+        for _ in range(12)
+    ]
+    seen, labels = with_boxes(*boxes)
+    found = grasps_from_above(seen, labels, 0.0, HAND, 20.0)
+    assert len(found) > 20
+    for grasp in found:
+        tips = grasp.T_object_tcp.translation[2] - TIPS
+        assert tips == pytest.approx(grasp.tip, abs=1e-9) and tips >= 0.003 - 1e-9
+        assert under_fingers(seen, grasp) < tips
+        assert grasp.width < grasp.opening <= HAND.gripper.max_width
+
+
+def test_beside_a_wall_it_is_held_along_the_wall():
+    seen, labels = with_boxes((0.25, 0.25, 0.05, 0.05, 0.0, 0.05), (0.25, 0.2785, 0.4, 0.008, 0.0, 0.06))
+    labels[labels == 1] = -1
+    found = grasps_from_above(seen, labels, 0.0, HAND, 20.0)
+    assert found and all(abs(closing(g)[0]) > 0.9 for g in found)
+
+
+@pytest.mark.parametrize(
+    "box", [(0.25, 0.25, 0.12, 0.11, 0.0, 0.05), (0.25, 0.25, 0.05, 0.05, 0.0, 0.004)], ids=["wide", "flat"]
+)
+def test_what_does_not_fit_gives_nothing(box):
+    seen, labels = with_boxes(box)
+    assert grasps_from_above(seen, labels, 0.0, HAND, 20.0) == []
+
+
+def test_the_upper_of_two_comes_first():
+    seen, labels = with_boxes((0.15, 0.25, 0.05, 0.04, 0.0, 0.04), (0.35, 0.25, 0.05, 0.04, 0.0, 0.10))
+    assert grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0].piece == 1
+
+
+def test_what_has_failed_is_tried_last():
+    seen, labels = with_boxes((0.15, 0.25, 0.05, 0.04, 0.0, 0.05), (0.35, 0.25, 0.05, 0.04, 0.0, 0.05))
+    first = grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0]
+    x, y, _ = first.T_object_tcp.translation
+    avoid = [(x, y, float(np.arctan2(*closing(first)[1::-1])))]
+    second = grasps_from_above(seen, labels, 0.0, HAND, 20.0, avoid=avoid)[0]
+    elsewhere = np.linalg.norm(second.T_object_tcp.translation[:2] - (x, y)) > 0.015
+    assert elsewhere or abs(closing(first) @ closing(second)) < 0.94
+
+
+def test_bad_input_is_said():
+    seen, labels = with_boxes((0.25, 0.25, 0.05, 0.04, 0.0, 0.05))
+    with pytest.raises(InputError, match="labels"):
+        grasps_from_above(seen, labels[1:], 0.0, HAND, 20.0)
+    with pytest.raises(InputError, match="room"):
+        AboveSettings(room=0.0)

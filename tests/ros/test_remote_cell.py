@@ -1,0 +1,119 @@
+"""A cell whose simulator is elsewhere: which of its motions run, and how their ends are known."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from armcell.cell import load
+from armcell.core import ErrorCode, InputError, JointTrajectory
+from armcell.ros import Bus, schema
+from armcell.ros.convert import joint_state_message
+from armcell.ros.moveit_convert import trajectory_message
+from armcell.ros.nodes import RemoteCell
+from armcell.ros.nodes.scene_node import SceneNode
+
+S = schema()
+
+
+class Simulator:
+    """Stands at the cell's first state, and says what a test lets it say."""
+
+    def __init__(self, name):
+        self.bus, self.scene = Bus(), load(name).scene()
+        self.cell = RemoteCell(self.bus, self.scene)
+        self.got = self.bus.subscribe("/planned_trajectory", "trajectory_msgs/JointTrajectory", queue_size=50)
+        self.status = self.bus.advertise("/trajectory_status", "std_msgs/String")
+        self.states = self.bus.advertise("/joint_states", "sensor_msgs/JointState")
+        self.stop = threading.Event()
+        self.thread = threading.Thread(target=self.publish, daemon=True)
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *exc):
+        self.stop.set()
+        self.thread.join()
+        self.cell.close()
+
+    def publish(self):
+        while not self.stop.wait(0.02):
+            self.states.publish(joint_state_message(S, self.bus.header(), self.scene.state))
+
+    def say(self, *texts):
+        for text in texts:
+            self.status.publish(S.new("std_msgs/String", text))
+
+    def motion(self, group):
+        names = self.scene.model.group(group).joint_names
+        q = self.scene.state.reindexed(names).positions
+        way = JointTrajectory(names, np.array([0.0, 1.0]), np.array([q, q + 0.1]))
+        return trajectory_message(S, self.bus.header(), way)
+
+
+def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
+    with Simulator("panda_table") as sim:
+        first = sim.cell.play(sim.motion("panda_arm"))
+        assert sim.got.get(5).points
+        sim.say("executing 2 points, 1.00 s")
+        second = sim.cell.play(sim.motion("panda_arm"))  # takes over
+        assert first.outcome().code is ErrorCode.PREEMPTED
+        assert not sim.got.get(5).points and sim.got.get(5).points  # a stop, then the motion
+        sim.say("stopped: cancelled at 0.10 of 1.00 s", "stop", "done: empty trajectory: stopped")
+        assert not second.wait(0.2)
+        sim.say("executing 2 points, 1.00 s")
+        assert not second.wait(0.1)
+        sim.say("done: final error 0.0001")
+        assert second.wait(5) and second.outcome().ok
+        third = sim.cell.play(sim.motion("panda_arm"))
+        sim.got.get(5)
+        sim.say("refused: unknown joint")
+        assert third.wait(5) and "unknown joint" in third.outcome().message
+
+
+def test_the_second_arm_waits_for_the_first():
+    """What is said does not tell which motion is meant, and nothing proves that two would not meet."""
+    with Simulator("dual_ur10") as sim:
+        left, begun = sim.cell.play(sim.motion("left_arm")), []
+        assert sim.got.get(5).points
+        other = threading.Thread(target=lambda: begun.append(sim.cell.play(sim.motion("right_arm"))))
+        other.start()
+        sim.say("executing 2 points, 1.00 s")
+        assert sim.got.get(0.3) is None and not begun
+        sim.say("done: final error 0.0001")
+        assert left.wait(5) and left.outcome().ok
+        other.join(5)
+        assert sim.got.get(5).joint_names[0].startswith("right_")
+        sim.say("executing 2 points, 1.00 s", "failed: left the path")
+        assert begun[0].wait(5) and begun[0].outcome().code is ErrorCode.CONTROL_FAILED
+
+
+def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint():
+    with Simulator("panda_table") as sim:
+        away = sim.motion("panda_arm")
+        away.points[0].positions = away.points[0].positions + 0.5
+        with pytest.raises(InputError, match="from the trajectory's start"):
+            work = sim.cell.play(away)
+            assert work.wait(5)
+            work.outcome()
+        running = sim.cell.play(sim.motion("panda_arm"))
+        assert sim.cell.play(S.new("trajectory_msgs/JointTrajectory")).wait(5)
+        assert running.outcome().code is ErrorCode.PREEMPTED
+
+
+def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):
+    monkeypatch.setattr("armcell.ros.nodes.remote_cell.STATE_TIMEOUT", 0.1)
+    sim = Simulator("panda_table")
+    node = SceneNode(sim.cell, sim.bus)
+    try:
+        time.sleep(0.5)  # nobody is there yet
+        told = sim.bus.subscribe("/monitored_planning_scene", "moveit_msgs/PlanningScene", queue_size=50)
+        with sim:
+            first = told.get(5)
+            assert not first.is_diff and "table" in [o.id for o in first.world.collision_objects]
+    finally:
+        node.close()
