@@ -354,6 +354,16 @@ def test_26_grasp_server(printed):
 
 
 @pytest.mark.slow
+def test_28_ros2(printed):
+    pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
+    said = printed("28_ros2.py")
+    assert "nodes: /robot; its arm takes goals: True" in said and "sensed 8 joints" in said
+    assert re.search(r"SUCCEEDED: error code 0, \d+ times told", said)
+    assert number(r"turned by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.01)
+    assert number(r"the others by ([\d.]+)", said) < 0.01
+
+
+@pytest.mark.slow
 def test_19_two_arms_planned(printed):
     text = printed("19_two_arms_planned.py")
     assert number(r"proven in ([\d.]+) ms", text) < 20
