@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from armcell.cell import load
-from armcell.core import ErrorCode, InputError, JointTrajectory
+from armcell.core import SE3, ErrorCode, InputError, JointTrajectory
 from armcell.ros import ActionClient, Bus, State, schema
-from armcell.ros.convert import joint_state_message
+from armcell.ros.convert import joint_state_message, pose_message
 from armcell.ros.moveit_convert import trajectory_message
 from armcell.ros.nodes import MoveGroupNode, PickPlaceNode, RemoteCell
 from armcell.ros.nodes.scene_node import SceneNode
@@ -111,6 +111,29 @@ def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint(
         running = sim.cell.play(sim.motion("panda_arm"))
         assert sim.cell.play(S.new("trajectory_msgs/JointTrajectory")).wait(5)
         assert running.outcome().code is ErrorCode.PREEMPTED
+
+
+def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late():
+    with Simulator("panda_table") as sim:
+        pose = sim.bus.advertise("/object_pose", "geometry_msgs/PoseStamped")
+        T = SE3.from_xyz(0.5, -0.2, 0.1)
+        sim.cell.joints()
+        later = threading.Timer(
+            0.3,
+            lambda: pose.publish(
+                S.new("geometry_msgs/PoseStamped", sim.bus.header("world"), pose_message(S, T))
+            ),
+        )
+        later.start()
+        assert sim.cell.scene().object("cube").T_world_object.isclose(T)
+    with Simulator(
+        "panda_table"
+    ) as sim:  # one that says nothing of objects: they are where the cell has them
+        cube = sim.cell.scene().object("cube")
+        assert cube.T_world_object.isclose(sim.scene.object("cube").T_world_object)
+        before = time.monotonic()
+        sim.cell.scene()
+        assert time.monotonic() - before < 0.5  # waited for but once
 
 
 def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):

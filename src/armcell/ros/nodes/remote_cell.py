@@ -29,6 +29,7 @@ from armcell.scene import WORLD, PlanningScene
 
 logger = logging.getLogger(__name__)
 STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint states
+POSE_TIMEOUT = 1.0  # [s] after the first joint states, for the poses of what can move
 STALE = 2.0  # [s] without joint states: the simulator is gone
 ARRIVED = 0.01  # [rad or m] from the trajectory's end
 AT_REST = 0.02  # [rad/s or m/s]
@@ -58,6 +59,7 @@ class RemoteCell:
         self._joints: JointState | None = None
         self._at = 0.0  # [s] of the wall's clock, of the last joint states
         self._poses: dict[str, SE3] = {}
+        self._unseen = {n for n, o in scene.objects.items() if o.movable}  # no pose came yet
         self._targets: dict[str, float] = {}  # widths that the grippers were told
         self._running: list[Work] = []
         self._closed = threading.Event()
@@ -128,6 +130,7 @@ class RemoteCell:
                 return
             with self._lock:
                 self._poses[name] = T
+                self._unseen.discard(name)
 
         return take
 
@@ -159,6 +162,7 @@ class RemoteCell:
 
     def scene(self) -> PlanningScene:
         state = self.joints()
+        self._await_poses()
         model = self.model
         q = self._scene.state.updated(state).positions
         with self._lock:
@@ -172,6 +176,17 @@ class RemoteCell:
             if item is not None and self._grips(gripper, state):
                 scene = scene.with_attached(item, gripper.tcp_link, gripper.hand_links)
         return scene
+
+    def _await_poses(self) -> None:
+        """Where things are is the simulator's to say: wait for that, once."""
+        if not self._unseen:
+            return
+        give_up = time.monotonic() + POSE_TIMEOUT
+        while self._unseen and time.monotonic() < give_up and not self._closed.is_set():
+            time.sleep(POLL)
+        if self._unseen:
+            logger.warning("no /object_pose of %s: taken from the cell", ", ".join(sorted(self._unseen)))
+            self._unseen = set()
 
     def _grips(self, gripper: Gripper, state: JointState) -> bool:
         """Whether the fingers were told to close farther than they could."""
