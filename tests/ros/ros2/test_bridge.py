@@ -1,6 +1,8 @@
 """A bus in a ROS 2 domain, against a plain DDS program in another process that follows rmw's conventions."""
 
 import logging
+import subprocess
+import sys
 import threading
 import time
 
@@ -9,6 +11,7 @@ import pytest
 
 from armcell.core import InputError
 from armcell.ros import ActionClient, ActionServer, Bus, Done, ServiceError, State, schema
+from armcell.ros.ros2 import Profile, Reach, Ros2Bridge, Ros2Settings
 
 S = schema()
 TRIGGER = "std_srvs/Trigger"
@@ -106,8 +109,6 @@ def test_a_mismatch_of_quality_is_said(bus, bridge, peer, caplog):
         said = until(lambda: [r.message for r in caplog.records if "/plain" in r.message])
         assert said and "asks for transient local durability" in said[0] and "it gets nothing" in said[0]
         assert peer.matched("rt/plain") == 0
-    from armcell.ros.ros2 import Profile, Ros2Bridge, Ros2Settings
-
     other = Bus()
     settings = Ros2Settings(bridge.settings.reach, "/strict", qos={"/weak": Profile(reliable=True)})
     peer.advertise("rt/weak", "String", reliable=False)
@@ -190,12 +191,13 @@ def test_a_server_that_has_gone_is_no_server(bus, bridge, peer):
     with pytest.raises(ServiceError, match="unknown service"):
         bus.call("/nobody", S.new("std_srvs/TriggerRequest"))
     peer.serve_trigger("/late", "too late", delay=3.0)
-    assert bus.wait_for_service("/late", 5)
-    object.__setattr__(bridge.settings, "service_timeout", 0.3)
-    with pytest.raises(ServiceError, match="no answer from ROS 2"):
-        bus.call("/late", S.new("std_srvs/TriggerRequest"))
-    with pytest.raises(InputError, match="takes std_srvs/TriggerRequest"):
-        bus.call("/late", S.new("std_srvs/EmptyRequest"))
+    other = Bus()
+    with Ros2Bridge(other, Ros2Settings(bridge.settings.reach, "/hasty", service_timeout=0.3)):
+        assert other.wait_for_service("/late", 5)
+        with pytest.raises(ServiceError, match="no answer from ROS 2"):
+            other.call("/late", S.new("std_srvs/TriggerRequest"))
+        with pytest.raises(InputError, match="takes std_srvs/TriggerRequest"):
+            other.call("/late", S.new("std_srvs/EmptyRequest"))
 
 
 # --- actions ---
@@ -359,8 +361,6 @@ def test_parameters_as_ros2_param_asks_for_them(bus, bridge, peer):
 
 # --- beginning and end ---
 def test_nothing_is_left_behind(reach, bus):
-    from armcell.ros.ros2 import Ros2Bridge, Ros2Settings
-
     before = set(threading.enumerate())
     for _ in range(2):
         with Ros2Bridge(bus, Ros2Settings(reach)) as bridge, gripper(bus):
@@ -378,9 +378,20 @@ def subscriptions():
     return {t for t in threading.enumerate() if t.name.startswith(("sub", "status", "goal"))}
 
 
-def test_a_domain_that_is_joined_differently_already(reach, bus):
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
+@pytest.mark.slow
+def test_a_program_that_forgets_to_close_ends_all_the_same(reach):
+    script = f"""
+from armcell.ros import Bus, Reach, Ros2Bridge, Ros2Settings
+bus = Bus()
+bus.subscribe("/a", "std_msgs/String")
+Ros2Bridge(bus, Ros2Settings(Reach({reach.domain}, config={reach.config!r}))).start()
+raise SystemExit(3)
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (3, "")
 
+
+def test_a_domain_that_is_joined_differently_already(reach, bus):
     with Ros2Bridge(bus, Ros2Settings(reach)):
         other = Reach(reach.domain, "SUBNET", config=reach.config)
         with pytest.raises(InputError, match="another reach already"):
@@ -391,7 +402,6 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
     import sys
 
     from armcell.core import MissingExtraError
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
     from armcell.ros.ros2.dds import library
 
     library.cache_clear()
@@ -402,8 +412,6 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
 
 
 def test_wrong_settings(bus):
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
-
     with pytest.raises(InputError, match="unknown ROS 2 distribution 'noetic'"):
         Ros2Bridge(bus, Ros2Settings(Reach(3), distro="noetic")).start()
     for domain in (-1, 233):
