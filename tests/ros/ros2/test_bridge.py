@@ -359,6 +359,28 @@ def test_parameters_as_ros2_param_asks_for_them(bus, bridge, peer):
     assert bus.parameters.get("/arm/speed") == 0.25
 
 
+def test_descriptions_are_topics_too(bus, bridge, peer):
+    """RViz and MoveIt 2's clients look for the robot on latched topics."""
+    bus.parameters.set("/robot_description_semantic", "<robot name='semantic'/>")
+    peer.subscribe("rt/robot_description_semantic", "String", latched=True, depth=1)
+    assert peer.take("rt/robot_description_semantic")[0]["data"] == "<robot name='semantic'/>"
+    bus.parameters.set("/robot_description_semantic", "<robot/>")
+    assert peer.take("rt/robot_description_semantic")[0]["data"] == "<robot/>"
+
+
+@pytest.mark.slow
+def test_a_client_that_dies_while_it_waits_holds_nobody_up(bus, bridge, peer, mortal):
+    def slow(request):
+        time.sleep(1.0)
+        return S.new("std_srvs/TriggerResponse", True, "done")
+
+    with bus.serve("/patient", TRIGGER, slow):
+        for _ in range(20):  # more than are answered at a time
+            mortal.call("/patient", "Trigger", {}, wait=False)
+        mortal.process.kill()
+        assert peer.call("/patient", "Trigger", {}, timeout=30.0)["success"]
+
+
 # --- beginning and end ---
 def test_nothing_is_left_behind(reach, bus):
     before = set(threading.enumerate())
@@ -396,6 +418,8 @@ def test_a_domain_that_is_joined_differently_already(reach, bus):
         other = Reach(reach.domain, "SUBNET", config=reach.config)
         with pytest.raises(InputError, match="another reach already"):
             Ros2Bridge(Bus(), Ros2Settings(other)).start()
+    with Ros2Bridge(Bus(), Ros2Settings(other)):  # the first one has left
+        pass
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
