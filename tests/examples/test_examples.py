@@ -306,6 +306,15 @@ def test_24_two_programs_over_ros_tcp(printed):
 
 
 @pytest.mark.slow
+def test_27_ros1(printed):
+    said = printed("27_ros1.py")
+    assert number(r"robot: node /robot offers (\d+) topics", said) >= 10
+    assert "operator: sensed 8 joints" in said and "time is the cell's: True" in said
+    assert number(r"SUCCEEDED after (\d+) words", said) >= 1
+    assert number(r"panda_joint1 moved by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.005)
+
+
+@pytest.mark.slow
 def test_29_campaign(printed):
     said = printed("29_campaign.py")
     assert number(r"(\d+) of 40 succeed", said) < 40

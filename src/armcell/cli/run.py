@@ -12,6 +12,7 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
+from armcell.cli.ros1 import OWN_MASTER
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
 
@@ -32,6 +33,10 @@ def run(
         "Default: only where the script commands no gripper.",
         show_default=False,
     ),
+    ros1: bool = typer.Option(
+        False, "--ros1", help="For a script: it and its cell join the ROS 1 graph at ROS_MASTER_URI."
+    ),
+    own_master: bool | None = OWN_MASTER,
     seed: int = typer.Option(0, min=0, help="Draw of the randomised values, and seed of the planners."),
     mode: str = typer.Option(
         "sim", help="sim: physics. fake: follows exactly, no physics. real: the cell's real arms."
@@ -73,8 +78,10 @@ def run(
         from armcell.cli.script import run_script_command
 
         return run_script_command(
-            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port
+            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port, ros1, own_master
         )
+    if ros1 or own_master is not None:
+        raise typer.BadParameter("--ros1 is for scripts; a cell is served to ROS 1 by `armcell serve --ros1`")
     if arguments:
         raise typer.BadParameter(f"unexpected argument {arguments[0]!r}")
     if json_file is not None:

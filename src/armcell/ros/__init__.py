@@ -1,11 +1,12 @@
-"""Messages, the in-process bus and the wires (Unity; later ROS 1, ROS 2), with nothing of ROS installed."""
+"""Messages, the in-process bus and the wires (Unity, ROS 1, ROS 2), with nothing of ROS installed."""
 
 from typing import TYPE_CHECKING, Any
 
 from armcell.ros.actions import ActionClient, ActionServer, Done, State
 from armcell.ros.bus import Bus, Publisher, ServiceError, Subscription
-from armcell.ros.codec import Codec, WireError, cdr, ros1
+from armcell.ros.codec import Codec, WireError, cdr
 from armcell.ros.messages import Message
+from armcell.ros.ros1 import Ros1Graph, Ros1Master, Ros1Settings
 from armcell.ros.schema import Schema, schema
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
@@ -24,6 +25,9 @@ __all__ = [
     "Message",
     "Publisher",
     "Reach",
+    "Ros1Graph",
+    "Ros1Master",
+    "Ros1Settings",
     "Ros2Bridge",
     "Ros2Settings",
     "RosTcpClient",
@@ -37,7 +41,6 @@ __all__ = [
     "Subscription",
     "WireError",
     "cdr",
-    "ros1",
     "schema",
 ]
 
