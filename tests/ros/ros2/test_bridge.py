@@ -103,6 +103,7 @@ def test_best_effort_publishers_are_heard(bus, bridge, peer):
     assert not bridge._in["/scan"].profile.reliable
 
 
+@pytest.mark.slow
 def test_a_mismatch_of_quality_is_said(bus, bridge, peer, caplog):
     with bus.advertise("/plain", "std_msgs/String"):
         peer.subscribe("rt/plain", "String", latched=True)
@@ -117,6 +118,7 @@ def test_a_mismatch_of_quality_is_said(bus, bridge, peer, caplog):
         assert said and "does not offer reliable delivery" in said[0]
 
 
+@pytest.mark.slow
 def test_a_type_mismatch_is_said_once(bus, bridge, peer, caplog):
     peer.advertise("rt/mixed", "String")
     with bus.subscribe("/mixed", "std_msgs/Float64"):
@@ -173,6 +175,7 @@ def test_a_service_that_fails_is_answered(bus, bridge, peer, caplog):
         assert "no gripper here" in caplog.text
 
 
+@pytest.mark.slow
 def test_many_calls_at_once_get_their_own_answers(bus, bridge, peer):
     def slow(request):
         time.sleep(0.05)
@@ -248,6 +251,7 @@ def test_an_action_of_the_bus_for_a_ros2_client(bus, bridge, peer):
         assert result(peer, {"uuid": [9] * 16})["status"] == 0  # unknown
 
 
+@pytest.mark.slow
 def test_an_action_of_the_bus_is_cancelled_and_aborted(bus, bridge, peer):
     with gripper(bus, 3.0):
         cancel = "/hand/gripper_cmd/_action/cancel_goal"
@@ -291,6 +295,26 @@ def test_an_action_of_ros2_for_a_client_on_the_bus(bus, bridge, peer):
     assert until(lambda: not bridge._reaching)
 
 
+def test_move_group_has_moveit_2s_name_outside(bus, bridge, peer):
+    """And a client on another bus, which calls it as ROS 1 does, finds it."""
+    MOVE, other = "moveit_msgs/MoveGroup", Bus()
+
+    def execute(goal):
+        result = S.new(f"{MOVE}Result", error_code=S.new("moveit_msgs/MoveItErrorCodes", 1))
+        return Done(State.SUCCEEDED, result)
+
+    with (
+        ActionServer(bus, "/move_group", MOVE, execute),
+        Ros2Bridge(other, Ros2Settings(bridge.settings.reach, "/asking")) as asking,
+        ActionClient(other, "/move_group", MOVE) as client,
+    ):
+        assert client.wait_for_server(10)
+        sent = client.send(S.new(f"{MOVE}Goal"))
+        assert sent.wait(10) and sent.state is State.SUCCEEDED and sent.result.error_code.val == 1
+        assert asking.services()["/move_action/_action/send_goal"] == f"{MOVE}_SendGoal"
+        assert "rq/move_action/_action/send_goalRequest" in {found[0] for found in peer.found()}
+
+
 @pytest.mark.slow
 def test_an_action_server_that_dies_aborts_the_goal(bus, bridge, mortal):
     mortal.serve_gripper("/mortal/gripper_cmd", 60.0)
@@ -325,6 +349,7 @@ def test_discovery_info_names_our_node_and_its_endpoints(bus, bridge, peer):
     publisher.close()
 
 
+@pytest.mark.slow
 def test_other_nodes_are_known(bridge, mortal):
     mortal.node("/lab", "planner")
     assert bridge.wait_for_node("/lab/planner", 5)

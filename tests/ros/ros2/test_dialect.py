@@ -175,6 +175,8 @@ def test_names_on_dds():
     assert names.reply("/add", "example/Add")[:2] == ("rr/addReply", "example::srv::dds_::Add_Response_")
     send = names.request("/arm/_action/send_goal", "example/Move_SendGoal", "action")
     assert send[:2] == ("rq/arm/_action/send_goalRequest", "example::action::dds_::Move_SendGoal_Request_")
+    assert names.action_name("/left/move_group", "moveit_msgs/MoveGroup") == "/left/move_action"  # MoveIt 2's
+    assert names.action_name("/pickup", "moveit_msgs/Pickup") == "/pickup"
     assert names.ros_topic("rt/a/b") == "/a/b" and names.ros_topic("ros_discovery_info") is None
     assert names.ros_service("rq/addRequest") == "/add" and names.ros_service("rt/add") is None
     assert names.ros_type("std_msgs::msg::dds_::String_") == "std_msgs/String"

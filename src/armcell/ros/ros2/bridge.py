@@ -282,7 +282,7 @@ class Ros2Bridge:
         served = {n: t for n, t in acting.items() if infos[f"{n}/goal"].subscribers}
         reached = {
             n: t for n, t in acting.items()
-            if n not in served and outside.get(n + names.SEND_GOAL) == f"{t}_SendGoal"
+            if n not in served and outside.get(names.action_name(n, t) + names.SEND_GOAL) == f"{t}_SendGoal"
         }  # fmt: skip
         for wanted, table, make in (
             (served, self._actions, ActionServing),
