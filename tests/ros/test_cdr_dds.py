@@ -61,6 +61,7 @@ def translated(message):
     return struct(name)(**values)
 
 
+@pytest.mark.slow
 def test_every_type_has_cyclones_bytes():
     rng = np.random.default_rng(8)
     for name in schema().messages:

@@ -1,4 +1,4 @@
-"""Messages, the in-process bus and the wires (Unity, ROS 1; later ROS 2), with nothing of ROS installed."""
+"""Messages, the in-process bus and the wires (Unity, ROS 1, ROS 2), with nothing of ROS installed."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -1,6 +1,8 @@
 """A bus in a ROS 2 domain, against a plain DDS program in another process that follows rmw's conventions."""
 
 import logging
+import subprocess
+import sys
 import threading
 import time
 
@@ -9,6 +11,7 @@ import pytest
 
 from armcell.core import InputError
 from armcell.ros import ActionClient, ActionServer, Bus, Done, ServiceError, State, schema
+from armcell.ros.ros2 import Profile, Reach, Ros2Bridge, Ros2Settings
 
 S = schema()
 TRIGGER = "std_srvs/Trigger"
@@ -100,14 +103,13 @@ def test_best_effort_publishers_are_heard(bus, bridge, peer):
     assert not bridge._in["/scan"].profile.reliable
 
 
+@pytest.mark.slow
 def test_a_mismatch_of_quality_is_said(bus, bridge, peer, caplog):
     with bus.advertise("/plain", "std_msgs/String"):
         peer.subscribe("rt/plain", "String", latched=True)
         said = until(lambda: [r.message for r in caplog.records if "/plain" in r.message])
         assert said and "asks for transient local durability" in said[0] and "it gets nothing" in said[0]
         assert peer.matched("rt/plain") == 0
-    from armcell.ros.ros2 import Profile, Ros2Bridge, Ros2Settings
-
     other = Bus()
     settings = Ros2Settings(bridge.settings.reach, "/strict", qos={"/weak": Profile(reliable=True)})
     peer.advertise("rt/weak", "String", reliable=False)
@@ -116,6 +118,7 @@ def test_a_mismatch_of_quality_is_said(bus, bridge, peer, caplog):
         assert said and "does not offer reliable delivery" in said[0]
 
 
+@pytest.mark.slow
 def test_a_type_mismatch_is_said_once(bus, bridge, peer, caplog):
     peer.advertise("rt/mixed", "String")
     with bus.subscribe("/mixed", "std_msgs/Float64"):
@@ -172,6 +175,7 @@ def test_a_service_that_fails_is_answered(bus, bridge, peer, caplog):
         assert "no gripper here" in caplog.text
 
 
+@pytest.mark.slow
 def test_many_calls_at_once_get_their_own_answers(bus, bridge, peer):
     def slow(request):
         time.sleep(0.05)
@@ -190,12 +194,13 @@ def test_a_server_that_has_gone_is_no_server(bus, bridge, peer):
     with pytest.raises(ServiceError, match="unknown service"):
         bus.call("/nobody", S.new("std_srvs/TriggerRequest"))
     peer.serve_trigger("/late", "too late", delay=3.0)
-    assert bus.wait_for_service("/late", 5)
-    object.__setattr__(bridge.settings, "service_timeout", 0.3)
-    with pytest.raises(ServiceError, match="no answer from ROS 2"):
-        bus.call("/late", S.new("std_srvs/TriggerRequest"))
-    with pytest.raises(InputError, match="takes std_srvs/TriggerRequest"):
-        bus.call("/late", S.new("std_srvs/EmptyRequest"))
+    other = Bus()
+    with Ros2Bridge(other, Ros2Settings(bridge.settings.reach, "/hasty", service_timeout=0.3)):
+        assert other.wait_for_service("/late", 5)
+        with pytest.raises(ServiceError, match="no answer from ROS 2"):
+            other.call("/late", S.new("std_srvs/TriggerRequest"))
+        with pytest.raises(InputError, match="takes std_srvs/TriggerRequest"):
+            other.call("/late", S.new("std_srvs/EmptyRequest"))
 
 
 # --- actions ---
@@ -246,6 +251,7 @@ def test_an_action_of_the_bus_for_a_ros2_client(bus, bridge, peer):
         assert result(peer, {"uuid": [9] * 16})["status"] == 0  # unknown
 
 
+@pytest.mark.slow
 def test_an_action_of_the_bus_is_cancelled_and_aborted(bus, bridge, peer):
     with gripper(bus, 3.0):
         cancel = "/hand/gripper_cmd/_action/cancel_goal"
@@ -289,6 +295,26 @@ def test_an_action_of_ros2_for_a_client_on_the_bus(bus, bridge, peer):
     assert until(lambda: not bridge._reaching)
 
 
+def test_move_group_has_moveit_2s_name_outside(bus, bridge, peer):
+    """And a client on another bus, which calls it as ROS 1 does, finds it."""
+    MOVE, other = "moveit_msgs/MoveGroup", Bus()
+
+    def execute(goal):
+        result = S.new(f"{MOVE}Result", error_code=S.new("moveit_msgs/MoveItErrorCodes", 1))
+        return Done(State.SUCCEEDED, result)
+
+    with (
+        ActionServer(bus, "/move_group", MOVE, execute),
+        Ros2Bridge(other, Ros2Settings(bridge.settings.reach, "/asking")) as asking,
+        ActionClient(other, "/move_group", MOVE) as client,
+    ):
+        assert client.wait_for_server(10)
+        sent = client.send(S.new(f"{MOVE}Goal"))
+        assert sent.wait(10) and sent.state is State.SUCCEEDED and sent.result.error_code.val == 1
+        assert asking.services()["/move_action/_action/send_goal"] == f"{MOVE}_SendGoal"
+        assert "rq/move_action/_action/send_goalRequest" in {found[0] for found in peer.found()}
+
+
 @pytest.mark.slow
 def test_an_action_server_that_dies_aborts_the_goal(bus, bridge, mortal):
     mortal.serve_gripper("/mortal/gripper_cmd", 60.0)
@@ -323,6 +349,7 @@ def test_discovery_info_names_our_node_and_its_endpoints(bus, bridge, peer):
     publisher.close()
 
 
+@pytest.mark.slow
 def test_other_nodes_are_known(bridge, mortal):
     mortal.node("/lab", "planner")
     assert bridge.wait_for_node("/lab/planner", 5)
@@ -357,10 +384,30 @@ def test_parameters_as_ros2_param_asks_for_them(bus, bridge, peer):
     assert bus.parameters.get("/arm/speed") == 0.25
 
 
+def test_descriptions_are_topics_too(bus, bridge, peer):
+    """RViz and MoveIt 2's clients look for the robot on latched topics."""
+    bus.parameters.set("/robot_description_semantic", "<robot name='semantic'/>")
+    peer.subscribe("rt/robot_description_semantic", "String", latched=True, depth=1)
+    assert peer.take("rt/robot_description_semantic")[0]["data"] == "<robot name='semantic'/>"
+    bus.parameters.set("/robot_description_semantic", "<robot/>")
+    assert peer.take("rt/robot_description_semantic")[0]["data"] == "<robot/>"
+
+
+@pytest.mark.slow
+def test_a_client_that_dies_while_it_waits_holds_nobody_up(bus, bridge, peer, mortal):
+    def slow(request):
+        time.sleep(1.0)
+        return S.new("std_srvs/TriggerResponse", True, "done")
+
+    with bus.serve("/patient", TRIGGER, slow):
+        for _ in range(20):  # more than are answered at a time
+            mortal.call("/patient", "Trigger", {}, wait=False)
+        mortal.process.kill()
+        assert peer.call("/patient", "Trigger", {}, timeout=30.0)["success"]
+
+
 # --- beginning and end ---
 def test_nothing_is_left_behind(reach, bus):
-    from armcell.ros.ros2 import Ros2Bridge, Ros2Settings
-
     before = set(threading.enumerate())
     for _ in range(2):
         with Ros2Bridge(bus, Ros2Settings(reach)) as bridge, gripper(bus):
@@ -378,20 +425,32 @@ def subscriptions():
     return {t for t in threading.enumerate() if t.name.startswith(("sub", "status", "goal"))}
 
 
-def test_a_domain_that_is_joined_differently_already(reach, bus):
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
+@pytest.mark.slow
+def test_a_program_that_forgets_to_close_ends_all_the_same(reach):
+    script = f"""
+from armcell.ros import Bus, Reach, Ros2Bridge, Ros2Settings
+bus = Bus()
+bus.subscribe("/a", "std_msgs/String")
+Ros2Bridge(bus, Ros2Settings(Reach({reach.domain}, config={reach.config!r}))).start()
+raise SystemExit(3)
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (3, "")
 
+
+def test_a_domain_that_is_joined_differently_already(reach, bus):
     with Ros2Bridge(bus, Ros2Settings(reach)):
         other = Reach(reach.domain, "SUBNET", config=reach.config)
         with pytest.raises(InputError, match="another reach already"):
             Ros2Bridge(Bus(), Ros2Settings(other)).start()
+    with Ros2Bridge(Bus(), Ros2Settings(other)):  # the first one has left
+        pass
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
     import sys
 
     from armcell.core import MissingExtraError
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
     from armcell.ros.ros2.dds import library
 
     library.cache_clear()
@@ -402,8 +461,6 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
 
 
 def test_wrong_settings(bus):
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
-
     with pytest.raises(InputError, match="unknown ROS 2 distribution 'noetic'"):
         Ros2Bridge(bus, Ros2Settings(Reach(3), distro="noetic")).start()
     for domain in (-1, 233):

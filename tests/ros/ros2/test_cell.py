@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armcell.cell import load
-from armcell.ros import Bus, CellNode, schema
+from armcell.ros import Bus, CellNode, Ros2Bridge, Ros2Settings, schema
 
 pytestmark = pytest.mark.slow
 S = schema()
@@ -22,8 +22,6 @@ SEND, CANCEL, RESULT = (f"{ARM}/_action/{part}" for part in ("send_goal", "cance
 @pytest.fixture
 def cell(reach):
     """A Panda that follows exactly, as a ROS 2 node; joined before the peer asks."""
-    from armcell.ros.ros2 import Ros2Bridge, Ros2Settings
-
     node = CellNode(load("panda_pick").connect("fake", 0, time_scale=4.0), Bus())
     with Ros2Bridge(node.bus, Ros2Settings(reach, distro="jazzy")):
         thread = node.start()
@@ -140,7 +138,14 @@ def start(environment, *arguments):
     )  # fmt: skip
 
 
-def test_simulator_and_planner_in_two_processes_grasp_over_dds(bus, bridge, reach):
+@pytest.fixture
+def patient(bus, reach):
+    """The bus, joined to the domain; waits long for answers."""
+    with Ros2Bridge(bus, Ros2Settings(reach, distro="jazzy", service_timeout=300.0)) as made:
+        yield made
+
+
+def test_simulator_and_planner_in_two_processes_grasp_over_dds(bus, patient, reach):
     """The first reference system's scenario: a Panda grasps a cube and lifts it."""
     environment = {"CYCLONEDDS_URI": reach.config, "ROS_DISTRO": "jazzy"}
     at = ("--ros2", "--domain", str(reach.domain))
@@ -151,8 +156,7 @@ def test_simulator_and_planner_in_two_processes_grasp_over_dds(bus, bridge, reac
         first = poses.get(300)
         assert first is not None
         assert bus.wait_for_service("/grasp", 300)
-        assert bridge.wait_for_node("/armcell", 10) and bridge.wait_for_node("/armcell_sim", 10)
-        object.__setattr__(bridge.settings, "service_timeout", 300.0)
+        assert patient.wait_for_node("/armcell", 10) and patient.wait_for_node("/armcell_sim", 10)
         answer = bus.call("/grasp", S.new("std_srvs/TriggerRequest"))
         assert answer.success, answer.message
         poses.get(5)

@@ -1,5 +1,7 @@
 """ROS 2's definitions and bytes, against what ROS 2 itself says of them: type hashes and recorded samples."""
 
+import queue
+
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -47,6 +49,30 @@ def test_humble_has_no_hashes_and_larger_ids():
     assert len(ros2_codec(S, "jazzy").new("rmw_dds_common/Gid").data) == 16
     assert "message" not in ros2_codec(S, "humble").wire_class("moveit_msgs/MoveItErrorCodes")._fields
     assert "message" in ros2_codec(S, "jazzy").wire_class("moveit_msgs/MoveItErrorCodes")._fields
+
+
+def test_humbles_discovery_info_as_rosbags_reads_it(reach):
+    """Its ids have eight more bytes; a peer of our hand-written types has Jazzy's."""
+    from armcell.ros.ros2.dds import Participant
+    from armcell.ros.ros2.graph import Announcer
+    from armcell.ros.ros2.qos import DISCOVERY_READER
+
+    codec, heard = ros2_codec(S, "humble"), queue.Queue()
+    one, other = Participant(reach, codec), Participant(reach, codec)
+    try:
+        other.reader(names.DISCOVERY, DISCOVERY_READER, heard.put)
+        announcer = Announcer(one, codec, "/lab/armcell")
+        announcer.add(bytes(range(16)), True)
+        announcer.tell()
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        info = store.deserialize_cdr(heard.get(timeout=5).data, "rmw_dds_common/msg/ParticipantEntitiesInfo")
+        node = info.node_entities_info_seq[0]
+        assert (node.node_namespace, node.node_name) == ("/lab", "armcell")
+        assert list(node.writer_gid_seq[0].data) == [*range(16), *[0] * 8]
+        assert bytes(info.gid.data[:16]) == one.guid
+    finally:
+        one.close()
+        other.close()
 
 
 # --- bytes ---
@@ -149,6 +175,8 @@ def test_names_on_dds():
     assert names.reply("/add", "example/Add")[:2] == ("rr/addReply", "example::srv::dds_::Add_Response_")
     send = names.request("/arm/_action/send_goal", "example/Move_SendGoal", "action")
     assert send[:2] == ("rq/arm/_action/send_goalRequest", "example::action::dds_::Move_SendGoal_Request_")
+    assert names.action_name("/left/move_group", "moveit_msgs/MoveGroup") == "/left/move_action"  # MoveIt 2's
+    assert names.action_name("/pickup", "moveit_msgs/Pickup") == "/pickup"
     assert names.ros_topic("rt/a/b") == "/a/b" and names.ros_topic("ros_discovery_info") is None
     assert names.ros_service("rq/addRequest") == "/add" and names.ros_service("rt/add") is None
     assert names.ros_type("std_msgs::msg::dds_::String_") == "std_msgs/String"

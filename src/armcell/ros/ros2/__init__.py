@@ -2,7 +2,8 @@
 
 names: how ROS 2 calls things on DDS. dialect, codec: its message definitions and bytes. qos, range: its
 profiles and environment variables. idl, dds: the library. graph: who else is there. context: what the parts
-share. topics, services, goals, reaching, parameters: the parts. bridge: joins a bus to a domain.
+share. topics, services, goals, reaching, parameters, descriptions: the parts. bridge: joins a bus to a
+domain.
 """
 
 from armcell.ros.ros2.bridge import Ros2Bridge, Ros2Settings, Ros2Status

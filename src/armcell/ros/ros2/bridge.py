@@ -20,6 +20,7 @@ from armcell.ros.names import resolve
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import ros2_codec
 from armcell.ros.ros2.context import Context
+from armcell.ros.ros2.descriptions import Descriptions
 from armcell.ros.ros2.dialect import distro_from_environment
 from armcell.ros.ros2.goals import ActionServing
 from armcell.ros.ros2.parameters import ParameterServices
@@ -86,16 +87,22 @@ class Ros2Bridge:
         self._clients: dict[str, Client] = {}
         self._refused: set[tuple[str, str]] = set()
         self._parameters: ParameterServices | None = None
+        self._descriptions = Descriptions(bus)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ros2 bridge", daemon=True)
 
     def start(self) -> None:
         codec = ros2_codec(self.bus.schema, self.settings.distro)
-        self._context = Context(self.bus, codec, self.settings.reach, self.settings.node)
-        self._parameters = ParameterServices(self._context, self.settings.node)
+        context = Context(self.bus, codec, self.settings.reach, self.settings.node)
+        try:
+            self._parameters = ParameterServices(context, self.settings.node)
+        except ArmcellError:
+            context.close()
+            raise
+        self._context = context
         self.bus.find_elsewhere(self._find)
-        self._look(self._context)
+        self._look(context)
         self._thread.start()
 
     def __enter__(self) -> Ros2Bridge:
@@ -110,7 +117,12 @@ class Ros2Bridge:
         self._stop.set()
         self._thread.join(SHUT_DOWN)
         self.bus.forget_elsewhere(self._find)
-        parts: list[Any] = [self._parameters, *self._actions.values(), *self._reaching.values()]
+        parts: list[Any] = [
+            self._descriptions,
+            self._parameters,
+            *self._actions.values(),
+            *self._reaching.values(),
+        ]
         parts += [*self._out.values(), *self._in.values(), *self._clients.values()]
         parts += [server for _, server in self._servers.values()]
         for part in parts:
@@ -202,6 +214,7 @@ class Ros2Bridge:
 
     def _look(self, context: Context) -> None:
         """Make what the bus has now known in the domain, and close what it has no more."""
+        self._descriptions.look()
         infos = {info.name: info for info in self.bus.topics(besides=self)}
         acting = self._action_names(infos)
         self._look_actions(context, infos, acting)
@@ -269,7 +282,7 @@ class Ros2Bridge:
         served = {n: t for n, t in acting.items() if infos[f"{n}/goal"].subscribers}
         reached = {
             n: t for n, t in acting.items()
-            if n not in served and outside.get(n + names.SEND_GOAL) == f"{t}_SendGoal"
+            if n not in served and outside.get(names.action_name(n, t) + names.SEND_GOAL) == f"{t}_SendGoal"
         }  # fmt: skip
         for wanted, table, make in (
             (served, self._actions, ActionServing),

@@ -54,9 +54,9 @@ class ActionServing:
         self._goals: dict[bytes, Goal] = {}
         self._lock = threading.Lock()
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        bus, codec = context.bus, context.codec
-        feedback = names.topic(name + names.FEEDBACK, f"{type_name}_FeedbackMessage", "action")
-        status = names.topic(name + names.STATUS, "action_msgs/GoalStatusArray")
+        bus, codec, outside = context.bus, context.codec, names.action_name(name, type_name)
+        feedback = names.topic(outside + names.FEEDBACK, f"{type_name}_FeedbackMessage", "action")
+        status = names.topic(outside + names.STATUS, "action_msgs/GoalStatusArray")
         for message in (feedback.message, status.message):
             codec.prepare(message)
         self._feedback = context.writer(feedback, DEFAULT)
@@ -76,11 +76,11 @@ class ActionServing:
         self._tell()
         # The one that takes goals comes last: then everything is there for them.
         self._get_server = Server(
-            context, name + names.GET_RESULT, f"{type_name}_GetResult", self._on_get, "action"
+            context, outside + names.GET_RESULT, f"{type_name}_GetResult", self._on_get, "action"
         )
         self._servers = [
-            Server(context, name + names.CANCEL_GOAL, "action_msgs/CancelGoal", self._on_cancel),
-            Server(context, name + names.SEND_GOAL, f"{type_name}_SendGoal", self._on_goal, "action"),
+            Server(context, outside + names.CANCEL_GOAL, "action_msgs/CancelGoal", self._on_cancel),
+            Server(context, outside + names.SEND_GOAL, f"{type_name}_SendGoal", self._on_goal, "action"),
         ]
 
     def close(self) -> None:

@@ -60,6 +60,16 @@ DISCOVERY = DdsName(
 )
 
 
+def action_name(name: str, type_name: str) -> str:
+    """An action's name in ROS 2: what MoveIt calls `move_group` in ROS 1 is `move_action` in MoveIt 2.
+
+    Source: move_group/capability_names.h.
+    """
+    if type_name == "moveit_msgs/MoveGroup" and name.endswith("/move_group"):
+        return name.removesuffix("move_group") + "move_action"
+    return name
+
+
 def ros_topic(dds_topic: str) -> str | None:
     """`rt/chatter` as `/chatter`; None for what is no ROS topic."""
     return dds_topic[2:] if dds_topic.startswith("rt/") else None

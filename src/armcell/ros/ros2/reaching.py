@@ -26,12 +26,13 @@ class ActionReaching:
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
         self._goals: dict[bytes, Goal] = {}
-        feedback = names.topic(name + names.FEEDBACK, f"{type_name}_FeedbackMessage", "action")
+        outside = names.action_name(name, type_name)
+        feedback = names.topic(outside + names.FEEDBACK, f"{type_name}_FeedbackMessage", "action")
         self._message = feedback.message
         context.codec.prepare(feedback.message)
-        self._send = Client(context, name + names.SEND_GOAL, f"{type_name}_SendGoal", "action")
-        self._cancel = Client(context, name + names.CANCEL_GOAL, "action_msgs/CancelGoal")
-        self._get = Client(context, name + names.GET_RESULT, f"{type_name}_GetResult", "action")
+        self._send = Client(context, outside + names.SEND_GOAL, f"{type_name}_SendGoal", "action")
+        self._cancel = Client(context, outside + names.CANCEL_GOAL, "action_msgs/CancelGoal")
+        self._get = Client(context, outside + names.GET_RESULT, f"{type_name}_GetResult", "action")
         self._feedback = context.reader(feedback, DEFAULT, self._on_feedback)
         self._server = ActionServer(context.bus, name, type_name, self._execute, True, owner)
 

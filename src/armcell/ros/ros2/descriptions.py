@@ -1,0 +1,35 @@
+"""The robot's URDF and SRDF as latched topics: ROS 2's programs look there, ROS 1's at parameters."""
+
+from __future__ import annotations
+
+from armcell.ros.bus import Bus, Publisher
+
+TOPICS = ("/robot_description", "/robot_description_semantic")
+TYPE = "std_msgs/String"
+
+
+class Descriptions:
+    """Publishes on the bus what its parameters say, where nobody else does."""
+
+    def __init__(self, bus: Bus):
+        self._bus = bus
+        self._publishers: dict[str, Publisher] = {}
+        self._told: dict[str, str] = {}
+
+    def look(self) -> None:
+        """Publish what is new."""
+        published = {t.name for t in self._bus.topics() if t.publishers}
+        for topic in TOPICS:
+            text = self._bus.parameters.get(topic, None)
+            if not isinstance(text, str) or text == self._told.get(topic):
+                continue
+            if topic not in self._publishers:
+                if topic in published:
+                    continue
+                self._publishers[topic] = self._bus.advertise(topic, TYPE, latch=True)
+            self._told[topic] = text
+            self._publishers[topic].publish(self._bus.schema.new(TYPE, text))
+
+    def close(self) -> None:
+        for publisher in self._publishers.values():
+            publisher.close()
