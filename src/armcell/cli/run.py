@@ -13,8 +13,8 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
-from armcell.cli.ros1 import OWN_MASTER
 from armcell.cli.gating import gate_of, gate_words
+from armcell.cli.ros1 import OWN_MASTER
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
 
@@ -94,7 +94,18 @@ def run(
         from armcell.cli.script import run_script_command
 
         return run_script_command(
-            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port, without_gate, ros1, own_master
+            cell,
+            in_cell,
+            arguments or [],
+            seed,
+            mode,
+            time_scale,
+            auto_grip,
+            view,
+            port,
+            without_gate,
+            ros1,
+            own_master,
         )
     if ros1 or own_master is not None:
         raise typer.BadParameter("--ros1 is for scripts; a cell is served to ROS 1 by `armcell serve --ros1`")
