@@ -19,6 +19,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
+# What the tests of ROS 1 talk to; it lives under /usr and is used through /usr/bin/python3.
+ROS := python3-rospy python3-rosmaster python3-rostopic python3-rosservice python3-rosparam python3-rosnode \
+       python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros rosout topic-tools
+ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros'
+
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
 
@@ -34,8 +39,11 @@ fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at the ROS-T
 bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (SECONDS_=60)
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),60)
 
-test-interop: $(VENV)/.stamp ## set up, then test against other programs that are installed (Debian's rospy, Mono, Chromium)
-	$(PY) -m pytest -m interop
+test-interop: $(VENV)/.stamp ## set up, then test against other programs: Debian's ROS 1 (installed where it can be), Mono, Chromium
+	@$(ROS_THERE) 2>/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+	  && echo "Installing Debian's ROS 1 ..." && apt-get update -q && apt-get install -qy --no-install-recommends $(ROS); } \
+	  || echo "Debian's ROS 1 cannot be installed from here; its tests are skipped. Cure: apt-get install $(ROS)"
+	$(PY) -m pytest -m interop -rs
 
 lint: $(VENV)/.stamp ## style, types and the layers of the rooms
 	$(BIN)/ruff check .

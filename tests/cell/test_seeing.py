@@ -99,6 +99,29 @@ def test_the_octomap_follows_and_a_motion_stops_before_what_comes_across(cell):
         assert not [c for c in live.driver.unwanted_contacts() if "panda" in c.body_a + c.body_b]
 
 
+@pytest.mark.slow
+def test_a_picture_that_is_looked_at_twice_puts_no_robot_into_the_map(cell, tmp_path):
+    """A camera slower than the watch: the robot has moved on since its newest picture was taken."""
+    (tmp_path / "cell.yaml").write_text(CELL.replace("noise: stereo", "rate: 4"))
+    with load(tmp_path).connect() as live:
+        without_post(cell, live)
+        live.driver.world.set_object_pose("post", SE3.from_xyz(3, 3, 0.35))
+        watch = live.watch(settings=MapSettings(), rate=20)
+        assert live.arm.move_to(LEFT) and live.arm.move_to(RIGHT), watch.stopped
+        assert sum(u.hits for u in watch.updates) == 0 and OCTOMAP not in live.scene().objects
+
+
+def test_a_look_that_failed_is_told_where_nothing_is_looked_for(tmp_path):
+    (tmp_path / "cell.yaml").write_text(CELL.replace(", movable: true", ""))
+    with load(tmp_path).connect() as live:
+        live.camera().image()
+        live.camera().frozen = True
+        live.ctx.advance(1.0)
+        assert live.look().code is ErrorCode.SENSOR_INFO_STALE
+        report = live.ctx.reports[-1]
+        assert not report.ok and "frozen" in report.error
+
+
 def test_a_frozen_camera_is_told_once(cell):
     with cell.connect() as live:
         without_post(cell, live)

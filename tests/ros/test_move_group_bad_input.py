@@ -11,8 +11,9 @@ from tests.ros.helpers import random_message
 from tests.ros.unity_like import UnityLike
 
 from armcell.cell import load
-from armcell.ros import ActionClient, Bus, cdr, ros1, schema
+from armcell.ros import ActionClient, Bus, cdr, schema
 from armcell.ros.bus import ServiceError
+from armcell.ros.codec import ros1
 from armcell.ros.nodes import ServedCell
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 

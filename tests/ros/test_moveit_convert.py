@@ -29,7 +29,8 @@ from armcell.core import (
     UnknownNameError,
     VisibilityConstraint,
 )
-from armcell.ros import cdr, ros1, schema
+from armcell.ros import cdr, schema
+from armcell.ros.codec import ros1
 from armcell.ros.convert import pose_from_message, pose_message, trajectory_from_message
 from armcell.ros.moveit_convert import (
     Components,

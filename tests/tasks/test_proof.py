@@ -68,10 +68,11 @@ def test_the_same_trials_are_remembered(robot):
     model, gripper, hand = robot
     item = library_object("bolt")
     grasps = varied(grasp_candidates(item, hand)[0], 4)
-    first = prove(model, gripper, item, grasps, trials=3)
     began = time.perf_counter()
+    first = prove(model, gripper, item, grasps, trials=3)
+    worked = time.perf_counter()
     again = prove(model, gripper, item, grasps, trials=3)
-    assert time.perf_counter() - began < 0.1
+    assert time.perf_counter() - worked < (worked - began) / 5
     assert [(p.successes, p.slip) for p in again] == [(p.successes, p.slip) for p in first]
 
 

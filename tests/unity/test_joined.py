@@ -5,7 +5,9 @@ Unity is the package's own C# under Mono, on our stubs: its physics is kinematic
 
 from __future__ import annotations
 
+import re
 import subprocess
+import sys
 
 import pytest
 
@@ -49,3 +51,32 @@ def test_the_planner_grasps_in_unity(player, exported, scene, ros2):
         while (message := grip.get(0.2)) is not None:
             held.append(message.data)
         assert held[-1] == "done: holds cube"
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_readme(player, scene):
+    """`armcell serve ... --plan-only`, Unity, and `armcell service call /grasp`, each in a process."""
+    command = [sys.executable, "-u", "-m", "armcell"]
+    planner = subprocess.Popen(
+        [*command, "serve", "panda_table", "--unity", "--port", "0", "--plan-only"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    unity = None
+    try:
+        assert planner.stdout is not None
+        port = re.search(r":(\d+);", planner.stdout.readline())
+        assert port
+        unity = player().join(scene, ("127.0.0.1", int(port[1])), speed=3)
+        where = f"127.0.0.1:{port[1]}"
+        call = [*command, "service", "call", "/grasp", "std_srvs/Trigger", "--connect", where]
+        for _ in range(3):  # the planner may still be getting ready
+            done = subprocess.run(call, capture_output=True, text=True, timeout=200)
+            if done.returncode == 0:
+                break
+        assert done.returncode == 0 and "cube is lifted" in done.stdout, done.stdout + done.stderr
+    finally:
+        if unity is not None:
+            unity.stdin.close()
+            unity.wait(20)
+        planner.terminate()
+        planner.wait(20)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from armcell.core import SE3, JointTrajectory
+from armcell.cell import load
+from armcell.cell.cell import cell_names
+from armcell.core import SE3, ArmcellError, JointTrajectory
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.ros import Bus, schema
+from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes import CellNode
+from armcell.ros.unity import export_unity
 
 pytestmark = pytest.mark.slow
 S = schema()
@@ -155,6 +160,56 @@ def test_it_says_what_our_own_simulator_says(player, exported, scene):
     assert len(mine) == 12
 
 
+def test_bad_trajectories_are_refused_in_our_words(player, exported, scene):
+    """Hundreds of trajectories with something wrong in them, against `trajectory_from_message`."""
+    cell, _ = exported
+    rng, state = np.random.default_rng(0), cell.scene().state
+    start = state.reindexed(ARM).positions
+    Duration = S.message("builtin_interfaces/Duration")
+    lines, wanted = [], []
+    for i in range(300):
+        q = np.vstack([start + 0.01 * (k + 1) for k in range(3)])
+        times = np.array([0.1, 0.2, 0.3])
+        m = message(JointTrajectory(ARM, times, q, q * 0, q * 0))
+        for _ in range(int(rng.integers(0, 3))):
+            if not m.points or len(m.joint_names) < 7:
+                break
+            point, joint = m.points[int(rng.integers(len(m.points)))], int(rng.integers(7))
+            match int(rng.integers(7)):
+                case 0:
+                    m.joint_names[joint] = str(rng.choice(["panda_joint1", "", "panda_finger_joint2", "x"]))
+                case 1:
+                    field = str(rng.choice(["positions", "velocities", "accelerations"]))
+                    values = np.array(getattr(point, field))
+                    if len(values):
+                        values[joint % len(values)] = rng.choice([np.nan, np.inf, -np.inf, 7.0, -1e300])
+                    setattr(point, field, values)
+                case 2:
+                    point.positions = np.array(point.positions)[: int(rng.integers(8))]
+                case 3:
+                    point.velocities = np.append(point.velocities, rng.uniform(size=int(rng.integers(3))))
+                case 4:
+                    point.time_from_start = Duration.from_sec(float(rng.choice([-0.5, 0.0, 0.2, 0.3])))
+                case 5:
+                    m.joint_names = m.joint_names[:joint]
+                case 6:
+                    m.points = m.points[: int(rng.integers(4))]
+        try:
+            trajectory_from_message(m, cell.model, state)
+            wanted.append(None)
+        except ArmcellError as error:
+            wanted.append(f"refused: {str(error).split(' (did you mean')[0]}")
+        lines.append(player().message(i * 0.05, "/planned_trajectory", m))
+    rows = player().play(scene, lines, 300 * 0.05)
+    said = {}
+    for t, m in player().received(rows, "/trajectory_status"):
+        if m.data.startswith("refused"):
+            said[round(t / 0.05)] = m.data
+    plain = lambda text: text and re.sub(r"limits \[.*", "", text)  # noqa: E731  (3.7525 is rounded up or down)
+    assert [plain(said.get(i)) for i in range(300)] == [plain(text) for text in wanted]
+    assert 100 < sum(w is not None for w in wanted) < 290
+
+
 def test_a_newer_trajectory_takes_over_and_nothing_jumps(player, exported, scene):
     cell, _ = exported
     start = cell.scene().state.reindexed(ARM).positions
@@ -268,6 +323,20 @@ def test_a_finger_trajectory_closes_the_gripper(player, exported, scene):
     assert said[2:] == ["executing 2 points, 0.50 s", "done: holds cube"]
 
 
+def test_a_trajectory_of_arm_and_fingers(player, exported, scene):
+    """One trajectory may move both; the gripper's controller stays where it was led to."""
+    cell, _ = exported
+    names = (*ARM, "panda_finger_joint1")
+    goal = np.append(cell.scene().state.reindexed(ARM).positions + 0.1, 0.01)
+    lines = ["drives", player().message(0, "/planned_trajectory", to(names, goal, 1.0))]
+    rows = player().play(scene, lines, 2.0)
+    assert player().said(rows)[-1].startswith("done")
+    told = drives(rows)
+    np.testing.assert_array_equal(told["panda_finger_joint1"], told["panda_finger_joint2"])
+    half = told["panda_finger_joint1"][int(0.5 / STEP) - 1]
+    assert half == pytest.approx(0.025, abs=1e-5) and told["panda_finger_joint1"][-1] == pytest.approx(0.01)
+
+
 def test_mimic_fingers_follow(player, scene):
     lines = ["drives", player().message(0, "/gripper_command", S.new("std_msgs/Float64", 0.03))]
     rows = player().play(scene, lines, 2.0)
@@ -277,6 +346,27 @@ def test_mimic_fingers_follow(player, scene):
     assert (
         np.max(np.abs(np.diff(told["panda_finger_joint1"]))) <= 0.05 * STEP * 1.001
     )  # at the fingers' speed
+
+
+@pytest.mark.parametrize("name", cell_names())
+def test_every_cell_can_be_played(player, tmp_path, name):
+    """All joints are published where the cell starts; every gripper and movable object has its topics."""
+    cell = load(name)
+    export = export_unity(cell, tmp_path)
+    lines, grippers = [], list(cell.model.grippers.values())
+    for g in grippers:
+        topic = "/gripper_command" if len(grippers) == 1 else f"/{g.name}/gripper_command"
+        lines.append(player().message(0.1, topic, S.new("std_msgs/Float64", g.max_width / 2)))
+    rows = player().play(export.cell / "scene.json", lines, 1.5)
+    states = player().received(rows, "/joint_states")
+    assert states[0][1].name == list(cell.model.joint_names)
+    np.testing.assert_allclose(states[0][1].position, cell.scene().positions, atol=1e-6)
+    last = dict(zip(states[-1][1].name, states[-1][1].position))
+    for g in grippers:
+        assert g.width(last[g.joint_name]) == pytest.approx(g.max_width / 2, abs=1e-4)
+    movable = [o for o in cell.scene().objects.values() if o.movable]
+    topics = {words[0] for _, words in rows["out"] if words[0].startswith("/object_pose")}
+    assert topics == ({"/object_pose"} if len(movable) == 1 else {f"/object_pose/{o.name}" for o in movable})
 
 
 @pytest.mark.parametrize("ros2", [False, True])

@@ -113,6 +113,15 @@ namespace Armcell.Logic
             m_Ended = ended;
         }
 
+        /// <summary>Be led to a width [m] by a trajectory that moves other joints, too.</summary>
+        public void Lead(double to, double width)
+        {
+            if (m_Running) End("stopped: cancelled");
+            Target = SetPoint = Math.Min(Math.Max(to, 0.0), m_Settings.maxWidth);
+            if (Target > width + k_Arrived) Forget();
+            m_Closing = Target < width - k_Arrived;
+        }
+
         /// <summary>One period of physics [s].</summary>
         /// <param name="width">between the fingers [m]</param>
         /// <param name="pressed">what both fingers touch; null: nothing</param>

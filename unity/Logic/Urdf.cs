@@ -33,7 +33,6 @@ namespace Armcell.Logic
         public PoseData origin;
         public Vec3 axis = new Vec3(1, 0, 0);
         public double lower, upper, velocity, effort; // infinite where not given
-        public double friction;
         public string mimic = "";
         public double multiplier = 1.0, offset;
 
@@ -154,7 +153,6 @@ namespace Armcell.Logic
             joint.upper = bounded ? Number(limit, "upper", double.PositiveInfinity) : double.PositiveInfinity;
             joint.velocity = Number(limit, "velocity", double.PositiveInfinity);
             joint.effort = Number(limit, "effort", double.PositiveInfinity);
-            joint.friction = Number(Child(element, "dynamics"), "friction", 0);
             if (mimic != null)
             {
                 joint.mimic = mimic.GetAttribute("joint");

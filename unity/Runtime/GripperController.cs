@@ -44,6 +44,7 @@ namespace Armcell
         {
             m_Contacts = fingers.Select(Contact).ToArray();
             m_Grip = new Grip(settings, settings.Width(map.Table[joint].start), Say);
+            map.Redirect(joint, q => m_Grip.Lead(settings.Width(q), Width()));
             m_Ros = ROSConnection.GetOrCreateInstance();
             m_Ros.RegisterPublisher<StringMsg>(statusTopic, 10, true);
             m_Ros.Subscribe<Float64Msg>(topic, message => Command(message.data));
@@ -92,7 +93,7 @@ namespace Armcell
                 m_Weld = null;
             }
             map.LimitForce(joint, settings.JointForce(m_Grip.Force));
-            map.Command(joint, settings.Joint(m_Grip.SetPoint), 0.0);
+            map.Lead(joint, settings.Joint(m_Grip.SetPoint), 0.0);
         }
 
         /// <summary>What every finger touches.</summary>

@@ -25,6 +25,7 @@ namespace Armcell
 
         readonly Dictionary<string, MappedJoint> m_ByName = new Dictionary<string, MappedJoint>();
         readonly Dictionary<string, List<MappedJoint>> m_Followers = new Dictionary<string, List<MappedJoint>>();
+        readonly Dictionary<string, Action<double>> m_Takers = new Dictionary<string, Action<double>>();
 
         public JointTable Table { get; private set; }
 
@@ -54,7 +55,7 @@ namespace Armcell
                 double start = m_ByName[name].spec.start;
                 Put(m_ByName[name], start);
                 foreach (MappedJoint follower in m_Followers[name]) Put(follower, Follow(name, follower, start, false));
-                Command(name, start, 0.0);
+                Lead(name, start, 0.0);
             }
         }
 
@@ -72,19 +73,31 @@ namespace Armcell
             return v.dofCount > 0 ? v[0] : 0.0;
         }
 
-        /// <summary>What its drive presses with [Nm or N]; 0 where this Unity does not tell.</summary>
+#if UNITY_2022_2_OR_NEWER
+        /// <summary>What its drive presses with [Nm or N]. Older Unitys do not tell.</summary>
         public double Effort(string name)
         {
-#if UNITY_2022_2_OR_NEWER
             ArticulationReducedSpace force = Find(name).body.driveForce;
             return force.dofCount > 0 ? force[0] : 0.0;
-#else
-            return 0.0;
+        }
 #endif
+
+        /// <summary>Lead a joint to a position with a velocity; a gripper's by way of its controller.</summary>
+        public void Command(string name, double q, double v)
+        {
+            Action<double> taker;
+            if (m_Takers.TryGetValue(name, out taker)) taker(q);
+            else Lead(name, q, v);
         }
 
-        /// <summary>Lead a joint, and those that follow it, to a position with a velocity.</summary>
-        public void Command(string name, double q, double v)
+        /// <summary>Let somebody else do what a joint is commanded: a gripper knows more than its joint.</summary>
+        public void Redirect(string name, Action<double> taker)
+        {
+            m_Takers[name] = taker;
+        }
+
+        /// <summary>Lead a joint's drive, and those of the joints that follow it.</summary>
+        public void Lead(string name, double q, double v)
         {
             MappedJoint joint = Find(name);
             Drive(joint, q, v);

@@ -33,13 +33,14 @@ namespace Armcell
             message.name = names;
             message.position = new double[names.Length];
             message.velocity = new double[names.Length];
-            message.effort = new double[names.Length];
             for (int i = 0; i < names.Length; i++)
             {
                 message.position[i] = map.Position(names[i]);
                 message.velocity[i] = map.Velocity(names[i]);
-                message.effort[i] = map.Effort(names[i]);
             }
+#if UNITY_2022_2_OR_NEWER
+            message.effort = System.Array.ConvertAll(names, map.Effort);
+#endif
             m_Ros.Publish(topic, message);
         }
     }

@@ -70,20 +70,21 @@ namespace Armcell
                 return;
             }
             JointSpec spec = joint.Spec();
-            bool slides = spec.kind == JointKind.Prismatic, free = spec.kind == JointKind.Continuous;
+            bool slides = spec.kind == JointKind.Prismatic, free = double.IsInfinity(spec.upper - spec.lower);
             body.jointType = slides ? ArticulationJointType.PrismaticJoint : ArticulationJointType.RevoluteJoint;
             // The drive's axis is the anchor's x. Turning is the other way round in left-handed axes.
             Vector3 axis = Ros.ToVector3(Axes.ToUnity(joint.axis));
             body.anchorPosition = Vector3.zero;
             body.anchorRotation = Quaternion.FromToRotation(Vector3.right, slides ? axis : -axis);
+            ArticulationDofLock motion = free ? ArticulationDofLock.FreeMotion : ArticulationDofLock.LimitedMotion;
             if (slides)
             {
-                body.linearLockX = ArticulationDofLock.LimitedMotion;
+                body.linearLockX = motion;
                 body.linearLockY = ArticulationDofLock.LockedMotion;
                 body.linearLockZ = ArticulationDofLock.LockedMotion;
             }
-            else body.twistLock = free ? ArticulationDofLock.FreeMotion : ArticulationDofLock.LimitedMotion;
-            body.jointFriction = (float)joint.friction;
+            else body.twistLock = motion;
+            body.jointFriction = 0f; // URDF's is a torque, PhysX's a share of the load
             body.linearDamping = 0f;
             body.angularDamping = 0f;
             DriveData gains = m_Cell.drives[joint.name];

@@ -356,6 +356,20 @@ namespace Armcell.Tests
         }
 
         [Test]
+        public void ATrajectoryOfArmAndFingersLeadsThem()
+        {
+            Grip grip = Make(GripMode.Weld);
+            grip.Command(0, 0, 0.08);
+            Run(grip, 0.5, 0.05, "cube");
+            Assert.IsTrue(grip.IsWelded);
+            grip.Lead(0.05, 0.05); // where it is: it stays welded
+            Assert.IsTrue(grip.IsWelded);
+            grip.Lead(0.06, 0.05);
+            Assert.AreEqual(0.06, grip.SetPoint, 0.0);
+            Assert.AreEqual(GripAction.Release, Run(grip, 0.01, 0.05, "cube"));
+        }
+
+        [Test]
         public void NothingBetweenTheFingers()
         {
             Grip grip = Make(GripMode.Friction);

@@ -15,6 +15,7 @@ from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal
 from armcell.tasks import (
+    RecoverySettings,
     StageReport,
     TaskContext,
     TaskSettings,
@@ -25,6 +26,7 @@ from armcell.tasks import (
     pick,
     place,
     release,
+    transfer,
 )
 from armcell.tasks.arms import (
     ArmContext,
@@ -51,9 +53,36 @@ class Arm:
         model = self._ctx.scene().model
         return pick(self._ctx, item, model.gripper(arm_group=self.group))
 
-    def place(self, item: str, on: str, at: tuple[float, float] | None = None) -> Outcome:
-        """Put a held object on another one, `at` [m] from the middle of its surface."""
-        return place(self._ctx, item, on, at)
+    def place(
+        self,
+        item: str,
+        on: str,
+        at: tuple[float, float] | None = None,
+        up: tuple[float, float, float] | None = None,
+    ) -> Outcome:
+        """Put a held object on another one, `at` [m] from the middle of its surface.
+
+        Args:
+            up: direction in the object's frame that shall be up; without it, it stands as it does now.
+        """
+        return place(self._ctx, item, on, at, up)
+
+    def transfer(
+        self,
+        item: str,
+        on: str,
+        at: tuple[float, float] | None = None,
+        up: tuple[float, float, float] | None = None,
+        look: Callable[[], Outcome] | None = None,
+        settings: RecoverySettings = RecoverySettings(),
+    ) -> Outcome:
+        """Pick an object and put it on another one, until it lies there: what is dropped is picked up again.
+
+        Args:
+            look: for objects that only cameras know, e.g. `lambda: cell.look("above")`.
+        """
+        gripper = self._ctx.scene().model.gripper(arm_group=self.group)
+        return transfer(self._ctx, item, gripper, on, at, up, look, settings)
 
     def move_to(self, target: Target) -> Outcome:
         """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""

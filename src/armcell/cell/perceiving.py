@@ -116,7 +116,8 @@ def look_with(
     report = StageReport(f"look with {camera.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     sight = look(camera.image(), scene, wanted, settings, ctx.driver.now)
-    report.ok, report.error = not sight.missing, sight.message if sight.missing else ""
+    report.ok = not sight.missing and sight.plane is not None  # without a plane nothing was looked at
+    report.error = "" if report.ok else sight.message
     report.planning_time_s = sight.cpu_time
     ctx.reports.append(report)
     if seen is not None:

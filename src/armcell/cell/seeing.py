@@ -91,6 +91,7 @@ class CameraWatch:
         self._next = -np.inf
         self._motion: tuple[float, JointTrajectory] | None = None
         self._told = ""
+        self._used: CameraImage | None = None
         self.ctx.observers.append(self)
 
     def close(self) -> None:
@@ -105,12 +106,19 @@ class CameraWatch:
             self.ctx.cancel.clear()
 
     def update(self) -> MapUpdate:
-        """Look now."""
+        """Look now; where no new picture has come, what the last one did.
+
+        A picture counts once: by the next time the robot is not where it was in it, and would be taken for an
+        obstacle.
+        """
+        image, now = self.camera.image(rgb=False), self.ctx.driver.now
+        if image is self._used and now - image.time <= self.settings.max_age:
+            return self.updates[-1]
         scene = _released(self.ctx.scene())
-        image = self.camera.image(rgb=False)
-        done = self.map.update(image, self.ctx.scene(), self.ctx.driver.now)
+        done = self.map.update(image, self.ctx.scene(), now)
         self.updates.append(done)
         if done.ok:
+            self._used = image
             self.ctx.change_scene(self.map.applied_to(scene))
             self._told = ""
         elif done.message != self._told:

@@ -15,34 +15,37 @@ CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder wit
 UNITY = """
 Examples:
 
-  armcell export unity panda_table -o my_unity_project     straight into a Unity project
-
-  armcell export unity panda_table -o exported             anywhere; then copy Assets/ and Packages/ into one
+  armcell export unity panda_table -o my_unity_project
 
   armcell export unity panda_pick -o my_unity_project --seed 7
 
-What is written:
+  armcell export unity my_cell/ -o anywhere
 
-  Packages/com.armcell.unity/      the C# package: joint states, trajectories, gripper, clock, object poses;
-                                   with the classes of moveit_msgs and control_msgs, which Unity lacks
+FOLDER is a Unity project (2020.3 or later), or any other: then copy its
+Assets and Packages into a project. What is written:
 
-  Assets/Armcell/<cell>/           robot.urdf (flattened: no xacro, relative meshes, inertia on every link),
-                                   meshes/, scene.json (objects, poses, masses, friction, gripper, start)
+  Packages/com.armcell.unity   the C# package: joint states, trajectories,
+    gripper, object poses, clock, obstacles; with the classes of moveit_msgs
+    and control_msgs, which Unity lacks
 
-Then, in Unity (2020.3 or later):
+  Assets/Armcell/CELL          robot.urdf (flattened), meshes, scene.json
 
-  1. Window > Package Manager > + > Add package from git URL:
-     https://github.com/Unity-Technologies/ROS-TCP-Connector.git?path=/com.unity.robotics.ros-tcp-connector
+Writing again replaces what was written before; own files are left alone.
 
-  2. Armcell > Build Cell..., choose Assets/Armcell/<cell>/scene.json
+Then, in Unity: install the ROS-TCP-Connector (the command prints its URL),
+Armcell > Build Cell..., choose scene.json. In a terminal:
 
-  3. armcell serve <cell> --unity --plan-only      in a terminal
+  armcell serve CELL --unity --plan-only
 
-  4. Press Play, and ask for a grasp:  armcell service call /grasp std_srvs/Trigger
+Press Play, and ask for a grasp:
 
-Writing again replaces what was written before and leaves your own files alone. unity/README.md shows every
-step.
+  armcell service call /grasp std_srvs/Trigger
+
+Every step, with pictures, is in the package's README.md.
 """
+CONNECTOR = (
+    "https://github.com/Unity-Technologies/ROS-TCP-Connector.git?path=/com.unity.robotics.ros-tcp-connector"
+)
 
 
 @app.command("unity", epilog=UNITY)
@@ -64,6 +67,8 @@ def unity(
         err(f"{name} is a cloud of points: Unity gets no collider for it")
     console.print(f"package  {done.package}", markup=False)
     console.print(f"cell     {done.cell}", markup=False)
+    console.print(f"Unity needs (Package Manager, Add package from git URL)  {CONNECTOR}", markup=False)
+    console.print(f"then     Armcell > Build Cell... > {done.cell.name}/scene.json", markup=False)
     if not done.is_project:
         err(f"{output} is no Unity project: copy its Assets and Packages into one")
 

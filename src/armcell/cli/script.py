@@ -11,14 +11,19 @@ from pathlib import Path
 import typer
 
 from armcell.cli.console import console, err
+from armcell.cli.ros1 import check_remap
 from armcell.core import InputError, Observer
 
 
 def run_script_command(
     script: str, cell: str | None, arguments: list[str], seed: int, mode: str, time_scale: float | None,
-    auto_grip: bool | None, view: bool, port: int,
+    auto_grip: bool | None, view: bool, port: int, without_gate: str | None, ros1: bool = False, own_master: bool | None = None,
 ) -> int:  # fmt: skip
-    """Run a rospy / moveit_commander script unchanged against a cell; its exit status."""
+    """Run a rospy / moveit_commander script unchanged against a cell; its exit status.
+
+    With `ros1` both are in a ROS 1 graph; arguments of the form from:=to are remappings then, too.
+    """
+    check_remap(ros1, None, own_master)
     if cell is None:
         raise InputError(f"no cell for {script}", cure="--cell CELL; `armcell cells` lists the built-in ones")
     file = Path(script)
@@ -30,6 +35,13 @@ def run_script_command(
     from armcell.moveit.lint import closes_gripper_itself
 
     drivers[mode]  # an unknown mode is said before anything is made
+    if mode == "real":
+        if not without_gate:
+            raise InputError(
+                f"no campaign can show what {file.name} does: a script has no gate record",
+                cure='--without-gate "REASON"; a cell\'s own task has one: armcell gate',
+            )
+        err(f"without a gate record: {without_gate}")
     if auto_grip is None:
         auto_grip = not closes_gripper_itself(file)
         if auto_grip:
@@ -49,7 +61,13 @@ def run_script_command(
             observers.append(viewer)
             console.print(f"view: {viewer.url}")
         live = loaded.connect(mode, seed, observers, time_scale or 1.0)
-        status, _ = run_script(file, live, arguments, auto_grip=auto_grip)
+        joined = None
+        if ros1:
+            from armcell.ros.ros1 import from_environment
+
+            remap = [a for a in arguments if ":=" in a]
+            joined = from_environment("armcell", remap, own_master=own_master)
+        status, _ = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined)
     return status
 
 

@@ -6,7 +6,7 @@ import typer
 import yaml
 
 from armcell.cli.console import console
-from armcell.cli.topic import CONNECT, filled, joined_to, plain, yaml_values
+from armcell.cli.topic import CONNECT, ROS1, filled, joined_to, plain, yaml_values
 from armcell.core import InputError
 
 app = typer.Typer(help="Services of a running endpoint: call.", no_args_is_help=True)
@@ -18,6 +18,7 @@ def call(
     type_name: str = typer.Argument(..., metavar="TYPE", help="For instance std_srvs/Trigger."),
     request: str = typer.Argument("{}", help="The request's fields as YAML; what is left out is zero."),
     connect: str = CONNECT,
+    ros1: bool = ROS1,
     timeout: float = typer.Option(60.0, min=0.1, help="Seconds to wait for the answer."),
 ) -> None:
     """Call a service and print its answer as YAML.
@@ -29,7 +30,7 @@ def call(
 
     request_class, _ = schema().service(type_name)
     message = filled(request_class(), yaml_values(request))
-    with joined_to(connect, timeout, use={name: type_name}) as (bus, _):
+    with joined_to(connect, timeout, ros1, use={name: type_name}) as (bus, _):
         try:
             answer = bus.call(name, message)
         except ServiceError as error:

@@ -1,4 +1,5 @@
-"""`armcell topic`: look at and speak on the topics of a running ROS-TCP endpoint, ours or another."""
+"""`armcell topic`: look at and speak on the topics of a running ROS-TCP endpoint, ours or another; or of a
+ROS 1 graph."""
 
 from __future__ import annotations
 
@@ -13,28 +14,33 @@ import typer
 import yaml
 
 from armcell.cli.console import console, err
+from armcell.cli.ros1_topics import joined_to_graph
 from armcell.cli.serve import address
 from armcell.core import InputError, UnknownNameError
 
 app = typer.Typer(help="Topics of a running endpoint: list, echo, hz, pub.", no_args_is_help=True)
 CONNECT = typer.Option("127.0.0.1:10000", metavar="HOST:PORT", help="The ROS-TCP endpoint.")
+ROS1 = typer.Option(False, "--ros1", help="In the ROS 1 graph at ROS_MASTER_URI instead.")
 TYPE = typer.Option(None, "--type", metavar="TYPE", help="Where the endpoint does not know the topic.")
 COUNT = typer.Option(None, "--count", "-n", min=1, help="End after so many messages.")
 WAIT = 3.0  # [s] to connect, and for the list of topics
 
 
 @app.command("list")
-def list_topics(connect: str = CONNECT) -> None:
+def list_topics(connect: str = CONNECT, ros1: bool = ROS1) -> None:
     """List topics and types."""
-    with joined_to(connect) as (_, client):
+    with joined_to(connect, ros1=ros1) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
 
 
 @app.command("echo")
-def echo(topic: str, type_name: str | None = TYPE, connect: str = CONNECT, count: int | None = COUNT) -> None:
+def echo(
+    topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
+    count: int | None = COUNT,
+) -> None:  # fmt: skip
     """Print what is published, as YAML. Ctrl-C ends it."""
-    for n, message in enumerate(_messages(topic, type_name, connect, queue_size=100)):
+    for n, message in enumerate(_messages(topic, type_name, connect, ros1, queue_size=100)):
         console.print(
             yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
         )
@@ -43,11 +49,14 @@ def echo(topic: str, type_name: str | None = TYPE, connect: str = CONNECT, count
 
 
 @app.command("hz")
-def hz(topic: str, type_name: str | None = TYPE, connect: str = CONNECT, count: int | None = COUNT) -> None:
+def hz(
+    topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
+    count: int | None = COUNT,
+) -> None:  # fmt: skip
     """Print the rate, once a second. Ctrl-C ends it."""
     arrivals: list[float] = []
     told = time.monotonic()
-    for n, _ in enumerate(_messages(topic, type_name, connect, queue_size=10_000)):
+    for n, _ in enumerate(_messages(topic, type_name, connect, ros1, queue_size=10_000)):
         arrivals = [*arrivals[-1000:], time.monotonic()]
         if len(arrivals) > 1 and (arrivals[-1] - told >= 1.0 or n + 1 == count):
             told = arrivals[-1]
@@ -66,6 +75,7 @@ def pub(
     type_name: str = typer.Argument(..., metavar="TYPE", help="For instance std_msgs/Float64."),
     values: str = typer.Argument("{}", help="The fields as YAML: '{data: 0.04}'; what is left out is zero."),
     connect: str = CONNECT,
+    ros1: bool = ROS1,
     rate: float | None = typer.Option(None, "--rate", "-r", min=0.01, help="Hz; once without."),
     count: int | None = COUNT,
 ) -> None:
@@ -73,8 +83,10 @@ def pub(
     from armcell.ros import schema
 
     message = filled(schema().new(type_name), yaml_values(values))
-    with joined_to(connect, publish={topic: type_name}) as (bus, client):
+    with joined_to(connect, ros1=ros1, publish={topic: type_name}) as (bus, client):
         publisher = bus.advertise(topic, type_name)
+        if ros1:
+            client.wait_heard(publisher.topic)
         n = 0
         while True:
             publisher.publish(message)
@@ -82,7 +94,7 @@ def pub(
             if n == (count or (None if rate else 1)):
                 break
             time.sleep(1.0 / (rate or 1.0))
-        _flush(client)
+        client.flush() if ros1 else _flush(client)
         err(f"{n} published")
 
 
@@ -128,12 +140,18 @@ def yaml_values(text: str) -> Any:
 
 
 @contextmanager
-def joined_to(connect: str, timeout: float = 10.0, **bridge: dict[str, str]) -> Iterator[tuple[Any, Any]]:
-    """A bus of our own, joined to the endpoint.
+def joined_to(
+    connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
+) -> Iterator[tuple[Any, Any]]:
+    """A bus of our own, joined to the endpoint or the graph.
 
     Raises:
         InputError: nobody answers there.
     """
+    if ros1:
+        with joined_to_graph() as joined:
+            yield joined
+        return
     from armcell.ros import Bus
     from armcell.ros.tcp import Bridge, RosTcpClient
 
@@ -155,17 +173,17 @@ def _topics(client: Any) -> dict[str, str]:
     return found
 
 
-def _messages(topic: str, type_name: str | None, connect: str, queue_size: int) -> Iterator[Any]:
+def _messages(topic: str, type_name: str | None, connect: str, ros1: bool, queue_size: int) -> Iterator[Any]:
     from armcell.ros.names import resolve
 
     topic = resolve(topic)
     if type_name is None:
-        with joined_to(connect) as (_, client):
+        with joined_to(connect, ros1=ros1) as (_, client):
             known = _topics(client)
         if topic not in known:
             raise UnknownNameError("topic", topic, known)
         type_name = known[topic]
-    with joined_to(connect, subscribe={topic: type_name}) as (bus, _):
+    with joined_to(connect, ros1=ros1, subscribe={topic: type_name}) as (bus, _):
         subscription = bus.subscribe(topic, type_name, queue_size=queue_size)
         while True:
             message = subscription.get(timeout=0.2)

@@ -14,10 +14,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, WeldRecord
+from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, Rehearsing, WeldRecord
 from armcell.control.following import Follower, Following
 from armcell.control.safety import Fault
-from armcell.core import SE3, JointState, JointTrajectory
+from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome
 
 EPSILON = 1e-9  # [s]
 
@@ -125,6 +125,12 @@ class ArmView:
     def object_poses(self) -> dict[str, SE3]:
         return self._driver.object_poses()
 
+    def targets(self) -> JointState | None:
+        return self._driver.targets()
+
+    def contacts(self) -> list[Contact]:
+        return self._driver.contacts()
+
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         self._driver.expect_contact(body, others, expected)
 
@@ -149,6 +155,9 @@ class FollowingView(ArmView):
 
     def follow(self, trajectory: JointTrajectory) -> Following:
         return cast(Follower, self._driver).follow(trajectory)
+
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        return self._driver.rehearse(trajectory) if isinstance(self._driver, Rehearsing) else None
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
         cast(Follower, self._driver).hold(joint_names)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,11 +13,12 @@ from armcell.cell import LiveCell
 from armcell.core import InputError
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
-from armcell.ros import ActionClient, Bus
+from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell
 
 logger = logging.getLogger(__name__)
 CHECK = 0.1  # [s] between two looks whether it is all over
+T = TypeVar("T")
 _current: list[Session] = []
 
 
@@ -28,10 +29,15 @@ class Session:
         live: a cell that is not connected yet.
         rate: [Hz] of the states and the clock.
         auto_grip: close a gripper that rests with an object between its fingers.
+        ros1: join the cell and the script to a ROS 1 graph.
     """
 
-    def __init__(self, live: LiveCell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False):
+    def __init__(
+        self, live: LiveCell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False,
+        ros1: Ros1Settings | None = None,
+    ):  # fmt: skip
         self.bus = Bus()
+        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down)
         self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
         self.messages = MessageClasses(self.bus.schema)
         self.node_name = ""
@@ -41,6 +47,8 @@ class Session:
         self.lines: list[str] = []
         """What the script has logged, and the hints."""
         self.clients: dict[str, ActionClient] = {}  # of actions that were used
+        self.logged: dict[tuple[str, str], float] = {}  # [s] when; of what is not to be logged too often
+        self._members: list[Any] = []
         self.rng = np.random.default_rng(live.ctx.seed)
         self._quiet, self._hints = quiet, set()
 
@@ -53,7 +61,11 @@ class Session:
             raise InputError("a session is open already", cure="close it first")
         _current.append(self)
         try:
+            if self.graph is not None:  # a master that is missing is said before the cell is started
+                self.graph.start()
             self.served.start()
+            if self.graph is not None:
+                self.graph.wait_settled()
         except BaseException:
             self.__exit__()
             raise
@@ -61,8 +73,10 @@ class Session:
 
     def __exit__(self, *exc: object) -> None:
         self.shut_down("closed")
-        for client in self.clients.values():
-            client.close()
+        for member in (*self.clients.values(), *self._members):
+            member.close()
+        if self.graph is not None:
+            self.graph.close()
         self.served.close()
         _current.remove(self)
 
@@ -78,6 +92,11 @@ class Session:
                 hook()
             except Exception:
                 logger.exception("a shutdown hook failed")
+
+    def own(self, member: T) -> T:
+        """Close something of the script's when the session ends: it would go on in a thread of its own."""
+        self._members.append(member)
+        return member
 
     # --- talking ---
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
@@ -96,6 +115,8 @@ class Session:
         """A log line on standard error, in ROS's form."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
+        if self.graph is not None:
+            self.graph.say(level.lower(), text)
         if not self._quiet:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (what a script logs is for its user)
 

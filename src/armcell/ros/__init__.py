@@ -1,16 +1,18 @@
-"""Messages, the in-process bus and the wires (Unity; later ROS 1, ROS 2), with nothing of ROS installed."""
+"""Messages, the in-process bus and the wires (Unity, ROS 1; later ROS 2), with nothing of ROS installed."""
 
 from typing import TYPE_CHECKING, Any
 
 from armcell.ros.actions import ActionClient, ActionServer, Done, State
 from armcell.ros.bus import Bus, Publisher, ServiceError, Subscription
-from armcell.ros.codec import Codec, WireError, cdr, ros1
+from armcell.ros.codec import Codec, WireError, cdr
 from armcell.ros.messages import Message
+from armcell.ros.ros1 import Ros1Graph, Ros1Master, Ros1Settings
 from armcell.ros.schema import Schema, schema
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 if TYPE_CHECKING:
     from armcell.ros.nodes import CellNode, ServedCell, ServedPlanner
+    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
 
 __all__ = [
     "ActionClient",
@@ -22,6 +24,12 @@ __all__ = [
     "Done",
     "Message",
     "Publisher",
+    "Reach",
+    "Ros1Graph",
+    "Ros1Master",
+    "Ros1Settings",
+    "Ros2Bridge",
+    "Ros2Settings",
     "RosTcpClient",
     "RosTcpServer",
     "Schema",
@@ -33,7 +41,6 @@ __all__ = [
     "Subscription",
     "WireError",
     "cdr",
-    "ros1",
     "schema",
 ]
 
@@ -44,4 +51,8 @@ def __getattr__(name: str) -> Any:
         from armcell.ros import nodes
 
         return getattr(nodes, name)
+    if name in ("Reach", "Ros2Bridge", "Ros2Settings"):
+        from armcell.ros import ros2
+
+        return getattr(ros2, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,7 +5,8 @@ from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.proof import NOISE, Proof, prove, varied
 from armcell.tasks.recipes import grasp, hold, let_go, move_to, pick, place, release
-from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.recovery import RecoverySettings, transfer
+from armcell.tasks.search import Draft, Foresee, Planning, Stage, search
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.steps import Motion, perform_all
 
@@ -14,10 +15,12 @@ __all__ = [
     "CarrySettings",
     "Carrying",
     "Draft",
+    "Foresee",
     "Holding",
     "Motion",
     "Planning",
     "Proof",
+    "RecoverySettings",
     "SideBySide",
     "Speed",
     "Stage",
@@ -38,5 +41,6 @@ __all__ = [
     "search",
     "shifted",
     "side_by_side",
+    "transfer",
     "varied",
 ]

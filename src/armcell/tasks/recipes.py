@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from armcell.core.checks import require
 from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.tasks.context import TaskContext
-from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.search import Draft, Foresee, Planning, Stage, search
 from armcell.tasks.stages import (
     ChooseGrasp,
     ChoosePlacement,
@@ -25,12 +27,18 @@ from armcell.tasks.stages import (
 )
 from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, Grip, perform_all
 
+Vector = tuple[float, float, float]
+WIDER = 4  # times as many grasps are looked at where what comes next allows few
 
-def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = ()) -> Outcome:
+
+def pick(
+    ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = (), ahead: Sequence[Stage] = ()
+) -> Outcome:
     """Grasp an object and lift it; the next grasp is tried when one fails.
 
     Args:
         excluded: names of grasps that are not to be used.
+        ahead: stages that must have a way with the object in the hand; a grasp without one is not used.
     Returns:
         SUCCESS with the grasp in the evidence ("grasp", and "proof" where `prove_grasps` is set), or the last
         failure with the reasons per candidate ("rejections").
@@ -43,13 +51,15 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...
         scene = ctx.scene()
         supports = tuple(neighbours(scene, item))
         stages: list[Stage] = [
-            ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded),
+            ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded, WIDER if ahead else 1),
             Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
             Planned("approach", "after_approach"),
             Close(item, gripper, supports, s.grasp_settle),
             Straight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
                      allow=((item, supports),)),
         ]  # fmt: skip
+        if ahead:
+            stages.insert(1, Foresee("what comes next", tuple(ahead), partial(_grasped, item, gripper)))
         height = float(scene.object(item).T_world_object.translation[2])
         after = (CheckGrasp(item, gripper, height, s.lift_distance), Expect(item, supports, expected=False))
         draft, outcome = planned(ctx, stages, f"pick {item}")
@@ -67,8 +77,14 @@ def pick(ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...
         ctx.driver.command_gripper(gripper.name, gripper.max_width, gripper.max_force)
         ctx.advance(s.release_settle + 0.5)
         if held is not None:
-            _back_off(ctx, item, gripper)
+            back_off(ctx, item, gripper)
     return outcome
+
+
+def _grasped(item: str, gripper: Gripper, draft: Draft) -> Draft:
+    """A draft as it will be when the chosen grasp is closed."""
+    scene = draft.data["after_approach"].with_attached(item, gripper.tcp_link, gripper.hand_links)
+    return draft.then(scene=scene)
 
 
 def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
@@ -106,9 +122,8 @@ def let_go(ctx: TaskContext, item: str) -> Outcome:
     s, gripper = ctx.settings, ctx.holding[item].gripper
     stages: list[Stage] = [
         Open(item, "", gripper, s.release_margin, s.release_settle),
-        Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
-                 in_tip_frame=True, allow=((item, gripper.hand_links),)),
-    ]  # fmt: skip
+        _retreat(ctx, item, gripper, s.retreat_distance),
+    ]
     draft, outcome = planned(ctx, stages, f"let go of {item}")
     if draft is None:
         return outcome
@@ -123,30 +138,52 @@ def _check_free(ctx: TaskContext, item: str, gripper: Gripper) -> None:
         raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
 
 
-def place(ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None) -> Outcome:
+def place(
+    ctx: TaskContext,
+    item: str,
+    on: str,
+    at: tuple[float, float] | None = None,
+    up: Vector | None = None,
+) -> Outcome:
     """Put a held object down on another object; the outcome's evidence has the target pose ("placement").
 
+    A place that fails on the way is planned again from where the arm is, as long as the object is still held.
+
+    Args:
+        up: direction in the object's frame that shall be up; without it, it stands as it does now.
     Raises:
         InputError: the object is not held, it does not fit on the support, or it is its own.
     """
     if item not in ctx.holding:
         raise InputError(f"the robot does not hold {item!r}", cure="pick it first")
     require(item != on, f"{item!r} cannot be put on itself")
-    s, gripper = ctx.settings, ctx.holding[item].gripper
-    stages: list[Stage] = [
-        ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at),
-        Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
-        ExpectSupport(item, on, gripper),
-        Planned("lower", "after_lower"),
-        Open(item, on, gripper, s.release_margin, s.release_settle),
-        Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
-                 in_tip_frame=True, allow=((item, gripper.hand_links),)),
-    ]  # fmt: skip
-    draft, outcome = planned(ctx, stages, f"place {item} on {on}")
-    if draft is None:
-        return outcome
-    outcome = perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
-    return replace(outcome, evidence={**outcome.evidence, "placement": draft.data["placement"]})
+    s, gripper, outcome = ctx.settings, ctx.holding[item].gripper, DONE
+    for _ in range(s.attempts):
+        stages: list[Stage] = [
+            ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at, up),
+            Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
+            ExpectSupport(item, on, gripper),
+            Planned("lower", "after_lower"),
+            Open(item, on, gripper, s.release_margin, s.release_settle),
+            _retreat(ctx, item, gripper, s.retreat_distance),
+        ]
+        draft, outcome = planned(ctx, stages, f"place {item} on {on}")
+        if draft is None:
+            return outcome
+        outcome = perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
+        outcome = replace(outcome, evidence={**outcome.evidence, "placement": draft.data["placement"]})
+        if outcome.ok or outcome.code is ErrorCode.PREEMPTED or item not in ctx.holding:
+            return outcome
+        ctx.emit("note", f"place {item}: {outcome.message}; planning again from here")
+    return outcome
+
+
+def _retreat(ctx: TaskContext, item: str, gripper: Gripper, distance: float) -> Straight:
+    """Straight back [m] out of the hand's own direction, off an object it may touch meanwhile."""
+    return Straight(
+        "retreat", gripper.arm_group, gripper.tcp_link, ctx.settings.near, (0.0, 0.0, -distance),
+        in_tip_frame=True, allow=((item, gripper.hand_links),),
+    )  # fmt: skip
 
 
 def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> Outcome:
@@ -178,14 +215,13 @@ def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
     )
 
 
-def _back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
+def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
     """Straight back from an object the open hand stands around, which no planner finds its way out of.
 
     As far as it goes: the next plan begins wherever the arm is then.
     """
     s = ctx.settings
-    back = Straight("retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -s.approach_distance),
-                    in_tip_frame=True, allow=((item, gripper.hand_links),))  # fmt: skip
+    back = _retreat(ctx, item, gripper, s.approach_distance)
     for draft in back.drafts(Draft(ctx.scene()), Planning(s, ctx.seed, ctx.cancel)):
         perform_all(ctx, draft.steps)
 
@@ -203,10 +239,10 @@ def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | N
     failure = planning.failure
     if failure is not None and (len(stages) == 1 or planning.hopeless):
         text = f"{what}: {failure.message}"
-        ctx.emit("error", text)
+        ctx.emit("error", text, code=failure.code.name, rejections=planning.rejections.details)
         return None, Outcome(
             failure.code, text, {**failure.evidence, "rejections": planning.rejections.details}
         )
     text = f"{what}: {planning.rejections.summary()}"
-    ctx.emit("error", text)
+    ctx.emit("error", text, code="PLANNING_FAILED", rejections=planning.rejections.details)
     return None, Outcome(ErrorCode.PLANNING_FAILED, text, {"rejections": planning.rejections.details})

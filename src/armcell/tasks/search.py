@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -78,3 +78,24 @@ def search(stages: Sequence[Stage], start: Draft, planning: Planning) -> Draft |
         if found is not None or planning.hopeless:
             return found
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class Foresee:
+    """Passes on only drafts from which later stages would find a way; nothing of that way is kept.
+
+    Put as early as possible: what has no future is then not planned in full.
+    """
+
+    name: str
+    stages: tuple[Stage, ...]
+    then: Callable[[Draft], Draft] = lambda draft: draft  # what the draft will be when those stages begin
+    candidates: int = 8  # that each of them looks at
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        settings = replace(planning.settings, max_candidates=self.candidates)
+        ahead = replace(planning, settings=settings, rejections=Rejections())
+        if search(self.stages, self.then(draft), ahead) is not None:
+            yield draft
+            return
+        planning.reject(self.name, draft.data.get("candidate", ""), ahead.rejections.summary())

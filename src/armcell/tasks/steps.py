@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,6 +13,7 @@ from armcell.model import Gripper
 from armcell.tasks.context import Holding, StageReport, TaskContext
 
 DONE = Outcome(ErrorCode.SUCCESS)
+LOST_FOR = 0.1  # [s] that nothing has been felt between the fingers
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +36,48 @@ class Motion:
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
         ctx.announce(trajectory)
+        ctx.emit(
+            "plan", self.name, planner=self.planner, planning_time_s=self.planning_time,
+            clearance_m=self.clearance, points=len(trajectory.times), duration_s=trajectory.duration,
+        )  # fmt: skip
+        watch = _Watch(ctx)
         result = execute(
-            ctx.driver, trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
+            ctx.driver, trajectory, ctx.settings.execution, watch, progress=lambda _: ctx.observe()
         )
         ctx.rested()
         for name, T_before in before.items():
             held = ctx.holding[name]
             report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
-        return result
+        return watch.dropped(self.name) if watch.lost is not None else result
+
+
+class _Watch(threading.Event):
+    """Set when the task is cancelled, or when a hand has lost what it carries: then the arm stops."""
+
+    def __init__(self, ctx: TaskContext):
+        super().__init__()
+        self._ctx = ctx
+        self._since: dict[str, float] = {}  # [s] by object
+        self.lost: Holding | None = None
+
+    def is_set(self) -> bool:
+        now = self._ctx.driver.now
+        for name, held in self._ctx.holding.items():
+            if self._ctx.driver.gripper(held.gripper.name).held == name:
+                self._since.pop(name, None)
+            elif now - self._since.setdefault(name, now) > LOST_FOR:
+                self.lost = held
+        return self.lost is not None or self._ctx.cancel.is_set()
+
+    def dropped(self, where: str) -> Outcome:
+        """The outcome of a motion on which something was lost; it is no longer held."""
+        assert self.lost is not None
+        item = self.lost.object
+        self._ctx.holding.pop(item, None)
+        self._ctx.driver.unwatch_object(item)
+        text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
+        self._ctx.emit("grasp", text)
+        return Outcome(ErrorCode.CONTROL_FAILED, text)
 
 
 @dataclass(frozen=True, eq=False)

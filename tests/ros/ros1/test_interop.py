@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from pathlib import Path
 
 import pytest
 import yaml
@@ -18,6 +19,7 @@ pytestmark = pytest.mark.interop
 __all__ = ["debian"]
 S = schema()
 STRING = "std_msgs/String"
+RELAY = "/usr/lib/topic_tools/relay"
 
 TALK = """
 import json, rospy, sys
@@ -288,3 +290,40 @@ def test_tf2_finds_our_transforms(debian, joined):
         out.publish(new("tf2_msgs/TFMessage", [transform("base", "hand", 0.25, bus.stamp())]))
         time.sleep(0.03)
     assert debian.log(looker).strip().endswith("1.25"), debian.log(looker)
+
+
+def test_nodes_in_cpp_talk_with_us(debian, joined):
+    """roscpp: the rosout node takes our logs, serves; topic_tools' relay takes any type, and latches on."""
+    for program in ("/usr/lib/rosout/rosout", RELAY):
+        if not Path(program).exists():
+            pytest.skip(f"{program} is not installed (apt-get install rosout topic-tools)")
+    bus = joined.bus
+    debian.start("/usr/lib/rosout/rosout")
+    relay = debian.start(RELAY, "/states", "/again")
+    inbox = bus.subscribe("/again", "sensor_msgs/JointState", queue_size=1000)
+    everybody = bus.subscribe("/rosout_agg", "rosgraph_msgs/Log", queue_size=100)
+    out = bus.advertise("/states", "sensor_msgs/JointState")
+    eventually(lambda: out.subscribers, 15)
+    end = time.monotonic() + 15
+    while inbox.get(0.05) is None and time.monotonic() < end:  # until the relay has advertised in turn
+        out.publish(S.new("sensor_msgs/JointState", name=["first"]))
+    while inbox.get(0.5) is not None:
+        pass
+    for n in range(100):
+        out.publish(S.new("sensor_msgs/JointState", name=[str(n)], position=[float(n)]))
+        time.sleep(0.002)
+    assert [inbox.get(5).position[0] for _ in range(100)] == [float(n) for n in range(100)]
+    heard = []
+
+    def told():
+        joined.say("warn", "from armcell to rosout")
+        heard.extend(m for m in iter(lambda: everybody.get(0.2), None) if m.msg == "from armcell to rosout")
+        return heard
+
+    assert eventually(told, 15)[0].name == "/armcell"
+    # Last, for Debian's roscpp 1.15.15 crashes after it has answered, its own rosservice as well.
+    assert bus.wait_for_service("/rosout/get_loggers", 15)
+    loggers = bus.call("/rosout/get_loggers", S.new("roscpp/GetLoggersRequest")).loggers
+    assert any(x.name.startswith("ros.") for x in loggers)
+    debian.stop(relay)
+    eventually(lambda: out.subscribers == 0)

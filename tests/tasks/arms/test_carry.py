@@ -124,6 +124,10 @@ def test_misuse(cell):
         scene = live.scene()
         with pytest.raises(InputError, match="a pose to go to"):
             plan_carry(scene, "both_arms", Carried("rod", {}, {}), SE3.identity(), [])
+        with pytest.raises(InputError, match="max_speed is 0"):
+            plan_carry(
+                scene, "both_arms", Carried("rod", {}, {}), SE3.identity(), [SE3.identity()], max_speed=0.0
+            )
 
 
 @pytest.mark.parametrize("seed", range(3))

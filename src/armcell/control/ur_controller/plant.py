@@ -137,6 +137,7 @@ class WorldPlant:
         self._gripper = found[0] if found else None
         self._force = 0.0
         self._links = set(world.robot.group(group).link_names)
+        self.tool_link = world.robot.joints[self._names[-1]].child
         self._base = world.robot.joints[self._names[0]].parent
         self._seen = 0
         self._rest()

@@ -58,7 +58,7 @@ def plan_carry(
     Returns:
         SUCCESS with the trajectory, or where on the way an arm cannot follow or something touches.
     Raises:
-        InputError: no pose, or scalings outside (0, 1].
+        InputError: no pose, scalings outside (0, 1], a speed that is not positive.
     """
     began = time.monotonic()
     if not poses:
@@ -66,6 +66,8 @@ def plan_carry(
     for what, value in (("velocity", velocity_scaling), ("acceleration", acceleration_scaling)):
         if not 0 < value <= 1:
             raise InputError(f"{what} scaling is {value:g}, it must be in (0, 1]")
+    if not max_speed > 0:
+        raise InputError(f"max_speed is {max_speed:g} m/s, it must be positive")
     names = scene.model.group(both).joint_names
     columns = scene.model.columns(names)
     checker = KernelChecker(scene, names)
@@ -83,12 +85,14 @@ def plan_carry(
         path = found[:, columns]
         rows.append(path)
         law = _timed(path, a, b, limits[0], limits[1], max_speed)
-        exact = _solved(scene, carried, a, b, law[1], found)[:, columns]
-        for into, part in zip(values, _derivatives(law[0], exact), strict=True):
+        exact = _along(scene, carried, a, b, law[1], q)
+        if isinstance(exact, str):
+            return _failed(f"on the way to pose {k + 1} of {len(poses)}: {exact}", began)
+        for into, part in zip(values, _derivatives(law[0], exact[:, columns]), strict=True):
             into.append(part if not into else part[1:])
         times.append(law[0] if not times else law[0][1:] + clock)
         clock = float(times[-1][-1])
-        q = found[-1].copy()
+        q = exact[-1].copy()
     trajectory = JointTrajectory(names, np.concatenate(times), *(np.vstack(v) for v in values))
     _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
     proof = checker.certify(points, room)
@@ -117,6 +121,7 @@ def _followed(scene: PlanningScene, carried: Carried, a: SE3, b: SE3, q: Array) 
 
 
 def _along(scene: PlanningScene, carried: Carried, a: SE3, b: SE3, shares: Array, q: Array) -> Array | str:
+    """The same at shares of the way, 0 to 1, of which two in a row are near each other."""
     rows, last = [], q.copy()
     solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
     for share in shares:
@@ -132,19 +137,6 @@ def _along(scene: PlanningScene, carried: Carried, a: SE3, b: SE3, shares: Array
         rows.append(new)
         last = new
     return np.array(rows)
-
-
-def _solved(scene: PlanningScene, carried: Carried, a: SE3, b: SE3, shares: Array, near: Array) -> Array:
-    """As `_along` for shares near which the solutions `near`, evenly spread, are known to be."""
-    solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
-    out = np.empty((len(shares), near.shape[1]))
-    for i, share in enumerate(shares):
-        at = near[round(share * (len(near) - 1))]
-        out[i] = at
-        for group, ik in solvers.items():
-            target = a.interpolate(b, float(share)) @ carried.grasps[group]
-            out[i, ik.columns] = ik.nearest(target, at, among=8)[0]
-    return out
 
 
 def _timed(path: Array, a: SE3, b: SE3, velocity: Array, acceleration: Array, max_speed: float):

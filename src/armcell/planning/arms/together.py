@@ -54,7 +54,8 @@ def plan_together(
     """Motions of two arms to a goal each, which start and arrive together and keep apart.
 
     Each arm is planned as if the other were not there, the shorter motion is stretched to the longer one's
-    duration, and the timed pair is proven. Where it fails: again with other seeds, then both as one.
+    duration, and the timed pair is proven. Where it fails: again with other seeds, then both as one, which
+    keeps them from touching but not `clearance` apart.
 
     Args:
         goals: by group, two of them. both: the group of all their joints, found by its joints if None.

@@ -39,6 +39,7 @@ GRIP_TIMEOUT = 6.0  # [s]
 GRIP_START = 0.4  # [s] in which fingers may begin to move
 HELD_MARGIN = 0.01  # [m] around an object in which the tcp of the hand that holds it is
 POLL = 0.01  # [s]
+BEGINS = "executing"  # a motion, on /trajectory_status
 
 
 class RemoteCell:
@@ -82,6 +83,7 @@ class RemoteCell:
             for g in grippers
         }
         self._said: list[str] = []
+        self._announces = False  # the simulator says when a motion begins
 
     def close(self) -> None:
         self._closed.set()
@@ -111,6 +113,7 @@ class RemoteCell:
     def _on_status(self, message: Any) -> None:
         with self._lock:
             self._said.append(message.data)
+            self._announces |= message.data.startswith(BEGINS)
 
     def _pose_callback(self, name: str) -> Callable[[Any], None]:
         def take(message: Any) -> None:
@@ -283,7 +286,7 @@ class RemoteCell:
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
             with self._lock:
                 said = list(self._said)
-            if (told := _told(said)) is not None:
+            if (told := _told(said, begun=not self._announces)) is not None:
                 return told
             if not said:  # one that says nothing: look at the joints
                 state = self.joints().reindexed(names)
@@ -341,15 +344,16 @@ class RemoteCell:
         self.stop_joints(())
 
 
-def _told(said: list[str]) -> ExecutionResult | None:
+def _told(said: list[str], begun: bool) -> ExecutionResult | None:
     """How a motion ended by what /trajectory_status has said since it was sent; None: it has not.
 
-    What comes before "executing" is of an earlier motion, or of its stop; only a refusal comes without.
+    Args:
+        begun: False: what comes before "executing" is of an earlier motion, or of its stop; only a refusal
+            comes without. True: the simulator never says "executing".
     """
-    begun = False
     for text in said:
         what, _, why = text.partition(": ")
-        begun |= text.startswith("executing")
+        begun |= text.startswith(BEGINS)
         if what == "refused" or (begun and what == "failed"):
             return ExecutionResult(ErrorCode.CONTROL_FAILED, f"the simulator: {why}")
         if begun and what == "done":

@@ -75,7 +75,11 @@ class ServedCell:
             self.thread.join(timeout=5.0)
 
     def __enter__(self) -> ServedCell:
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(self, *exc: object) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +16,7 @@ from armcell.ros.ros1.graph_names import GraphNames
 from armcell.ros.ros1.graph_parameters import GraphParameters
 from armcell.ros.ros1.master import Ros1Master
 from armcell.ros.ros1.node import Ros1Node
-from armcell.ros.ros1.rosout import RosOut
+from armcell.ros.ros1.rosout import LEVELS, RosOut
 from armcell.ros.ros1.rpc import RpcError, ask
 from armcell.ros.ros1.settings import Ros1Settings, is_this_machine
 
@@ -40,6 +41,9 @@ class Ros1Status:
 class Ros1Graph:
     """A bus in a ROS 1 graph, from `start` (or `with`) to `close`.
 
+    Args:
+        on_end: told why, when somebody asks the node to end; from a thread of the node's.
+
     Everything on the bus is offered to the graph, now and later; the graph's topics, services and actions
     are used through the bus by their names; the bus's parameters are the graph's.
 
@@ -47,8 +51,13 @@ class Ros1Graph:
         ended: set, with `reason`, when somebody asked the node to end.
     """
 
-    def __init__(self, bus: Bus, settings: Ros1Settings = Ros1Settings()):
-        self.bus, self.settings = bus, settings
+    def __init__(
+        self,
+        bus: Bus,
+        settings: Ros1Settings = Ros1Settings(),
+        on_end: Callable[[str], None] = lambda _: None,
+    ):
+        self.bus, self.settings, self._on_end = bus, settings, on_end
         self.master: Ros1Master | None = None  # our own
         self.node: Ros1Node = None  # type: ignore[assignment]  # from `start` on
         self.bridge: BusBridge = None  # type: ignore[assignment]
@@ -96,6 +105,16 @@ class Ros1Graph:
     def _end(self, reason: str) -> None:
         self.reason = reason
         self.ended.set()
+        self._on_end(reason)
+
+    def wait_settled(self, timeout: float = SETTLED) -> bool:
+        """Whether the graph knows all that is on the bus now, after waiting for that [s]."""
+        return self.bridge.wait_settled(timeout)
+
+    def say(self, level: str, text: str) -> None:
+        """A line on /rosout; a level that ROS does not have is info."""
+        if self.rosout is not None:
+            self.rosout.say(level if level in LEVELS else "info", text)
 
     def _find_master(self, stack: ExitStack) -> None:
         s = self.settings

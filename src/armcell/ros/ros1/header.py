@@ -32,10 +32,11 @@ def decoded(body: bytes) -> Fields:
         WireError: it is none.
     """
     fields: Fields = {}
-    at = 0
+    at = count = 0
     while at < len(body):
-        if at + 4 > len(body) or len(fields) > MAX_FIELDS:
-            raise WireError("a connection header ends in the middle of a field")
+        count += 1
+        if at + 4 > len(body) or count > MAX_FIELDS:
+            raise WireError("a connection header ends in the middle of a field, or has too many")
         (size,) = LENGTH.unpack_from(body, at)
         at += 4
         if size == 0 or at + size > len(body):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import socket
 import threading
 from collections.abc import Callable
@@ -31,6 +32,7 @@ from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
 CONNECTORS = 16  # connections that are being made at one time
+MAX_COMPLAINTS = 100  # different ones that are logged
 
 
 class Ros1Node:
@@ -322,7 +324,7 @@ class Ros1Node:
         try:
             header = receive(sock)
         except WireError as error:
-            self._complain(f"{peer}: {error}")
+            self._complain(peer, str(error))
             return False
         if "topic" in header:
             return self._subscriber(sock, header, peer)
@@ -365,15 +367,16 @@ class Ros1Node:
             service.handle(sock, header)
 
     def _refuse(self, sock: socket.socket, peer: str, text: str) -> None:
-        self._complain(f"{peer.rpartition(':')[0]}: {text}")
+        self._complain(peer, text)
         sock.sendall(encoded({"error": text}))
 
-    def _complain(self, text: str) -> None:
+    def _complain(self, peer: str, text: str) -> None:
         """Log once per kind, count all."""
-        kind = text.partition(":")[2][:200]
+        kind = re.sub(r"[0-9]+", "", text[:200])
         with self._lock:
             self.mistakes += 1
-            first = kind not in self._complaints and len(self._complaints) < 100
-            self._complaints.add(kind)
+            first = kind not in self._complaints and len(self._complaints) < MAX_COMPLAINTS
+            if first:
+                self._complaints.add(kind)
         if first:
-            logger.warning("TCPROS: %s", text[:400])
+            logger.warning("TCPROS: %s: %s", peer, text[:400])

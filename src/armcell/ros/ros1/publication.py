@@ -160,6 +160,12 @@ class SubscriberLink:
         self._waiting_bytes = 0
         self._rest = memoryview(greeting)  # of what was sent in part
 
+    @property
+    def waiting(self) -> bool:
+        """Whether something is not sent yet."""
+        with self._lock:
+            return bool(self._rest or self._waiting)
+
     def put(self, frame: bytes) -> bool:
         """Send or queue a message, from any thread; whether the reactor has to go on with it."""
         with self._lock:

@@ -125,7 +125,7 @@ def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
     try:
         parts = urlsplit(uri)
         if parts.scheme == scheme and parts.hostname:
-            return parts.hostname, parts.port or PORT
+            return parts.hostname, PORT if parts.port is None else parts.port
     except ValueError:
         pass
     raise InputError(f"{uri[:100]!r} is no address", cure=f"write {scheme}://HOST:PORT")

@@ -30,16 +30,15 @@ class UnityExport:
 
 
 def package_source() -> Path:
-    """The folder of the C# package: beside the installed code, or `unity/` of a checkout.
+    """The folder of the C# package; in a checkout a link to `unity/`.
 
     Raises:
-        InputError: neither is there.
+        InputError: it is not there.
     """
-    here = Path(__file__).resolve().parent
-    for folder in (here / "package", here.parents[3] / "unity"):
-        if (folder / "package.json").is_file():
-            return folder
-    raise InputError("the Unity package is not installed", cure="install armcell again, or use a checkout")
+    folder = Path(__file__).parent / "package"
+    if not (folder / "package.json").is_file():
+        raise InputError("is missing, armcell is not installed whole", file=folder, cure="install it again")
+    return folder
 
 
 def export_unity(

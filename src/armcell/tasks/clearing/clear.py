@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from armcell.core import (
     Outcome,
     PointCloud,
 )
-from armcell.grasping import HeapGrasp, grasps_from_above, hand_of, support_surface
+from armcell.grasping import AboveSettings, HeapGrasp, grasps_from_above, hand_of, support_surface
 from armcell.model import Gripper
 from armcell.perception import height_map, pieces, unusable
 from armcell.planning import warm_up
@@ -235,8 +235,11 @@ def _pick(
     ctx: TaskContext, gripper: Gripper, here: Seen, bin: str, tally: Tally, s: ClearSettings
 ) -> tuple[HeapGrasp | None, Outcome]:
     """The best grasp that can be reached, lifted; None where nothing was tried."""
-    hand = hand_of(ctx.base.model, gripper)
-    grasps = grasps_from_above(here.map, here.labels, here.ground.floor, hand, s.force, s.grasps, tally.avoid)
+    hand, grasps = hand_of(ctx.base.model, gripper), []
+    for how in (s.grasps, _closer(s.grasps)):
+        grasps = grasps_from_above(here.map, here.labels, here.ground.floor, hand, s.force, how, tally.avoid)
+        if grasps:
+            break
     if not grasps:
         tally.unplanned += 1
         text = f"{here.count} pieces {here.ground.name}, the hand fits around none of them"
@@ -263,6 +266,13 @@ def _pick(
         tally.avoid.append((float(at[0]), float(at[1]), float(np.arctan2(y[1], y[0]))))
         _give_way(ctx, gripper, grasp.opening, bin, s)
     return grasp, outcome
+
+
+def _closer(settings: AboveSettings) -> AboveSettings:
+    """For what stands close to a wall: with less room, more turns, and corners too."""
+    return replace(
+        settings, room=settings.room / 2, turns=2 * settings.turns, least_touch=settings.least_touch / 2
+    )
 
 
 def _give_way(ctx: TaskContext, gripper: Gripper, opening: float, bin: str, s: ClearSettings) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -14,10 +15,9 @@ from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.clearing.steps import HELD, Drop, Squeeze, StillThere
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.grasp import approaches, finger_state, reachable
+from armcell.tasks.stages.grasp import approaches, finger_state
 from armcell.tasks.stages.moves import shifted, straight, with_contacts
-from armcell.tasks.steps import Motion
-from armcell.timing import reversed_in_time
+from armcell.tasks.stages.place import ways_down
 
 HEAP = "heap"
 """Name in the planning scene of the points that a camera saw in the bin."""
@@ -94,20 +94,12 @@ class ChooseSpot:
                 R = SO3.exp((0.0, 0.0, 2 * np.pi * k / self.turns)) @ now
                 T = SE3(R, np.array([x, y, under + self.hang]))
                 name = f"({x:.2f}, {y:.2f}) at {360 // self.turns * k} deg"
-                for arm in reachable(draft.scene, gripper, T, planning, self.name, name):
-                    at_spot = draft.scene.with_state(arm)
-                    up = T.shifted(z=self.distance)
-                    result = straight(at_spot, gripper.arm_group, gripper.tcp_link, up, self.speed)
-                    if not result.ok or result.trajectory is None:
-                        planning.reject("lower", name, result.message)
-                        continue
-                    lower = reversed_in_time(result.trajectory)
-                    yield draft.then(
-                        candidate=name,
-                        pre_place=lower.positions[0],
-                        lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance),
-                        after_lower=at_spot,
-                    )
+                up = partial(self._up, T)
+                yield from ways_down(draft, planning, draft.scene, gripper, T, self.name, name, up)
+
+    def _up(self, T_world_tcp: SE3, at_spot: PlanningScene) -> PlanResult:
+        above = T_world_tcp.shifted(z=self.distance)
+        return straight(at_spot, self.gripper.arm_group, self.gripper.tcp_link, above, self.speed)
 
 
 @dataclass(frozen=True, eq=False)

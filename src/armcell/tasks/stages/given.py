@@ -15,10 +15,10 @@ from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.grasp import approaches, reachable
+from armcell.tasks.stages.grasp import approaches
 from armcell.tasks.stages.moves import moved, straight, with_contacts
-from armcell.tasks.steps import Expect, Motion, StillHeld
-from armcell.timing import reversed_in_time
+from armcell.tasks.stages.place import ways_down
+from armcell.tasks.steps import Expect, StillHeld
 
 UNDER = 0.006  # [m] what is that near to a place is what the object will stand on
 
@@ -122,25 +122,17 @@ class ChooseGivenPlace:
         T_tcp_object = draft.scene.frame_pose(gripper.tcp_link).inv() @ draft.scene.frame_pose(self.object)
         T_world_tcp = place.T_world_object.shifted(z=RELEASE_GAP) @ T_tcp_object.inv()
         scene = with_contacts(draft.scene, ((self.object, supports),))
-        for arm in reachable(scene, gripper, T_world_tcp, planning, self.name, place.name):
-            at_place = scene.with_state(arm)
-            up = _moved_by(T_world_tcp, place.down.offset, -1.0)
-            result = place.down.judged(
-                straight(at_place, gripper.arm_group, gripper.tcp_link, up, self.speed)
+
+        def up(at_place: PlanningScene) -> PlanResult:
+            above = _moved_by(T_world_tcp, place.down.offset, -1.0)
+            return place.down.judged(
+                straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
             )
-            if not result.ok or result.trajectory is None:
-                planning.reject("lower", place.name, result.message)
-                continue
-            lower = reversed_in_time(result.trajectory)
-            yield draft.then(
-                StillHeld(self.object, gripper),
-                Expect(self.object, supports),
-                place=place,
-                candidate=place.name,
-                pre_place=lower.positions[0],
-                lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance),
-                after_lower=draft.scene.with_state(arm),
-            )
+
+        steps = StillHeld(self.object, gripper), Expect(self.object, supports)
+        yield from ways_down(
+            draft, planning, scene, gripper, T_world_tcp, self.name, place.name, up, *steps, place=place
+        )
 
 
 @dataclass(frozen=True, eq=False)

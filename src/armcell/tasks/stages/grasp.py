@@ -33,6 +33,7 @@ class ChooseGrasp:
     speed: Speed
     distance: float  # [m] of the approach
     excluded: tuple[str, ...] = ()
+    wider: int = 1  # so many times as many candidates, where what comes next allows few
     name: str = "grasp"
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
@@ -42,7 +43,7 @@ class ChooseGrasp:
         proofs: dict[str, Proof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(draft, planning, item, grasps)
-        for grasp in grasps[: s.max_candidates]:
+        for grasp in grasps[: s.max_candidates * self.wider]:
             yield from self._approaches(draft, planning, grasp, proofs.get(grasp.name))
         for rejection in sorted(rejected, key=how_near):  # after those that came farther
             planning.reject(self.name, rejection.name, rejection.reason)

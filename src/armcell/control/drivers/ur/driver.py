@@ -17,8 +17,11 @@ from armcell.control.drivers.ur.heart import Heart
 from armcell.control.drivers.ur.identity import check_identity, check_ready, check_swapped, identify
 from armcell.control.drivers.ur.motion import Forwarded, Streamed
 from armcell.control.drivers.ur.settings import real_settings
+from armcell.control.following import Following
 from armcell.control.safety import Fault, SafetyEvent, Supervisor
-from armcell.core import SE3, SO3, InputError, JointState, JointTrajectory
+from armcell.control.twin.guard import TwinGuard
+from armcell.control.twin.pinger import Pinger
+from armcell.core import SE3, SO3, InputError, JointState, JointTrajectory, Outcome
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 
@@ -47,6 +50,8 @@ class UrDriver(SeesNoContacts):
         self._scene, self._model = scene, scene.model
         self._tree = kinematic_tree(scene.model)
         self.settings = real_settings(options.extra.get("real", {}), scene.model)
+        self.guard: TwinGuard | None = None  # to be set before connecting
+        self._pingers: list[Pinger] = []
         self.period = 1.0 / 125.0
         self.latency = self.settings.stream_lead + SEEN_LATE
         self.arms: dict[str, UrArm] = {}
@@ -99,10 +104,35 @@ class UrDriver(SeesNoContacts):
             for name, arm in self.arms.items()
         }
         self._supervisor = Supervisor(self.arms)
+        if self.guard is not None:
+            with ExitStack() as undo:
+                undo.callback(self.__exit__)
+                self._begin_guard(self.guard)
+                undo.pop_all()
         return self
+
+    def _begin_guard(self, guard: TwinGuard) -> None:
+        """Have it notice every arm's network, and write down what it does."""
+        guard.check_calibration({name: arm.identity.calibration for name, arm in self.arms.items()})
+        self._pingers = [Pinger(arm.settings.host) for arm in self.arms.values()]
+        for pinger in self._pingers:
+            pinger.start()
+        guard.trips = {name: ping.trip for name, ping in zip(self.arms, self._pingers)}
+        assert self._supervisor is not None
+        guard.note = self._supervisor.record
+
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        """Why the twin refuses a trajectory; None if it does not, or there is none."""
+        if self.guard is None:
+            return None
+        held = {gripper: item for gripper, (item, _) in self._held.items()}
+        return self.guard.rehearse(trajectory, self.joint_state(), self._poses, held)
 
     def __exit__(self, *exc: object) -> None:
         self._supervisor = None
+        for pinger in self._pingers:
+            pinger.close()
+        self._pingers.clear()
         for arm in self.arms.values():
             arm.close()
         self._heart.stop()
@@ -175,15 +205,24 @@ class UrDriver(SeesNoContacts):
                 arm.servo(mine.positions, speed, at)
         return sent
 
-    def follow(self, trajectory: JointTrajectory) -> Forwarded | Streamed:
+    def follow(self, trajectory: JointTrajectory) -> Following:
         """One arm plays its trajectory itself; several get it streamed by one clock."""
         fault = self.fault()
         if fault is not None:
             raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
         arms = self._arms_of(trajectory.joint_names)
-        if len(arms) == 1:
-            return Forwarded(arms[0], trajectory)
-        return Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
+        following = (
+            Forwarded(arms[0], trajectory)
+            if len(arms) == 1
+            else Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
+        )
+        return following if self.guard is None else self._guarded(self.guard, following, trajectory, arms)
+
+    def _guarded(
+        self, guard: TwinGuard, following: Following, trajectory: JointTrajectory, arms: list[UrArm]
+    ) -> Following:
+        assert self._supervisor is not None
+        return guard.watching(following, trajectory, arms, self._supervisor.trip)
 
     def _arms_of(self, joint_names: Iterable[str]) -> list[UrArm]:
         names = set(joint_names)
@@ -314,6 +353,25 @@ class UrDriver(SeesNoContacts):
 
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
+
+    def targets(self) -> JointState | None:
+        names = tuple(n for arm in self.arms.values() for n in arm.joint_names)
+        states = [arm.state for arm in self.arms.values()]
+        q, v = (np.concatenate([s.values[key] for s in states]) for key in ("target_q", "target_qd"))
+        return JointState(names, q, v, time=self.now)
+
+    # A real robot sees no contacts but by its own protective stops; its twin does.
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        if self.guard is not None:
+            self.guard.stage.expect_contact(body, tuple(others), expected)
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        if self.guard is not None:
+            self.guard.stage.watch_object(name, tuple(supports))
+
+    def unwatch_object(self, name: str) -> None:
+        if self.guard is not None:
+            self.guard.stage.unwatch_object(name)
 
 
 drivers.register("real")(UrDriver)

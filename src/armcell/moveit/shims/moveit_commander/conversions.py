@@ -8,7 +8,7 @@ from armcell.moveit.message_classes import classes
 from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.transformations import quaternion_from_euler
-from armcell.ros import ros1
+from armcell.ros.codec import ros1
 
 
 def msg_to_string(msg: Any) -> bytes:

@@ -1,0 +1,59 @@
+"""A ROS 1 graph as `armcell topic` and `armcell service` see it, in place of a ROS-TCP endpoint."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+WAIT = 3.0  # [s] for subscribers to connect, and to take what was published
+
+
+class GraphClient:
+    """What the commands ask of whatever they are joined to."""
+
+    def __init__(self, bus: Any, graph: Any):
+        self._bus, self._graph = bus, graph
+
+    def topic_list(self, timeout: float) -> dict[str, str]:
+        """Types of the graph's topics by name."""
+        node = self._graph.node
+        publishers, subscribers, _ = node.ask_master("getSystemState")
+        others = {name for name, nodes in (*publishers, *subscribers) if set(nodes) - {node.name}}
+        return {name: kind for name, kind in node.ask_master("getTopicTypes") if name in others}
+
+    def wait_heard(self, topic: str) -> None:
+        """Return when every subscriber that the master knows is connected, or time is over."""
+        node = self._graph.node
+        self._graph.wait_settled(WAIT)
+        subscribers = dict(node.ask_master("getSystemState")[1]).get(topic, [])
+        count = len(set(subscribers) - {node.name})
+        self._wait(lambda: sum(len(p.links()) for p in node.publications() if p.topic == topic) >= count)
+
+    def flush(self) -> None:
+        """Return when everything that was published is sent, or time is over."""
+        node = self._graph.node
+        self._wait(lambda: not any(x.waiting for p in node.publications() for x in p.links()))
+
+    @staticmethod
+    def _wait(what: Any) -> None:
+        end = time.monotonic() + WAIT
+        while not what() and time.monotonic() < end:
+            time.sleep(0.01)
+
+
+@contextmanager
+def joined_to_graph() -> Iterator[tuple[Any, GraphClient]]:
+    """A bus of our own in the graph at ROS_MASTER_URI.
+
+    Raises:
+        InputError: no master answers there.
+    """
+    from armcell.ros import Bus
+    from armcell.ros.ros1 import Ros1Graph, from_environment
+
+    bus = Bus()
+    with Ros1Graph(bus, from_environment(f"armcell_topic_{os.getpid()}", own_master=False)) as graph:
+        yield bus, GraphClient(bus, graph)
