@@ -31,7 +31,7 @@ def performed(name: str, seed: int, objects: list[str]):
 
 def _run(name: str, seed: int, objects: list[str]):
     hosts = free_hosts(2)
-    # Wide, for machines that other programs fill and that compile kernels meanwhile; the defaults are tighter.
+    # Wide, for machines that other programs fill; the defaults are 0.05 and 0.1.
     addresses: dict[str, object] = {"real.max_state_age": 0.3, "real.watchdog": 0.5}
     for group, host in zip(("left_arm", "right_arm"), hosts, strict=True):
         addresses |= {f"real.arms.{group}.host": host, f"real.arms.{group}.port": free_port()}
