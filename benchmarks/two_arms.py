@@ -132,10 +132,13 @@ def task(name: str, runs: int, recheck: int) -> dict:
     out: dict = {"runs": runs, "successes": 0, "physics_contacts": 0, "coal_contacts": 0, "rechecked": 0}
     worst: dict[str, float] = {}
     makespans, failures = [], []
+    spent: list[float] = []
     for seed in range(runs):
+        began = time.process_time()
         with cell.connect("sim", seed=seed) as live:
             recorder = Recorder(live.driver) if seed < recheck else None
             result = run_task(cell, live, seed, "sim")
+        spent.append(time.process_time() - began)
         out["successes"] += bool(result["success"])
         if not result["success"]:
             failures.append(f"{seed}: {result['message']}")
@@ -148,6 +151,7 @@ def task(name: str, runs: int, recheck: int) -> dict:
             out["coal_contacts"] += recorder.contacts(cell.scene(seed))
             out["rechecked"] += 1
         print(f"  {name} {seed}: {'ok' if result['success'] else result['message']}", flush=True)
+    out["cpu_s"] = float(np.median(spent))
     out["lower_bound"] = lower_bound(out["successes"], runs)
     out |= {"largest": worst, "task_time_s": float(np.mean(makespans)), "failures": failures}
     return out
@@ -224,7 +228,8 @@ def main() -> None:
         found[name] = t = task(name, given.runs, given.recheck)
         print(f"{name}: {t['successes']} of {t['runs']} (at least {100 * t['lower_bound']:.1f} % at 95 %),")
         print(
-            f"  {t['physics_contacts']} contacts in physics, {t['coal_contacts']} ms of contact by coal",
+            f"  {t['cpu_s']:.1f} s of processor time a run; "
+            f"{t['physics_contacts']} contacts in physics, {t['coal_contacts']} ms of contact by coal",
             end="",
         )
         print(

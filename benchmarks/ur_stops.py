@@ -43,13 +43,11 @@ LOOK = 1.2  # [s] after each event
 
 @contextmanager
 def emulator(hosts: list[str], trace: Path, model: str = "UR10") -> Iterator[None]:
-    """Two emulated arms in a process of their own, before all others where that is allowed."""
+    """Two emulated arms in a process of their own."""
     command = [sys.executable, "-m", "armcell", "ur-controller", "--model", model, "--trace", str(trace)]
     process = subprocess.Popen(
         [*command, *(part for host in hosts for part in ("--host", host))], stdout=subprocess.DEVNULL
     )
-    with suppress(PermissionError):
-        os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(12))
     try:
         end = time.monotonic() + 60
         for host in hosts:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.control.ur.emulated import in_real_time
 
 import armcell
 
@@ -294,6 +295,19 @@ def test_22_real_arm_over_the_wire(printed):
     assert 2.9 < number(r"slider at 50 %: SUCCESS in ([\d.]+) s", said) < 4.5
     assert "stopped: CONTROL_FAILED: stopped: arm: protective stop" in said and "resumed: SUCCESS" in said
     assert "arm: resumed: after protective stop" in said
+
+
+@pytest.mark.slow
+def test_23_two_arms_over_the_wire(printed):
+    for _ in range(3):  # a computer that stands still for 100 ms parts the hands
+        with in_real_time():
+            said = printed("23_two_arms_over_the_wire.py")
+        if "success" in said:
+            break
+    assert said.count("UR10, Robotmode: RUNNING") == 2 and "success" in said
+    assert number(r"relative_error_mm: ([\d.]+)", said) <= 0.5
+    assert number(r"relative_error_deg: ([\d.]+)", said) <= 0.1
+    assert 0.5 < number(r"squeeze_N: ([\d.]+)", said) <= 30.0
 
 
 @pytest.mark.slow

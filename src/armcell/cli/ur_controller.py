@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from pathlib import Path
 
 import typer
@@ -41,7 +43,10 @@ def ur_controller(
     ),
     off: bool = typer.Option(False, "--off", help="Begin powered off."),
 ) -> int:
-    """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C."""
+    """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C.
+
+    Runs with real-time priority where that is allowed (as root on Linux).
+    """
     from armcell.control.ur_controller import ControllerSettings, Rack, SharedWorld
 
     hosts = list(host)
@@ -73,6 +78,8 @@ def ur_controller(
         ports = "dashboard 29999, script 30001-30003, RTDE 30004, gripper 63352"
         console.print(f"{each.model} (serial {each.serial}) at {each.host}: {ports}", soft_wrap=True)
     console.print("an emulator, not a robot; Ctrl-C ends it")
+    with suppress(PermissionError, AttributeError):  # a controller is not late because a computer is busy
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
     try:
         rack.run()
     finally:

@@ -51,8 +51,7 @@ def emulator(*options: str, hosts: list[str]):
     process = subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    with suppress(PermissionError):  # a busy machine must not make the robot late, nor the driver
-        os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(12))
+    with suppress(PermissionError):  # a busy machine must not make the driver late
         os.setpriority(os.PRIO_PROCESS, 0, -10)
     try:
         for host in hosts:

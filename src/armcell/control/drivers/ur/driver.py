@@ -307,7 +307,7 @@ class UrDriver(SeesNoContacts):
         """As `Driver.wrench`, by the arm's RTDE. Zeroed whenever the hand begins to close.
 
         A UR tells it in the axes of its base, about the TCP (CB3) or about the flange (e-Series). A CB3
-        estimates it from its motors' currents, which is good to about 10 N.
+        estimates it from its motors' currents, which is coarse.
 
         Raises:
             InputError: the gripper's arm is not a real one.
