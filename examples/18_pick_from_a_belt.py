@@ -6,8 +6,10 @@ python examples/18_pick_from_a_belt.py
 import armcell
 
 with armcell.load("conveyor_pick").connect("sim", seed=2) as cell:
+    cell.arm.hold(1.5)  # until the box is near enough to be met
     outcome = cell.arm.pick_moving("box_1")  # its speed is seen, the meeting planned, the hand moves along
-    print(f"{outcome.code.name}: the belt runs at {outcome.evidence['speed'] * 1000:.0f} mm/s")
+    print("picked:", outcome.ok, outcome.message)
+    print(f"it moves at {outcome.evidence.get('speed', 0) * 1000:.0f} mm/s")
     print("in the hand:", cell.driver.gripper("gripper").held)
     print("placed:", bool(cell.arm.place("box_1", on="tray")))
     for report in cell.reports:

@@ -391,6 +391,6 @@ def test_17_clear_a_bin(printed):
 @pytest.mark.slow
 def test_18_pick_from_a_belt(printed):
     text = printed("18_pick_from_a_belt.py")
-    assert number(r"runs at ([\d.]+) mm/s", text) == 100
+    assert number(r"moves at ([\d.]+) mm/s", text) == 100
     assert "in the hand: box_1" in text and "placed: True" in text
     assert "unwanted contacts: 0 welds: 0" in text
