@@ -21,8 +21,10 @@ help: ## list the targets
 
 # What the tests of ROS 1 talk to; it lives under /usr and is used through /usr/bin/python3.
 ROS := python3-rospy python3-rosmaster python3-rostopic python3-rosservice python3-rosparam python3-rosnode \
-       python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros rosout topic-tools
-ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros'
+       python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros rosout topic-tools \
+       rviz xvfb
+ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros' \
+             && test -x /usr/bin/rviz -a -x /usr/bin/Xvfb
 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
@@ -40,7 +42,7 @@ bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the RO
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),60)
 
 test-interop: $(VENV)/.stamp ## set up, then test against other programs: Debian's ROS 1 (installed where it can be), Mono, Chromium
-	@$(ROS_THERE) 2>/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+	@{ $(ROS_THERE); } 2>/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
 	  && echo "Installing Debian's ROS 1 ..." && apt-get update -q && apt-get install -qy --no-install-recommends $(ROS); } \
 	  || echo "Debian's ROS 1 cannot be installed from here; its tests are skipped. Cure: apt-get install $(ROS)"
 	$(PY) -m pytest -m interop -rs

@@ -143,6 +143,25 @@ def test_a_worker_that_dies_or_hangs(quick, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_workers_that_die_as_they_start(quick, tmp_path, monkeypatch):
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(
+        "import os, sys\nif 'armcell.campaigns.worker' in ' '.join(sys.orig_argv): os._exit(9)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{site}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    store = begin(CampaignSpec(quick, trials=6), tmp_path)
+    with pytest.raises(InputError, match="status 9 as they start.*armcell check"):
+        run(store, 2)
+    assert store.rows == {}
+    monkeypatch.undo()
+    Path(quick).write_text("robot: nobody\n")  # changed after the look at it
+    with pytest.raises(InputError, match="a worker says: .*nobody"):
+        run(store, 2)
+    store.close()
+
+
+@pytest.mark.slow
 def test_stop_rules(quick, tmp_path):
     for options, told in (({"half_width": 0.1}, "interval"), ({"max_seconds": 0.01}, "are over")):
         store = begin(CampaignSpec(quick, trials=5000, **options), tmp_path)
@@ -181,7 +200,7 @@ def test_a_full_disk(tmp_path):
     store = Store.new(tmp_path, CampaignSpec("panda_pick"), {})
     store.append(row(0))
     os.dup2(os.open("/dev/full", os.O_WRONLY), store._file)
-    with pytest.raises((InputError, OSError)):
+    with pytest.raises(InputError, match="No space left on device.*--resume"):
         store.append(row(1))
     assert list(store.rows) == [0]
 

@@ -324,6 +324,23 @@ def test_29_campaign(printed):
 
 
 @pytest.mark.slow
+def test_30_replay_and_compare(printed):
+    said = printed("30_replay_and_compare.py")
+    states = number(r"recorded: (\d+) states", said)
+    assert states > 100 and f"executed again: {states:.0f} of {states:.0f} states identical" in said
+    assert "asked: another physics" in said and "states: first different at" in said
+    assert "some states are left; it is cut off" in said
+
+
+@pytest.mark.slow
+def test_31_gate(printed):
+    lines = printed("31_gate.py").splitlines()
+    assert len(lines) == 3 and lines[0].startswith("gate: closed: cell 'lamp' has not been shown to work")
+    assert lines[1] == "gate: open, 72 of 72, at least 95.0%"
+    assert "what changed is: objects.lamp" in lines[2]
+
+
+@pytest.mark.slow
 def test_25_moveit_commander_script(tmp_path):
     command = [sys.executable, "-m", "armcell", "run", str(EXAMPLES / "25_moveit_commander_script.py")]
     process = subprocess.run(
@@ -351,6 +368,16 @@ def test_26_grasp_server(printed):
     assert 150 < number(r"lifted by ([\d.]+) mm", said) < 250
     assert "status: grasping cube" in said and "status: done: cube is lifted" in said
     assert "unwanted contacts: 0" in said
+
+
+@pytest.mark.slow
+def test_28_ros2(printed):
+    pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
+    said = printed("28_ros2.py")
+    assert "nodes: /robot; its arm takes goals: True" in said and "sensed 8 joints" in said
+    assert re.search(r"SUCCEEDED: error code 0, \d+ times told", said)
+    assert number(r"turned by ([\d.]+) rad", said) == pytest.approx(0.5, abs=0.01)
+    assert number(r"the others by ([\d.]+)", said) < 0.01
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ def test_the_tuple_of_plan_is_executed_as_its_trajectory(arm):
 
 
 def test_async_motion_and_stop(arm):
-    arm.set_max_velocity_scaling_factor(0.02)
+    arm.set_max_velocity_scaling_factor(0.005)
     before = arm.get_current_joint_values()
     assert arm.go([v + 0.5 for v in HOME], wait=False) is True
     end = time.monotonic() + 20
@@ -44,6 +44,17 @@ def test_async_motion_and_stop(arm):
     time.sleep(0.2)
     there = arm.get_current_joint_values()
     assert there[0] > before[0] + 1e-3 and there[0] < before[0] + 0.45
+    time.sleep(0.1)
+    assert np.allclose(arm.get_current_joint_values(), there, atol=1e-3)
+
+
+def test_a_newer_go_ends_one_that_was_not_waited_for_of_another_group_too(arm, mc):
+    """As MoveIt: one move_group action serves all groups. `execute` moves groups side by side."""
+    arm.set_max_velocity_scaling_factor(0.005)
+    assert arm.go([v + 0.5 for v in HOME], wait=False) is True
+    assert mc.MoveGroupCommander("hand").go([0.03, 0.03])
+    there = arm.get_current_joint_values()
+    assert there[0] < HOME[0] + 0.45
     time.sleep(0.1)
     assert np.allclose(arm.get_current_joint_values(), there, atol=1e-3)
 

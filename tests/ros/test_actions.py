@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from armcell.core import UnknownNameError
+from armcell.core import InputError, UnknownNameError
 from armcell.ros import ActionClient, ActionServer, Bus, Done, State, schema
 
 TYPE = "control_msgs/GripperCommand"
@@ -117,6 +117,35 @@ def test_a_failing_execute_is_aborted_with_the_reason():
         sent = client.send(goal())
         assert sent.wait(5)
         assert sent.state is State.ABORTED and sent.text == "ValueError: no such joint"
+
+
+def test_what_cannot_be_done_is_aborted_with_the_plain_reason(caplog):
+    bus = Bus()
+
+    def execute(g):
+        raise InputError("no joint states yet", cure="start the simulator")
+
+    with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
+        sent = client.send(goal())
+        assert sent.wait(5) and sent.state is State.ABORTED
+        assert sent.text == "no joint states yet (start the simulator)"
+    assert [r.levelname for r in caplog.records] == ["WARNING"]
+
+
+def test_goals_without_ids_are_all_taken():
+    bus, count = Bus(), []
+
+    def execute(g):
+        count.append(g.id.id)
+        return Done(State.SUCCEEDED, RESULT())
+
+    bus.clock.set(1.0)  # both come at the same time
+    with ActionServer(bus, "a", TYPE, execute, concurrent=True):
+        publisher = bus.advertise("a/goal", f"{TYPE}ActionGoal")
+        for _ in range(2):
+            publisher.publish(schema().new(f"{TYPE}ActionGoal"))
+        wait_for(lambda: len(count) == 2)
+        assert len(set(count)) == 2
 
 
 def test_the_same_goal_twice_is_taken_once():

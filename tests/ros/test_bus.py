@@ -215,3 +215,49 @@ def test_the_clock_is_the_walls_or_a_simulations():
     assert bus.clock.wait_until(13.0, timeout=5)
     with pytest.raises(InputError):
         bus.clock.set(float("nan"))
+
+
+def test_a_transport_does_not_get_what_it_brought():
+    bus, wire, other, got, heard = Bus(), object(), object(), [], []
+    own = bus.advertise("/t", "std_msgs/Int32", latch=True, owner=wire)
+    own.publish(schema().new("std_msgs/Int32", 1))
+    bus.attach("/t", "std_msgs/Int32", got.append, owner=wire)
+    bus.attach("/t", "std_msgs/Int32", heard.append, owner=other)
+    own.publish(schema().new("std_msgs/Int32", 2))
+    bus.advertise("/t", "std_msgs/Int32", latch=True).publish(schema().new("std_msgs/Int32", 3))
+    assert [m.data for m in got] == [3] and [m.data for m in heard] == [1, 2, 3]
+    (info,) = bus.topics(besides=wire)
+    assert (info.publishers, info.subscribers, info.latched) == (1, 1, True)
+    assert bus.topics()[0].publishers == 2
+
+
+def test_who_comes_and_goes_is_told():
+    bus = Bus()
+    version = bus.wait_change(-1, 0)
+    assert bus.wait_change(version, 0.02) == version
+    with bus.advertise("/t", "std_msgs/Int32"):
+        came = bus.wait_change(version, 1)
+    assert came != version and bus.wait_change(came, 1) != came
+
+
+def test_services_behind_a_wire_are_asked_last():
+    bus, asked = Bus(), []
+
+    def find(name):
+        asked.append(name)
+        return (
+            (lambda request: schema().new("std_srvs/TriggerResponse", True, "far"))
+            if name == "/far"
+            else None
+        )
+
+    bus.find_elsewhere(find)
+    with bus.serve(
+        "/near", "std_srvs/Trigger", lambda _: schema().new("std_srvs/TriggerResponse", True, "near")
+    ):
+        assert bus.call("near", schema().new("std_srvs/TriggerRequest")).message == "near" and not asked
+    assert bus.wait_for_service("/far", 0.5) and not bus.wait_for_service("/none", 0.15)
+    assert bus.call("/far", schema().new("std_srvs/TriggerRequest")).message == "far"
+    bus.forget_elsewhere(find)
+    with pytest.raises(ServiceError, match="unknown service '/far'"):
+        bus.call("/far", schema().new("std_srvs/TriggerRequest"))

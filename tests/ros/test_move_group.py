@@ -296,13 +296,9 @@ def test_execution_its_start_its_end_and_its_stops(bus):
     assert execute(bus, slow_plan(bus), stop_after=0.2) == (State.PREEMPTED, -7)
 
 
-def test_a_stop_does_not_wait_for_the_motion_s_end(bus):
-    """The real one answers about 0.09 s after the stop."""
-    planned = slow_plan(bus)
-    duration = planned.joint_trajectory.points[-1].time_from_start.to_sec()
-    began = time.monotonic()
-    execute(bus, planned, stop_after=0.1)
-    assert time.monotonic() - began < duration / 4 and duration > 20
+def test_a_stop_ends_the_motion_where_it_is(bus, served):
+    execute(bus, slow_plan(bus), stop_after=0.1)
+    assert arm(served)[0] < 1.0  # of 1.5 rad, which take 1.7 s
 
 
 def test_a_cancelled_goal_is_preempted(bus):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from armcell.cell import load
-from armcell.core import ErrorCode, InputError, JointTrajectory
-from armcell.ros import Bus, schema
-from armcell.ros.convert import joint_state_message
+from armcell.core import SE3, ErrorCode, InputError, JointTrajectory
+from armcell.ros import ActionClient, Bus, State, schema
+from armcell.ros.convert import joint_state_message, pose_message
 from armcell.ros.moveit_convert import trajectory_message
-from armcell.ros.nodes import RemoteCell
+from armcell.ros.nodes import MoveGroupNode, PickPlaceNode, RemoteCell
 from armcell.ros.nodes.scene_node import SceneNode
 
 S = schema()
@@ -75,6 +75,14 @@ def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
         assert third.wait(5) and "unknown joint" in third.outcome().message
 
 
+def test_a_simulator_that_says_only_how_a_motion_ended():
+    with Simulator("panda_table") as sim:
+        work = sim.cell.play(sim.motion("panda_arm"))
+        assert sim.got.get(5).points
+        sim.say("done: arrived")
+        assert work.wait(2) and work.outcome().ok
+
+
 def test_the_second_arm_waits_for_the_first():
     """What is said does not tell which motion is meant, and nothing proves that two would not meet."""
     with Simulator("dual_ur10") as sim:
@@ -105,6 +113,29 @@ def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint(
         assert running.outcome().code is ErrorCode.PREEMPTED
 
 
+def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late():
+    with Simulator("panda_table") as sim:
+        pose = sim.bus.advertise("/object_pose", "geometry_msgs/PoseStamped")
+        T = SE3.from_xyz(0.5, -0.2, 0.1)
+        sim.cell.joints()
+        later = threading.Timer(
+            0.3,
+            lambda: pose.publish(
+                S.new("geometry_msgs/PoseStamped", sim.bus.header("world"), pose_message(S, T))
+            ),
+        )
+        later.start()
+        assert sim.cell.scene().object("cube").T_world_object.isclose(T)
+    with Simulator(
+        "panda_table"
+    ) as sim:  # one that says nothing of objects: they are where the cell has them
+        cube = sim.cell.scene().object("cube")
+        assert cube.T_world_object.isclose(sim.scene.object("cube").T_world_object)
+        before = time.monotonic()
+        sim.cell.scene()
+        assert time.monotonic() - before < 0.5  # waited for but once
+
+
 def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):
     monkeypatch.setattr("armcell.ros.nodes.remote_cell.STATE_TIMEOUT", 0.1)
     sim = Simulator("panda_table")
@@ -117,3 +148,29 @@ def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):
             assert not first.is_diff and "table" in [o.id for o in first.world.collision_objects]
     finally:
         node.close()
+
+
+def test_without_a_simulator_every_action_ends_with_a_code_and_the_reason(monkeypatch, caplog):
+    monkeypatch.setattr("armcell.ros.nodes.remote_cell.STATE_TIMEOUT", 0.05)
+    sim = Simulator("panda_table")
+    bus = sim.bus
+    group = MoveGroupNode(sim.cell, bus)
+    pick = PickPlaceNode(group)
+    trajectory = S.new("moveit_msgs/RobotTrajectory", sim.motion("panda_arm"))
+    goals = {
+        "MoveGroup": ("/move_group", {}),
+        "ExecuteTrajectory": ("/execute_trajectory", {"trajectory": trajectory}),
+        "Pickup": ("/pickup", {"target_name": "cube"}),
+        "Place": ("/place", {}),
+    }
+    try:
+        for kind, (action, fields) in goals.items():
+            with ActionClient(bus, action, f"moveit_msgs/{kind}") as client:
+                sent = client.send(S.new(f"moveit_msgs/{kind}Goal", **fields))
+                assert sent.wait(5) and sent.state is State.ABORTED and "/joint_states" in sent.text
+                assert sent.result.error_code.val in (99999, -4), kind
+    finally:
+        pick.close()
+        group.close()
+        sim.cell.close()
+    assert not [r for r in caplog.records if r.exc_info]

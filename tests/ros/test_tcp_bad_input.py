@@ -6,25 +6,14 @@ import struct
 
 import pytest
 from tests.ros.fuzz_tcp import fuzz
+from tests.ros.tcp_helpers import frame
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import Bus, schema
+from armcell.ros import schema
 from armcell.ros.codec import ros1
-from armcell.ros.tcp import RosTcpServer, ServerSettings
 from armcell.ros.tcp.frames import MAX_BODY, FrameError, FrameReader, command
 
 TRAJECTORY = "trajectory_msgs/JointTrajectory"
-
-
-@pytest.fixture
-def bus():
-    return Bus()
-
-
-@pytest.fixture
-def server(bus):
-    with RosTcpServer(bus, ServerSettings(port=0)) as server:
-        yield server
 
 
 @pytest.fixture
@@ -40,10 +29,6 @@ def bystander(bus, server):
         assert unity.buffer == b""
         unity.command("__ping", request_time=1)
         assert unity.read()[0] == "__ping_response"  # no word of the other's errors
-
-
-def frame(name, body):
-    return struct.pack("<I", len(name)) + name + struct.pack("<I", len(body)) + body
 
 
 def sub(**params):

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.ros.tcp_helpers import text, wait_for
 
 from armcell.core import InputError
 from armcell.ros import Bus, ServiceError, cdr, schema
@@ -15,17 +16,6 @@ from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 STATE = "sensor_msgs/JointState"
 TEXT = "std_msgs/String"
-
-
-def text(value):
-    return schema().new(TEXT, data=value)
-
-
-def wait_for(condition, timeout=5.0):
-    end = time.monotonic() + timeout
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.002)
-    assert condition()
 
 
 @pytest.fixture(params=["ROS1", "ROS2"])

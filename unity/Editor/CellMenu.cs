@@ -48,7 +48,9 @@ namespace Armcell
         {
             string folder = "Assets/Armcell/" + Path.GetFileName(Path.GetDirectoryName(Path.GetFullPath(file)))
                 + "/Generated";
-            return CellBuilder.Build(file, new AssetFolder(folder));
+            GameObject root = CellBuilder.Build(file, new AssetFolder(folder));
+            root.AddComponent<PlanningSceneExporter>().world = root.transform; // its roots are the user's to name
+            return root;
         }
 
         /// <summary>Keeps meshes and materials below a folder of the project.</summary>

@@ -1,4 +1,4 @@
-"""Many randomised trials of a cell's task: how often it works, why it fails, what matters."""
+"""Many randomised trials of a cell's task: how often it works, why it fails, what matters; the gate."""
 
 from armcell.campaigns.campaign import begin, resume, run
 from armcell.campaigns.report import summary, write_report

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from armcell.campaigns.distributions import Distribution
-from armcell.campaigns.identity import content_hashes
+from armcell.campaigns.gate import changed_parts
 from armcell.campaigns.pool import Pool
 from armcell.campaigns.sampling import ROUND, Array, adaptive_draw, latin_hypercube_draw, random_draw
 from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
 from armcell.campaigns.store import Store
 from armcell.campaigns.trial import Trial
+from armcell.cell import content_hashes
 from armcell.core import InputError
 from armcell.planning import warm_up
 
@@ -40,7 +41,7 @@ def resume(folder: str | Path) -> Store:
     """
     store = Store.open(folder)
     now = content_hashes(checked_cell(store.spec))
-    changed = [part for part, value in now.items() if store.hashes.get(part) != value]
+    changed = changed_parts(store.hashes, now)
     if changed:
         store.close()
         raise InputError(

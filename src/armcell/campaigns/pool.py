@@ -14,6 +14,7 @@ from typing import Any
 
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, failed
+from armcell.core import InputError
 
 TRIES = 3  # of a trial whose worker dies
 ONE_THREAD = dict.fromkeys(
@@ -29,6 +30,7 @@ class _Worker:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
         self.trial: Trial | None = None
+        self.ready = False  # it has loaded the cell
         self.began = 0.0
         self.done = 0
         self.rest = b""
@@ -106,8 +108,25 @@ class Pool:
         self._start()
         return status
 
+    def _died_at_start(self, status: int) -> None:
+        """
+        Raises:
+            InputError: too many in a row.
+        """
+        self.died += 1
+        if self.died >= TRIES * self.size:
+            raise InputError(
+                f"worker processes end with status {status} as they start",
+                cure=f"see what they say above; does `armcell check {self.spec.cell}` pass, is there memory "
+                f"for {self.size} of them (--workers 1)?",
+            )
+
     def run(self, trials: Iterator[Trial]) -> Iterator[dict[str, Any]]:
-        """The rows of trials as they finish, each trial's exactly once."""
+        """The rows of trials as they finish, each trial's exactly once.
+
+        Raises:
+            InputError: no worker comes up.
+        """
         again: list[Trial] = []
         tries: dict[int, int] = {}
         over = False
@@ -126,10 +145,13 @@ class Pool:
                 answers = worker.answers()
                 if answers is None:
                     trial, status = worker.trial, self._replace(worker)
-                    self.died += 1
+                    if not worker.ready:
+                        self._died_at_start(status)
+                        if trial is not None:
+                            again.append(trial)
+                            over = False
+                        continue
                     if trial is None:
-                        if self.died > TRIES * self.size:
-                            raise RuntimeError(f"worker processes end with status {status} as they start")
                         continue
                     tries[trial.number] = tries.get(trial.number, 0) + 1
                     if tries[trial.number] < TRIES:
@@ -140,6 +162,13 @@ class Pool:
                         yield failed(trial, "CRASHED", text)
                     continue
                 for row in answers:
+                    if "ready" in row:
+                        worker.ready, self.died = True, 0
+                        continue
+                    if "cell" in row:  # that it cannot load
+                        raise InputError(
+                            f"a worker says: {row['cell']}", cure="was the cell changed just now?"
+                        )
                     worker.trial = None
                     worker.done += 1
                     yield row

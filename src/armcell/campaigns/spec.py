@@ -112,8 +112,9 @@ def checked_cell(spec: CampaignSpec) -> Cell:
         InputError: a value that it may not have, e.g. a negative mass; a cell without task.
     """
     cell = with_values(load(spec.cell), spec.values)
-    if not cell.spec.task:
-        raise InputError("the cell has no task", file=cell.file, cure="add 'task: [...]'")
+    if not cell.spec.task and cell.spec.script is None:
+        cure = "add 'task: [...]' or 'script: task.py'"
+        raise InputError("the cell has no task", file=cell.file, cure=cure)
     for path, found in distributions(spec).items():
         for value in ends(found):
             with_values(cell, {path: value}).scene(spec.seed)

@@ -7,6 +7,7 @@ plain JSON lines: pandas, DuckDB and `jq` read it as it is.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -93,7 +94,8 @@ class Store:
             if os.write(self._file, line) != len(line):
                 raise OSError(0, "the disk is full")
         except OSError as error:
-            os.ftruncate(self._file, before)
+            with contextlib.suppress(OSError):  # a part of a line that stays is dropped when this is read
+                os.ftruncate(self._file, before)
             raise InputError(
                 f"cannot be written ({error.strerror})", file=self.folder / TRIALS,
                 cure=f"make room, then go on with --resume {self.folder}",

@@ -15,6 +15,7 @@ from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, run_trial
 from armcell.cell import Cell, load
 from armcell.cell.values import with_values
+from armcell.core import InputError
 
 
 def cell_of(spec: CampaignSpec) -> Cell:
@@ -40,11 +41,18 @@ def main() -> None:
     os.dup2(2, 1)  # whatever a library prints is no answer
     logging.getLogger("armcell").setLevel(logging.ERROR)  # once per campaign is enough
     asked = _lines(sys.stdin)
-    cell = cell_of(CampaignSpec(**asked.get()))
-    while True:
-        row = run_trial(cell, Trial(**asked.get()))
+
+    def answer(row: dict[str, Any]) -> None:
         answers.write(json.dumps(row, allow_nan=False) + "\n")
         answers.flush()
+
+    try:
+        cell = cell_of(CampaignSpec(**asked.get()))
+    except InputError as error:
+        return answer({"cell": str(error)})
+    answer({"ready": True})
+    while True:
+        answer(run_trial(cell, Trial(**asked.get())))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The cell file and the live cell; what `armcell.load` returns."""
 
 from armcell.cell.cell import Cell, built_in_cells, cell_names, load
+from armcell.cell.identity import code_hash, content_hashes
 from armcell.cell.live import Arm, LiveCell
 from armcell.cell.objects_file import load_objects, save_objects
 from armcell.cell.run import run_task
@@ -17,6 +18,8 @@ __all__ = [
     "Proposal",
     "built_in_cells",
     "cell_names",
+    "code_hash",
+    "content_hashes",
     "load",
     "load_objects",
     "parsed",

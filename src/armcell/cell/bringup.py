@@ -86,7 +86,7 @@ class BringUp:
         if not self._all(steps):
             return False
         try:
-            with self.cell.connect("real") as live:
+            with self.cell.connect("real", watch=False) as live:
                 driver = live.driver
                 assert isinstance(driver, UrDriver)
                 steps = []

@@ -15,7 +15,9 @@ from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
+from armcell.cell.twin import twin_guard
 from armcell.control import DriverOptions, drivers
+from armcell.control.drivers.ur import UrDriver
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.model import Part, RobotModel, compose, load_robot
@@ -186,6 +188,7 @@ class Cell:
         time_scale: float | None = None,
         settings: TaskSettings | None = None,
         scene: PlanningScene | None = None,
+        watch: bool = True,
     ) -> LiveCell:
         """A live cell, to be used in a `with` block.
 
@@ -194,6 +197,7 @@ class Cell:
             seed: draw of the randomised values and seed of the planners; nominal cell and 0 when None.
             time_scale: None runs as fast as it can; 1.0 in real time.
             scene: begin in this one instead of the cell's own.
+            watch: compare real arms with their twin, where its bands were learned (`armcell twin`).
         Raises:
             UnknownNameError: no such mode.
         """
@@ -203,6 +207,8 @@ class Cell:
             seed or 0, time_scale, self.physics, self.cameras, self.decals, extra={"real": self.spec.real}
         )
         driver, seen = factory(scene, options), None
+        if isinstance(driver, UrDriver) and driver.settings.twin:
+            driver.guard = twin_guard(self, scene, watch)
         shown: Any = driver
         if self.spec.perception is not None:
             names, surface = self.spec.perception.objects, self.spec.perception.surface

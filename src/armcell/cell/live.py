@@ -9,7 +9,7 @@ from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.control import Driver
-from armcell.core import InputError, JointGoal, Observer, Outcome, UnknownNameError
+from armcell.core import SE3, InputError, JointGoal, Observer, Outcome, UnknownNameError
 from armcell.perception import LookSettings, MapSettings, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
@@ -36,6 +36,7 @@ from armcell.tasks.arms import (
     CarrySettings,
     ScrewSettings,
     SideBySide,
+    hand_over,
     move_together,
     screw,
     side_by_side,
@@ -218,6 +219,16 @@ class LiveCell:
         for group in ends:
             _ = self[group]
         return Carrying(self.ctx, self._both(ends), item, ends, settings)
+
+    def hand_over(self, item: str, to: str, at: Sequence[SE3] = ()) -> Outcome:
+        """The arm that holds an object gives it to another one, in the air.
+
+        Args:
+            to: the group of the arm that takes it.
+            at: poses T_world_object to meet at, the best first; by default half-way between the arms.
+        """
+        _ = self[to]
+        return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
         """Two arms to a target each; they start and arrive together."""

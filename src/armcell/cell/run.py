@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import platform
 import time
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -13,12 +11,12 @@ from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
+from armcell.cell.versions import versions
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
 from armcell.tasks import TaskFailed
 
 PLACEMENT_TOLERANCE = 0.005  # [m]
-REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]:
@@ -82,6 +80,7 @@ def _result(
     cell: Cell, live: LiveCell, seed: int, mode: str, outcome: Outcome,
     placements: list[tuple[str, Placement]], wall: float,
 ) -> dict[str, Any]:  # fmt: skip
+    live.ctx.report_news()
     poses = live.driver.object_poses()
     errors = [
         float(np.linalg.norm(poses[name].translation - target.T_world_object.translation))
@@ -141,14 +140,3 @@ def _judged(outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]
             ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should"
         )
     return outcome
-
-
-def versions() -> dict[str, str]:
-    """Versions of what decides a run."""
-    found = {"python": platform.python_version()}
-    for package in REPORTED_PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found

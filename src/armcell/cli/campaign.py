@@ -79,6 +79,20 @@ def campaign(
             "max_seconds": max_seconds,
         })  # fmt: skip
         store = campaigns.begin(spec, runs)
+    data = run_campaign(store, workers)
+    if json_file is not None:
+        write_json(json_file, data)
+    return 0 if data["success"]["total"] and not data["failures"] else 1
+
+
+def run_campaign(store: Any, workers: int) -> dict[str, Any]:
+    """Run what is missing, with progress; write the report, print and return the summary.
+
+    Args:
+        workers: processes; 0: one per core.
+    """
+    from armcell import campaigns
+
     count = workers or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
     stopped = "it was stopped"
     try:
@@ -90,11 +104,9 @@ def campaign(
         report = campaigns.write_report(store, stopped)
         store.close()
     data = campaigns.summary(store, stopped)
-    if json_file is not None:
-        write_json(json_file, data)
     _print(data)
     console.print(f"report: {report}", soft_wrap=True)
-    return 0 if data["success"]["total"] and not data["failures"] else 1
+    return data
 
 
 def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) -> Any:

@@ -17,10 +17,12 @@ from armcell.cli import (
     doctor,
     explain,
     export,
+    gate,
     ik,
     look,
     msg,
     plan,
+    replay,
     run,
     script,
     serve,
@@ -28,6 +30,7 @@ from armcell.cli import (
     setup,
     step_response,
     topic,
+    twin,
     ur_controller,
     view,
 )
@@ -65,6 +68,10 @@ Examples:
 
   armcell campaign panda_pick --trials 200    how often does it work, and why not
 
+  armcell gate my_cell.yaml                   the record that mode real asks for, from a campaign
+
+  armcell replay runs/20261122-101500-panda_pick    a recorded run in the browser; --execute runs it again
+
   armcell doctor panda_pick                   what this machine lacks, and the cure
 """
 
@@ -79,6 +86,9 @@ app = typer.Typer(
 )
 app.command("run")(run.run)
 app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
+app.command("replay", epilog=replay.REPLAY_EXAMPLES)(replay.replay)
+app.command("diff", epilog=replay.DIFF_EXAMPLES)(replay.diff)
+app.command("gate", epilog=gate.EXAMPLES)(gate.gate)
 app.command("lint")(script.lint)
 app.command("check")(check.check)
 app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
@@ -99,6 +109,7 @@ app.command("serve")(serve.serve)
 app.command("sim")(serve.sim)
 app.command("ur-controller", epilog=ur_controller.EXAMPLES)(ur_controller.ur_controller)
 app.command("bringup")(bringup.bringup)
+app.command("twin")(twin.twin)
 app.command("ur-dashboard")(ur_controller.ur_dashboard)
 app.add_typer(topic.app, name="topic")
 app.add_typer(service.app, name="service")

@@ -11,7 +11,9 @@ from typing import Any
 import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
+from armcell.cli.gating import gate_of, gate_words
 from armcell.cli.ros1 import OWN_MASTER
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
@@ -65,6 +67,20 @@ def run(
         help="Another value than in the cell file, e.g. objects.cube.mass=0.3; may be repeated.",
     ),
     port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
+    gate: Path | None = typer.Option(
+        None,
+        metavar="FILE",
+        help="For mode real: the gate record. [default: <cell>.gate.json beside the cell]",
+    ),
+    without_gate: str | None = typer.Option(
+        None, metavar="REASON", help="For mode real: run without a gate record; the reason is recorded."
+    ),
+    frames: list[str] = typer.Option(
+        [],
+        "--frames",
+        metavar="CAMERA[=HZ]",
+        help="Put a simulated camera's pictures into the record, 5 a second unless told; may be repeated.",
+    ),
 ) -> int:
     """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
 
@@ -78,7 +94,18 @@ def run(
         from armcell.cli.script import run_script_command
 
         return run_script_command(
-            cell, in_cell, arguments or [], seed, mode, time_scale, auto_grip, view, port, ros1, own_master
+            cell,
+            in_cell,
+            arguments or [],
+            seed,
+            mode,
+            time_scale,
+            auto_grip,
+            view,
+            port,
+            without_gate,
+            ros1,
+            own_master,
         )
     if ros1 or own_master is not None:
         raise typer.BadParameter("--ros1 is for scripts; a cell is served to ROS 1 by `armcell serve --ros1`")
@@ -108,6 +135,7 @@ def run(
         drivers[mode]  # an unknown mode is said before anything is made
         values = dict(parsed(one) for one in set_)
         loaded = with_values(load(cell), values)
+        passed = gate_of(loaded, mode, gate, without_gate)
         warm_up()
         scene = loaded.scene(seed)
         observers: list[Observer] = []
@@ -120,9 +148,11 @@ def run(
             console.print(f"view: {viewer.url}")
             time_scale = time_scale or 1.0
         if not headless:
-            from armcell.records import RunRecorder, new_run_folder
+            from armcell.records import RunRecorder, about_run, new_run_folder
 
-            recorder = stack.enter_context(RunRecorder(new_run_folder(runs, loaded.name), scene))
+            about = {**about_run(loaded, seed, mode, values), **passed}
+            recorder = RunRecorder(new_run_folder(runs, loaded.name), scene, about=about)
+            stack.enter_context(recorder)
             observers.append(recorder)
         if progress is not None and loading is not None:
             progress.remove_task(loading)
@@ -131,8 +161,12 @@ def run(
         if recorder is not None and mode == "sim" and loaded.cameras:
             observers.append(_Pictures(live.driver, recorder))
             live.ctx.observers.append(observers[-1])
+        if frames:
+            live.ctx.observers += camera_frames(frames, loaded, mode, live.driver, recorder)
         with live:
-            result = run_task(loaded, live, seed, mode)
+            if passed:
+                live.ctx.emit("note", gate_words(passed))
+            result = {**run_task(loaded, live, seed, mode), **passed}
         sets = [part for one in set_ for part in ("--set", one)]
         result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode, *sets])
         if progress is not None:
@@ -152,7 +186,7 @@ def _written(recorder: Any, result: dict[str, Any], json_file: Path | None) -> P
         return None
     from armcell.records import write_report
 
-    recorder.close()
+    recorder.finish(result)
     write_json(recorder.folder / "result.json", result)
     return write_report(recorder.folder, result, recorder)
 

@@ -17,7 +17,8 @@ from armcell.core import InputError, Observer
 
 def run_script_command(
     script: str, cell: str | None, arguments: list[str], seed: int, mode: str, time_scale: float | None,
-    auto_grip: bool | None, view: bool, port: int, ros1: bool = False, own_master: bool | None = None,
+    auto_grip: bool | None, view: bool, port: int, without_gate: str | None,
+    ros1: bool = False, own_master: bool | None = None,
 ) -> int:  # fmt: skip
     """Run a rospy / moveit_commander script unchanged against a cell; its exit status.
 
@@ -35,6 +36,13 @@ def run_script_command(
     from armcell.moveit.lint import closes_gripper_itself
 
     drivers[mode]  # an unknown mode is said before anything is made
+    if mode == "real":
+        if not without_gate:
+            raise InputError(
+                f"no campaign can show what {file.name} does: a script has no gate record",
+                cure='--without-gate "REASON"; a cell\'s own task has one: armcell gate',
+            )
+        err(f"without a gate record: {without_gate}")
     if auto_grip is None:
         auto_grip = not closes_gripper_itself(file)
         if auto_grip:

@@ -16,6 +16,8 @@ from rich.text import Text
 from armcell.cli.console import console, err, errors
 from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
+from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
+from armcell.cli.ros2 import join as join_ros2
 from armcell.core import InputError
 
 REFRESH = 1.0  # [s]
@@ -33,6 +35,8 @@ def serve(
     unity: bool = typer.Option(False, "--unity", help="Serve Unity's ROS-TCP-Connector."),
     ros1: bool = ROS1,
     own_master: bool | None = OWN_MASTER,
+    ros2: bool = ROS2,
+    domain: int | None = DOMAIN,
     port: int = typer.Option(10000, min=0, max=65535, help="Port for Unity; 0: any free one."),
     bind: str | None = typer.Option(
         None, help="Address to listen on: 127.0.0.1, for ROS 1 what ROS_IP says; 0.0.0.0 lets others in."
@@ -56,11 +60,13 @@ def serve(
     """Run a cell and serve it: states out; trajectories, planning (move_group), pick, place and grasps in.
 
     Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. With --ros1, ROS programs
-    see a node that publishes, plans and moves as MoveIt's move_group does. Ctrl-C ends it.
+    see a node that publishes, plans and moves as MoveIt's move_group does; with --ros2, ROS 2 programs do.
+    Ctrl-C ends it.
     """
-    if not (unity or ros1):
-        raise InputError("nothing to serve", cure="give --unity or --ros1")
+    if not (unity or ros1 or ros2):
+        raise InputError("nothing to serve", cure="give --unity, --ros1 or --ros2")
     check_remap(ros1, remap, own_master)
+    check_domain(ros2, domain)
     from armcell.ros import Bus, Schema
 
     bus = Bus(Schema(types) if types is not None else None)
@@ -70,6 +76,8 @@ def serve(
             wires.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
         if ros1:
             wires.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
+        if ros2:
+            wires.append(join_ros2(stack, bus, "armcell", domain, bind))
 
         def ready() -> None:  # services answer from here on, not from when the port is open
             for wire in wires:
@@ -109,6 +117,8 @@ def sim(
     ),
     ros1: bool = ROS1,
     own_master: bool | None = OWN_MASTER,
+    ros2: bool = ROS2,
+    domain: int | None = DOMAIN,
     protocol: str = typer.Option("ROS1", help="Of an endpoint older than 0.7; later ones say it themselves."),
     mode: str = MODE,
     seed: int = SEED,
@@ -118,13 +128,19 @@ def sim(
 ) -> int:
     """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it.
 
-    With --ros1, the cell is a node of a ROS 1 graph: its states out, trajectories and gripper commands in.
+    With --ros1 or --ros2, the cell is a node: its states out, trajectories and gripper commands in.
     """
     check_remap(ros1, remap, own_master)
-    if ros1 == (connect is not None):
-        raise InputError("where to?", cure="give either --connect HOST:PORT or --ros1")
+    check_domain(ros2, domain)
+    if (ros1 or ros2) == (connect is not None):
+        raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
     if connect is None:
-        return _sim_ros1(cell, own_master, remap, mode, seed, time_scale, rate, seconds)
+        joins: list[Callable[[ExitStack, Any], Wire]] = []
+        if ros1:
+            joins.append(lambda stack, bus: join_ros1(stack, bus, "armcell_sim", own_master, remap, None))
+        if ros2:
+            joins.append(lambda stack, bus: join_ros2(stack, bus, "armcell_sim", domain))
+        return _sim_node(cell, joins, mode, seed, time_scale, rate, seconds)
     from armcell.ros import Bus
     from armcell.ros.codec import CODECS
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
@@ -162,17 +178,24 @@ def sim(
             client.close()
 
 
-def _sim_ros1(
-    cell: str, own_master: bool | None, remap: list[str], mode: str, seed: int, time_scale: float,
+def _sim_node(
+    cell: str, joins: list[Callable[[ExitStack, Any], Wire]], mode: str, seed: int, time_scale: float,
     rate: float, seconds: float | None,
 ) -> int:  # fmt: skip
     from armcell.ros import Bus
 
     bus = Bus()
     with ExitStack() as stack:
-        wire = join_ros1(stack, bus, "armcell_sim", own_master, remap, None)
-        ready = lambda: console.print(f"{wire.ready}; Ctrl-C ends it", markup=False)  # noqa: E731
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, wire.status, ready)
+        wires = [join(stack, bus) for join in joins]
+
+        def ready() -> None:
+            for wire in wires:
+                console.print(f"{wire.ready}; Ctrl-C ends it", markup=False, soft_wrap=True)
+
+        def status() -> str:
+            return "  ".join(wire.status() for wire in wires)
+
+        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready)
 
 
 def address(text: str) -> tuple[str, int]:

@@ -18,6 +18,8 @@ Examples:
 
   armcell ur-controller --model UR10 --host 127.0.0.2 --host 127.0.0.3    two arms in one process
 
+  armcell ur-controller --cell dual_ur10_rod --host 127.0.0.2 --host 127.0.0.3    both in one world
+
   armcell ur-dashboard 127.0.0.2 "armcell protective stop"    buttons and faults ("armcell help" lists them)
 """
 
@@ -40,7 +42,7 @@ def ur_controller(
     off: bool = typer.Option(False, "--off", help="Begin powered off."),
 ) -> int:
     """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C."""
-    from armcell.control.ur_controller import ControllerSettings, Rack, WorldPlant
+    from armcell.control.ur_controller import ControllerSettings, Rack, SharedWorld
 
     hosts = list(host)
     if len(set(hosts)) != len(hosts):
@@ -57,8 +59,7 @@ def ur_controller(
                 f"cell {cell!r} has {len(arms)} arms ({', '.join(arms)}), {len(hosts)} addresses are given",
                 cure="give --host once per arm",
             )
-        world = SimWorld(loaded.scene(seed), loaded.physics)
-        plants = [WorldPlant(world, arm, leads=i == 0) for i, arm in enumerate(arms)]
+        plants = SharedWorld(SimWorld(loaded.scene(seed), loaded.physics), arms).plants
     serials = [*serial, *(f"2026{i + 1:04d}" for i in range(len(serial), len(hosts)))]
     settings = [
         ControllerSettings(

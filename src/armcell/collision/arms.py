@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ from armcell.scene import PlanningScene
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
+
+FINE = 0.01  # [rad] of a joint: the finest boxes of positions that `certify_any_time` looks at
 
 
 @lru_cache(maxsize=64)
@@ -202,6 +204,46 @@ class Arms:
         time = float(times[i] + (at - i) * (times[i + 1] - times[i]))
         q = points[i] + (at - i) * (points[i + 1] - points[i])
         return TimedCertificate(False, time, self.contact(q) if evidence else None)
+
+    def certify_any_time(
+        self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
+    ) -> bool:
+        """Prove that the arms keep apart whenever each of two motions is made, and at whatever pace.
+
+        Every position of the one is proven against every position of the other: of the second motion, boxes
+        of joint positions are held against the whole of the first, and halved where they are too large.
+        """
+        _, a, room_a = chords((first,), (0.0,), 0.0, first.duration)
+        _, b, room_b = chords((second,), (0.0,), 0.0, second.duration)
+        waiting = [(0, len(b) - 1)]
+        while waiting:
+            i, j = waiting.pop()
+            low, high = b[i : j + 1].min(axis=0), b[i : j + 1].max(axis=0)
+            if j - i <= 1 and (halves := self._halves(b[i], b[j])) is not None:
+                # One edge that is long: in parts of its own.
+                parts = [(0.5 * (p + q), 0.5 * np.abs(q - p)) for p, q in halves]
+                if not all(self._apart_from(a, room_a, m, r + room_b, clearance) for m, r in parts):
+                    return False
+                continue
+            if self._apart_from(a, room_a, 0.5 * (low + high), 0.5 * (high - low) + room_b, clearance):
+                continue
+            if j - i <= 1:
+                return False
+            middle = (i + j) // 2
+            waiting += [(i, middle), (middle, j)]
+        return True
+
+    @staticmethod
+    def _halves(p: Array, q: Array) -> list[tuple[Array, Array]] | None:
+        count = int(np.ceil(np.abs(q - p).max() / FINE))
+        if count <= 1:
+            return None
+        at = [p + (q - p) * k / count for k in range(count + 1)]
+        return list(pairwise(at))
+
+    def _apart_from(self, a: Array, room_a: Array, q: Array, room: Array, clearance: float) -> bool:
+        points = np.hstack([a, np.tile(q, (len(a), 1))])
+        return self.apart(points, np.concatenate([room_a, room]), clearance) < 0
 
 
 def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:

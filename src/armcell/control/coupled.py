@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import NDArray
 
 from armcell.control.driver import Driver
 from armcell.control.executor import ExecutionSettings, Progress
+from armcell.control.following import Follower, Paced
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome
 
 Array = NDArray[np.float64]
 
+LATEST = 4  # periods of a real robot's driver that one tick makes up for
 RAMP = 2.0  # [1/s] how fast the scaling may change: a pause brakes within half a second
 
 
@@ -32,7 +35,8 @@ def execute_coupled(
     Args:
         correct: gets the time on the trajectory and the set points (n,), (n,); returns those to send.
         watch: looked at after every tick; a failure it returns stops all arms and is the result.
-        scalings: what each arm lets itself be slowed to, 0..1; the smallest slows the common clock.
+        scalings: what each arm lets itself be slowed to, 0..1; the smallest slows the common clock. By
+            default what the driver tells of sliders and pauses, where it does.
     Returns:
         As `execute`: SUCCESS, CONTROL_FAILED, PREEMPTED, or what `watch` returned.
     """
@@ -54,15 +58,25 @@ def execute_coupled(
         joint = names[int(np.argmax(off))]
         text = f"{joint} is {off.max():.3f} from the trajectory's start: plan again from the current state"
         return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": float(off.max())}))
-    clock, scale = 0.0, 1.0
+    paced = driver if isinstance(driver, Paced) else None
+    if scalings is None and paced is not None:
+        scalings = lambda: (paced.speed_fraction,)  # noqa: E731
+    follower = driver if isinstance(driver, Follower) else None
+    sent = _Sent(0.0 if paced is None else paced.latency)
+    clock, scale, last = 0.0, 1.0, 0.0 if paced is None else paced.tick
     deadline: float | None = None
     while True:
         if cancel is not None and cancel.is_set():
             return ended(Outcome(ErrorCode.PREEMPTED, f"cancelled at {clock:.2f} s"))
+        if follower is not None and (fault := follower.fault()) is not None:
+            return ended(Outcome(fault.code, f"stopped: {fault}", {"arm": fault.arm, "kind": fault.kind}))
         wanted = 1.0 if scalings is None else float(np.clip(min(scalings()), 0.0, 1.0))
         step = RAMP * driver.period
         scale = float(np.clip(wanted, scale - step, scale + step))
-        clock = min(clock + scale * driver.period, trajectory.duration)
+        passed = driver.period
+        if paced is not None:  # a real robot's time passes by itself; this program being late is no jump
+            passed, last = min(paced.tick - last, LATEST * driver.period), paced.tick
+        clock = min(clock + scale * passed, trajectory.duration)
         q, v, _ = trajectory.sample(clock)
         v = v * scale
         if correct is not None:
@@ -70,7 +84,7 @@ def execute_coupled(
         driver.command(names, q, v)
         driver.advance(driver.period)
         state = driver.joint_state().reindexed(names)
-        error = np.abs(state.positions - q)
+        error = np.abs(state.positions - sent.nearest(state.positions, q, driver.now))
         worst = int(np.argmax(error))
         tracking = max(tracking, float(error[worst]))
         if watch is not None and (trouble := watch()) is not None:
@@ -83,9 +97,26 @@ def execute_coupled(
         if clock < trajectory.duration:
             continue
         deadline = driver.now + settings.settle_time if deadline is None else deadline
+        error = np.abs(state.positions - q)
+        worst = int(np.argmax(error))
         speed = 0.0 if state.velocities is None else float(np.max(np.abs(state.velocities)))
         if error[worst] <= settings.goal_tolerance and speed <= settings.goal_speed:
             return ended(Outcome(ErrorCode.SUCCESS))
         if driver.now > deadline:
             text = f"{names[worst]} ended {error[worst]:.4f} from the goal"
             return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": names[worst]}))
+
+
+class _Sent:
+    """Set points of the last `latency` [s]: a real robot is on its way to one of them."""
+
+    def __init__(self, latency: float):
+        self._latency = latency
+        self._kept: deque[tuple[float, Array]] = deque()
+
+    def nearest(self, measured: Array, q: Array, now: float) -> Array:
+        """The one of them that is nearest to where the robot is, the last one (n,) among them."""
+        self._kept.append((now, q))
+        while self._kept[0][0] < now - self._latency:
+            self._kept.popleft()
+        return min((q for _, q in self._kept), key=lambda q: float(np.abs(measured - q).max()))

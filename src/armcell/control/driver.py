@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, JointState, Registry
+from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Registry
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -109,6 +109,14 @@ class Driver(Protocol):
         """T_world_object of the movable objects, as far as the driver knows them."""
         ...
 
+    def targets(self) -> JointState | None:
+        """What the arm joints were last told to be; None before anything was."""
+        ...
+
+    def contacts(self) -> list[Contact]:
+        """What touches now; a driver that cannot tell says nothing."""
+        ...
+
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         """Contacts that are part of the task from now on (or no longer)."""
         ...
@@ -127,6 +135,9 @@ class Driver(Protocol):
 class SeesNoContacts:
     """What a driver without physics says of contacts: nothing."""
 
+    def contacts(self) -> list[Contact]:
+        return []
+
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         pass
 
@@ -141,6 +152,15 @@ class SeesNoContacts:
 
     def welds(self) -> list[WeldRecord]:
         return []
+
+
+@runtime_checkable
+class Rehearsing(Protocol):
+    """A driver that tries a trajectory elsewhere before a robot gets it."""
+
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        """Why it must not be driven, or None."""
+        ...
 
 
 class DriverFactory(Protocol):

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from armcell.control.driver import Driver
+from armcell.control.driver import Driver, Rehearsing
 from armcell.control.following import Follower, Tolerances, follow_to_end
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
 from armcell.core.checks import require
@@ -88,6 +88,9 @@ def playing(
             code, text, {"joint": joint, "error": worst}, began, began,
             explainer=partial(explain_start, measured, start, tolerance, code, text),
         )  # fmt: skip
+    refused = driver.rehearse(trajectory) if isinstance(driver, Rehearsing) else None
+    if refused is not None:
+        return ExecutionResult(refused.code, refused.message, refused.evidence, began, driver.now)
     if isinstance(driver, Follower):
         watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
         return follow_to_end(driver, driver, trajectory, watched, cancel, progress)

@@ -42,8 +42,33 @@ class Follower(Protocol):
         """
         ...
 
+    def hold(self, joint_names: tuple[str, ...]) -> None:
+        """Stop the arms whose joints these are where they are."""
+        ...
+
     def fault(self) -> Fault | None:
         """Why nothing may move, or None."""
+        ...
+
+
+@runtime_checkable
+class Paced(Protocol):
+    """A driver whose robots may be slowed from outside, and are behind what they are sent.
+
+    Attributes:
+        latency: how far at most [s].
+    """
+
+    latency: float
+
+    @property
+    def tick(self) -> float:
+        """What the next command is for [s]: the time that `advance` has let pass."""
+        ...
+
+    @property
+    def speed_fraction(self) -> float:
+        """What sliders and pauses leave of the speed: the slowest arm's, 0 to 1."""
         ...
 
 
@@ -92,6 +117,8 @@ def follow_to_end(
     fault = follower.fault()
     if fault is not None:
         return stopped_by(fault)
+    if duration <= 0.0:
+        return ended(ErrorCode.SUCCESS, "")  # it is there already: the start was checked
     following = follower.follow(trajectory)
     while True:
         driver.advance(driver.period)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, WeldRecord
-from armcell.core import SE3, JointState
+from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, Rehearsing, WeldRecord
+from armcell.control.following import Follower, Following
+from armcell.control.safety import Fault
+from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome
 
 EPSILON = 1e-9  # [s]
 
@@ -122,6 +125,12 @@ class ArmView:
     def object_poses(self) -> dict[str, SE3]:
         return self._driver.object_poses()
 
+    def targets(self) -> JointState | None:
+        return self._driver.targets()
+
+    def contacts(self) -> list[Contact]:
+        return self._driver.contacts()
+
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         self._driver.expect_contact(body, others, expected)
 
@@ -138,6 +147,25 @@ class ArmView:
         return self._driver.welds()
 
 
+class FollowingView(ArmView):
+    """The same of a robot that plays trajectories itself."""
+
+    def stop(self) -> None:
+        cast(Follower, self._driver).hold(self._joints)
+
+    def follow(self, trajectory: JointTrajectory) -> Following:
+        return cast(Follower, self._driver).follow(trajectory)
+
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        return self._driver.rehearse(trajectory) if isinstance(self._driver, Rehearsing) else None
+
+    def hold(self, joint_names: tuple[str, ...]) -> None:
+        cast(Follower, self._driver).hold(joint_names)
+
+    def fault(self) -> Fault | None:
+        return cast(Follower, self._driver).fault()
+
+
 def run_by_turns(
     driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmView], None]]
 ) -> None:
@@ -149,12 +177,13 @@ def run_by_turns(
         Whatever the first program that failed raised; the robot has been stopped then.
     """
     turns = Turns(driver, programs)
+    view = FollowingView if isinstance(driver, Follower) else ArmView
 
     def run(name: str) -> None:
         error: BaseException | None = None
         try:
             turns.wait_for_turn(name)
-            programs[name](ArmView(turns, name, joints[name]))
+            programs[name](view(turns, name, joints[name]))
         except BaseException as raised:
             error = raised
         turns.finish(name, error)

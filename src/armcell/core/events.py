@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from armcell.core.contact import Contact
 from armcell.core.joints import JointState, JointTrajectory
 from armcell.core.transforms import SE3
 
@@ -18,14 +19,17 @@ class StateSample:
     object_poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object, movable objects
     gripper_width: dict[str, float] = field(default_factory=dict)  # [m] by gripper
     gripper_force: dict[str, float] = field(default_factory=dict)  # [N] per finger, by gripper
+    targets: JointState | None = None  # what the joints were last told to be, where the driver knows
+    contacts: tuple[Contact, ...] = ()  # of physics; a real robot sees none
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
     """Something that happened: a stage began or ended, a weld was made, a contact was unwanted.
 
-    `kind` is one of "stage", "grasp", "weld", "contact", "stop", "error", "note". A stage's event has its
-    name as text and `data["phase"]` "begin" or "end".
+    `kind` is one of "stage", "plan", "scene", "grasp", "weld", "contact", "stop", "error", "note". A stage's
+    event has its name as text and `data["phase"]` "begin" or "end"; a plan's has the evidence it was made
+    with; a scene's has what was added, moved, removed or allowed.
     """
 
     time: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import sys
 import types
 from collections.abc import Iterator
@@ -94,15 +95,16 @@ def installed(classes: MessageClasses) -> Iterator[list[str]]:
     """The shims in `sys.modules`; what was there before comes back at the end.
 
     Yields:
-        names of real packages that are hidden meanwhile.
+        names of installed packages that are hidden meanwhile.
     """
     modules: dict[str, types.ModuleType] = message_modules(classes)
     for name, file in SHIMS.items():
         modules[name] = importlib.import_module(f"armcell.moveit.shims.{file}")
     before = {n: sys.modules[n] for n in modules if n in sys.modules}
+    hidden = sorted(n for n in modules if "." not in n and (n in before or importlib.util.find_spec(n)))
     sys.modules.update(modules)
     try:
-        yield sorted(n for n in before if "." not in n)
+        yield hidden
     finally:
         for name in modules:
             sys.modules.pop(name, None)

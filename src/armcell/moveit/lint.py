@@ -260,16 +260,25 @@ def _nearest(name: str, known: list[str]) -> str:
     return f"did you mean {' or '.join(near)}?" if near else "it never existed in MoveIt 1"
 
 
+AT_ONCE = {
+    "execute": (
+        "stock MoveIt pre-empts or serialises motions that overlap, also of different arms",
+        "armcell moves both where that is proven free of contact; MoveIt needs one group of both",
+    ),
+    "go": (
+        "any newer go() or plan() ends this motion, also one of another arm's group",
+        "plan each, then execute(trajectory, wait=False): armcell moves both where that is proven free",
+    ),
+}
+
+
 @rule
 def not_waited_for(script: Script) -> Iterator[Finding]:
-    for call in script.calls_of("execute", "go"):
-        waits = next((k.value for k in call.keywords if k.arg == "wait"), None)
-        if isinstance(waits, ast.Constant) and waits.value is False:
-            yield Finding(
-                call.lineno, "two-at-once",
-                "stock MoveIt pre-empts or serialises motions that overlap, also of different arms",
-                "armcell moves both where that is proven free of contact; MoveIt needs one group of both",
-            )  # fmt: skip
+    for name, (text, cure) in AT_ONCE.items():
+        for call in script.calls_of(name):
+            waits = next((k.value for k in call.keywords if k.arg == "wait"), None)
+            if isinstance(waits, ast.Constant) and waits.value is False:
+                yield Finding(call.lineno, "two-at-once", text, cure)
 
 
 @rule
@@ -308,10 +317,8 @@ def wall_clock(script: Script) -> Iterator[Finding]:
 
 @rule
 def guessed_wait(script: Script) -> Iterator[Finding]:
-    for function in (n for n in script.nodes if isinstance(n, ast.FunctionDef | ast.Module)):
+    for function in (n for n in script.nodes if isinstance(n, ast.FunctionDef)):
         inner = [n for n in ast.walk(function) if isinstance(n, ast.Call)]
-        if isinstance(function, ast.Module):
-            continue
         timed = any(isinstance(n, ast.Attribute) and n.attr == "time_from_start" for n in ast.walk(function))
         for call in inner:
             if timed and dotted(call.func) in ("rospy.sleep", "time.sleep"):
@@ -352,23 +359,21 @@ def no_node(script: Script) -> Iterator[Finding]:
 
 @rule
 def no_gripper(script: Script) -> Iterator[Finding]:
-    words = [n.value for n in script.nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    if commands_gripper(script):
+        return
     for call in script.calls:
         if dotted(call.func).startswith("rospy.log") and call.args:
             text = call.args[0].value if isinstance(call.args[0], ast.Constant) else ""
             if isinstance(text, str) and "close" in text.lower() and "gripper" in text.lower():
-                if commands_gripper(script, words):
-                    continue
                 yield Finding(
                     call.lineno, "no-gripper", "a log line closes no gripper",
                     "publish to /gripper_command, or run it with --auto-grip",
                 )  # fmt: skip
 
 
-def commands_gripper(script: Script, words: list[str] | None = None) -> bool:
+def commands_gripper(script: Script) -> bool:
     """Whether a script has a way of its own to move a gripper."""
-    if words is None:
-        words = [n.value for n in script.nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    words = [n.value for n in script.nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     names = ("gripper_command", "gripper_cmd", "gripper_controller", "hand_controller", "franka_gripper")
     if any(name in word for word in words for name in names):
         return True

@@ -36,16 +36,32 @@ def run_script(
     if not script.is_file():
         raise InputError("there is no such script", file=script)
     session = Session(live, rate, auto_grip, quiet, ros1)
-    argv, path = sys.argv, list(sys.path)
+    argv, path, modules = sys.argv, list(sys.path), set(sys.modules)
+    folder = script.resolve().parent
     with session, installed(session.messages) as hidden:
         if hidden:
             session.hint("hidden", f"the installed {', '.join(hidden)} are not used in this run")
         sys.argv = [str(script), *arguments]
-        sys.path.insert(0, str(script.resolve().parent))
+        sys.path.insert(0, str(folder))
         try:
             return _status(script, session), session
         finally:
             sys.argv, sys.path[:] = argv, path
+            _forget(folder, set(sys.modules) - modules)
+
+
+def _forget(folder: Path, names: set[str]) -> None:
+    """Modules and packages beside the script: those of the next script may have the same names."""
+
+    def beside(name: str) -> bool:
+        file = getattr(sys.modules[name.partition(".")[0]], "__file__", None)
+        if file is None:
+            return False
+        where = Path(file).resolve()
+        return folder == (where.parent.parent if where.name == "__init__.py" else where.parent)
+
+    for name in [n for n in names if beside(n)]:
+        del sys.modules[name]
 
 
 def _status(script: Path, session: Session) -> int:
@@ -55,7 +71,7 @@ def _status(script: Path, session: Session) -> int:
         session.served.cell.stop()
         return INTERRUPTED
     except SystemExit as end:
-        session.finish()
+        _finish(session)
         return end.code if isinstance(end.code, int) else 0 if end.code is None else _said(end.code)
     except Exception as error:
         session.served.cell.stop()
@@ -65,8 +81,16 @@ def _status(script: Path, session: Session) -> int:
         text = "".join(traceback.format_list(shown))
         print(f"Traceback (most recent call last):\n{text}{type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
         return 1
-    session.finish()
+    _finish(session)
     return INTERRUPTED if session.interrupted else 0
+
+
+def _finish(session: Session) -> None:
+    """Wait for the motions that the script has begun; after Ctrl-C, which it may have caught, end them."""
+    if session.interrupted:
+        session.served.cell.stop()
+    else:
+        session.finish()
 
 
 def _said(text: object) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from armcell.ros.nodes import ServedCell
 
 logger = logging.getLogger(__name__)
 CHECK = 0.1  # [s] between two looks whether it is all over
+T = TypeVar("T")
 _current: list[Session] = []
 
 
@@ -46,6 +47,8 @@ class Session:
         self.lines: list[str] = []
         """What the script has logged, and the hints."""
         self.clients: dict[str, ActionClient] = {}  # of actions that were used
+        self.logged: dict[tuple[str, str], float] = {}  # [s] when; of what is not to be logged too often
+        self._members: list[Any] = []
         self.rng = np.random.default_rng(live.ctx.seed)
         self._quiet, self._hints = quiet, set()
 
@@ -70,8 +73,8 @@ class Session:
 
     def __exit__(self, *exc: object) -> None:
         self.shut_down("closed")
-        for client in self.clients.values():
-            client.close()
+        for member in (*self.clients.values(), *self._members):
+            member.close()
         if self.graph is not None:
             self.graph.close()
         self.served.close()
@@ -89,6 +92,11 @@ class Session:
                 hook()
             except Exception:
                 logger.exception("a shutdown hook failed")
+
+    def own(self, member: T) -> T:
+        """Close something of the script's when the session ends: it would go on in a thread of its own."""
+        self._members.append(member)
+        return member
 
     # --- talking ---
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:

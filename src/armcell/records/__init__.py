@@ -1,6 +1,14 @@
-"""Records of a run: its folder, the MCAP that Foxglove opens, the HTML report. Plots and MCAP load lazily."""
+"""Records of a run: its folder, the MCAP that Foxglove opens, the HTML report; reading a record back,
+running it again, comparing two."""
 
+from armcell.records.about import about_run, cell_of
+from armcell.records.again import execute_again
+from armcell.records.compare import Comparison, compare
+from armcell.records.reader import Record, read_record
 from armcell.records.recorder import Picture, RunRecorder, Series, new_run_folder
 from armcell.records.report import write_report
 
-__all__ = ["Picture", "RunRecorder", "Series", "new_run_folder", "write_report"]
+__all__ = [
+    "Comparison", "Picture", "Record", "RunRecorder", "Series", "about_run", "cell_of", "compare",
+    "execute_again", "new_run_folder", "read_record", "write_report",
+]  # fmt: skip

@@ -1,8 +1,11 @@
 """Writing a run as MCAP with ROS 2 messages, which Foxglove and `ros2 bag` open as they are.
 
-Topics: /joint_states, /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events (JSON in a
-String) and, where the URDF's text is at hand, /robot_description. Frames: "world" is the root; the
-robot's links hang below it as in its tree, objects directly.
+Topics: /joint_states, /joint_targets (what the joints were told), /gripper_states (width as position, force
+as effort), /contacts (JSON in a String), /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events
+(JSON in a String), /camera/<name>/compressed where asked for and, where the URDF's text is at hand,
+/robot_description. Frames: "world" is the root; the robot's links hang below it as in its tree, objects
+directly. A state ends with its /tf. MCAP metadata: "armcell.run" says what ran, "armcell.result" how it
+ended.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import json
 import logging
 import re
 import time
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,9 +24,10 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike, NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from armcell.core import SE3, Event, JointState, JointTrajectory
+from armcell.core import SE3, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
-from armcell.scene import WORLD, PlanningScene
+from armcell.records.shapes import object_data, pose_data
+from armcell.scene import WORLD, CollisionObject, PlanningScene
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -30,7 +35,8 @@ logger = logging.getLogger(__name__)
 PROFILE = "ros2"
 STORE = Stores.ROS2_HUMBLE
 NANO = 1_000_000_000
-_CHUNK_BYTES = 512 * 1024
+ABOUT, RESULT = "armcell.run", "armcell.result"
+_CHUNK_BYTES = 128 * 1024  # what a process that is killed can lose: about half a second
 _LATCHED_QOS = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"  # transient local: kept for late comers
 )
@@ -61,9 +67,16 @@ class McapWriter:
         file: where the record shall be.
         scene: whose robot and objects; its fixed objects become static transforms.
         start_ns: what cell time 0 is, in nanoseconds since 1970; now by default.
+        about: what ran, see `about_run`; stands first, so that a record that is cut off has it too.
     """
 
-    def __init__(self, file: Path, scene: PlanningScene, start_ns: int | None = None):
+    def __init__(
+        self,
+        file: Path,
+        scene: PlanningScene,
+        start_ns: int | None = None,
+        about: Mapping[str, Any] | None = None,
+    ):
         self.file = Path(file)
         self.start_ns = time.time_ns() if start_ns is None else start_ns
         self._part = self.file.with_name(self.file.name + ".part")
@@ -75,31 +88,33 @@ class McapWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._topics: dict[str, str] = {}  # by object
+        self._touching = False
         self._stream = self._part.open("wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="armcell")
+        if about is not None:
+            self._write_json(ABOUT, {**about, "start_ns": self.start_ns})
         joints = list(scene.model.joints.values())
         self._moving = [i for i, joint in enumerate(joints) if joint.movable]
         self._ends = [(joint.parent, joint.child) for joint in joints]
         self._write_static()
 
     # --- what is recorded ---
-    def write_state(
-        self, time: float, joints: JointState, q: ArrayLike, object_poses: dict[str, SE3]
-    ) -> None:
-        """The cell at `time` [s]: joints as measured, the tree at positions q (dof,), objects in world."""
+    def write_state(self, sample: StateSample, q: ArrayLike) -> None:
+        """The cell at one instant; the tree at positions q (dof,)."""
+        time, object_poses = sample.time, sample.object_poses
         stamp = self._stamp(time)
-        empty = np.zeros(0)
-        self._write(
-            "/joint_states",
-            "sensor_msgs/msg/JointState",
-            time,
-            header=self._header(stamp, ""),
-            name=list(joints.joint_names),
-            position=joints.positions,
-            velocity=empty if joints.velocities is None else joints.velocities,
-            effort=empty if joints.efforts is None else joints.efforts,
-        )
+        self._write_joints("/joint_states", time, sample.joints)
+        if sample.targets is not None:
+            self._write_joints("/joint_targets", time, sample.targets)
+        if sample.gripper_width:
+            names = tuple(sample.gripper_width)
+            force = [sample.gripper_force.get(n, np.nan) for n in names]
+            self._write_named("/gripper_states", time, names, list(sample.gripper_width.values()), (), force)
+        if sample.contacts or self._touching:
+            self._touching = bool(sample.contacts)
+            rows = [[c.body_a, c.body_b, c.distance, *c.position] for c in sample.contacts]
+            self._write("/contacts", "std_msgs/msg/String", time, data=json.dumps(rows))
         transforms = self._link_transforms(q, self._moving, stamp)
         for name, T in object_poses.items():
             transform, pose = self._both(T)
@@ -108,10 +123,42 @@ class McapWriter:
                 self._object_topic(name),
                 "geometry_msgs/msg/PoseStamped",
                 time,
+                metadata={"object": name},
                 header=self._header(stamp, WORLD),
                 pose=pose,
             )
         self._write("/tf", "tf2_msgs/msg/TFMessage", time, transforms=transforms)
+        self._stream.flush()  # whole chunks reach the disk as they come
+
+    def _write_joints(self, topic: str, time: float, state: JointState) -> None:
+        v, effort = ((() if x is None else x) for x in (state.velocities, state.efforts))
+        self._write_named(topic, time, state.joint_names, state.positions, v, effort)
+
+    def _write_named(
+        self, topic: str, time: float, names: tuple[str, ...], position: ArrayLike, velocity: ArrayLike,
+        effort: ArrayLike,
+    ) -> None:  # fmt: skip
+        p, v, e = (np.asarray(x, dtype=float) for x in (position, velocity, effort))
+        header = self._header(self._stamp(time), "")
+        self._write(
+            topic, "sensor_msgs/msg/JointState", time,
+            header=header, name=list(names), position=p, velocity=v, effort=e,
+        )  # fmt: skip
+
+    def write_image(self, camera: str, time: float, png: bytes) -> None:
+        """A camera's picture, as a PNG file."""
+        header = self._header(self._stamp(time), camera)
+        data = np.frombuffer(png, dtype=np.uint8)
+        topic, kind = f"/camera/{ros_name(camera)}/compressed", "sensor_msgs/msg/CompressedImage"
+        self._write(topic, kind, time, header=header, format="png", data=data)
+
+    def write_result(self, result: Mapping[str, Any]) -> None:
+        """How the run ended."""
+        self._write_json(RESULT, result)
+
+    def _write_json(self, name: str, data: Mapping[str, Any]) -> None:
+        self._writer.add_metadata(name, {"json": json.dumps(data, default=_plain, ensure_ascii=False)})
+        self._stream.flush()
 
     def write_event(self, event: Event) -> None:
         record = {"time": event.time, "kind": event.kind, "text": event.text, "data": event.data}
@@ -175,19 +222,26 @@ class McapWriter:
             self._write("/robot_description", "std_msgs/msg/String", 0.0, latched=True, data=urdf)
 
     def _write(
-        self, topic: str, message_type: str, time: float, latched: bool = False, **fields: Any
+        self,
+        topic: str,
+        message_type: str,
+        time: float,
+        latched: bool = False,
+        metadata: dict[str, str] | None = None,
+        **fields: Any,
     ) -> None:
         data = typestore().serialize_cdr(self._type(message_type)(**fields), message_type)
         now = max(self._nanoseconds(time), self._last_ns)
         self._last_ns = now
-        self._writer.add_message(self._channel(topic, message_type, latched), now, bytes(data), now)
+        channel = self._channel(topic, message_type, latched, metadata or {})
+        self._writer.add_message(channel, now, bytes(data), now)
 
-    def _channel(self, topic: str, message_type: str, latched: bool) -> int:
+    def _channel(self, topic: str, message_type: str, latched: bool, metadata: dict[str, str]) -> int:
         if topic not in self._channels:
             if message_type not in self._schemas:
                 text = schema_text(message_type).encode()
                 self._schemas[message_type] = self._writer.register_schema(message_type, "ros2msg", text)
-            metadata = {"offered_qos_profiles": _LATCHED_QOS} if latched else {}
+            metadata = {**metadata, **({"offered_qos_profiles": _LATCHED_QOS} if latched else {})}
             self._channels[topic] = self._writer.register_channel(
                 topic, "cdr", self._schemas[message_type], metadata
             )
@@ -256,5 +310,9 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know: arrays and numpy numbers as lists and numbers, the rest as text."""
+    """What JSON does not know: arrays and numpy numbers as lists and numbers, objects, the rest as text."""
+    if isinstance(value, CollisionObject):
+        return object_data(value)
+    if isinstance(value, SE3):
+        return pose_data(value)
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import re
 import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -16,6 +19,8 @@ from armcell.core import Event, InputError, JointState, JointTrajectory, StateSa
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
 
 MCAP_FILE = "run.mcap"
 MAX_RATE_HZ = 100.0
@@ -87,9 +92,16 @@ class RunRecorder:
         folder: the run's folder (`new_run_folder`); made if missing.
         scene: the robot and objects that are watched.
         start_ns: what cell time 0 is in the MCAP, nanoseconds since 1970; now by default.
+        about: what runs, see `about_run`; without it the record can be looked at, not executed again.
     """
 
-    def __init__(self, folder: Path, scene: PlanningScene, start_ns: int | None = None):
+    def __init__(
+        self,
+        folder: Path,
+        scene: PlanningScene,
+        start_ns: int | None = None,
+        about: Mapping[str, Any] | None = None,
+    ):
         from armcell.records.mcap_writer import McapWriter
 
         self.folder = Path(folder)
@@ -105,7 +117,8 @@ class RunRecorder:
         self._column = {name: i for i, name in enumerate(scene.model.joint_names)}
         self._lock = threading.RLock()
         self._closed = False
-        self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns)
+        self._broken: OSError | None = None
+        self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns, about)
 
     @property
     def mcap_file(self) -> Path:
@@ -125,14 +138,12 @@ class RunRecorder:
     def on_event(self, event: Event) -> None:
         with self._lock:
             self.events.append(event)
-            if not self._closed:
-                self._mcap.write_event(event)
+            self._keep_on_disk(lambda: self._mcap.write_event(event))
 
     def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
         with self._lock:
             self.trajectories.append((time, trajectory))
-            if not self._closed:
-                self._mcap.write_trajectory(time, trajectory)
+            self._keep_on_disk(lambda: self._mcap.write_trajectory(time, trajectory))
 
     # --- besides ---
     def add_picture(self, time: float, title: str, rgb: NDArray[np.uint8]) -> None:
@@ -145,6 +156,22 @@ class RunRecorder:
         with self._lock:
             self.pictures.append(Picture(time, title, image.copy()))
 
+    def add_frame(self, time: float, camera: str, rgb: NDArray[np.uint8]) -> None:
+        """A camera's picture into the record, `rgb` (h, w, 3) uint8."""
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(rgb).save(file, format="png", compress_level=3)
+        with self._lock:
+            self._keep_on_disk(lambda: self._mcap.write_image(camera, time, file.getvalue()))
+
+    def finish(self, result: Mapping[str, Any]) -> None:
+        """Keep how the run ended, and close."""
+        with self._lock:
+            self._keep_last()
+            self._keep_on_disk(lambda: self._mcap.write_result(result))
+        self.close()
+
     def series(self) -> Series:
         """Everything sampled so far."""
         with self._lock:
@@ -156,10 +183,9 @@ class RunRecorder:
         with self._lock:
             if self._closed:
                 return
-            if self._skipped is not None:
-                self._keep(self._skipped)
+            self._keep_last()
+            self._keep_on_disk(self._mcap.close)
             self._closed = True
-            self._mcap.close()
 
     def __enter__(self) -> RunRecorder:
         return self
@@ -168,6 +194,20 @@ class RunRecorder:
         self.close()
 
     # --- how ---
+    def _keep_last(self) -> None:
+        if self._skipped is not None and not self._closed:
+            self._keep(self._skipped)
+
+    def _keep_on_disk(self, write: Callable[[], None]) -> None:
+        """A disk that is full ends the record, not the run: a real arm may be moving."""
+        if self._closed or self._broken is not None:
+            return
+        try:
+            write()
+        except OSError as error:
+            self._broken = error
+            logger.error("the record %s ends here: %s", self._mcap.file, error.strerror)
+
     def _clock_set_back(self, time: float) -> bool:
         return bool(self._samples) and time < self._samples[-1].time - 1 / MAX_RATE_HZ
 
@@ -180,7 +220,7 @@ class RunRecorder:
         for name, value in zip(sample.joints.joint_names, sample.joints.positions, strict=True):
             if name in self._column:
                 self._q[self._column[name]] = value
-        self._mcap.write_state(sample.time, sample.joints, self._q, sample.object_poses)
+        self._keep_on_disk(lambda: self._mcap.write_state(sample, self._q))
 
 
 def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:

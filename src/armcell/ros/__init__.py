@@ -12,6 +12,7 @@ from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 if TYPE_CHECKING:
     from armcell.ros.nodes import CellNode, ServedCell, ServedPlanner
+    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
 
 __all__ = [
     "ActionClient",
@@ -23,9 +24,12 @@ __all__ = [
     "Done",
     "Message",
     "Publisher",
+    "Reach",
     "Ros1Graph",
     "Ros1Master",
     "Ros1Settings",
+    "Ros2Bridge",
+    "Ros2Settings",
     "RosTcpClient",
     "RosTcpServer",
     "Schema",
@@ -47,4 +51,8 @@ def __getattr__(name: str) -> Any:
         from armcell.ros import nodes
 
         return getattr(nodes, name)
+    if name in ("Reach", "Ros2Bridge", "Ros2Settings"):
+        from armcell.ros import ros2
+
+        return getattr(ros2, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import Bus
 from armcell.ros.names import resolve
 
@@ -106,6 +107,7 @@ class ActionServer:
         self._lock = threading.Lock()
         self._goals: dict[str, Goal] = {}
         self._turn = threading.Lock()  # held by the goal at work, unless concurrent
+        self._numbers = itertools.count(1)  # of goals that come without an id
         self._cancelled_until = 0  # [ns] goals stamped up to here are cancelled on arrival
         self._stop = threading.Event()
         self._pub = {
@@ -140,7 +142,7 @@ class ActionServer:
     # --- incoming ---
     def _on_goal(self, message: Any) -> None:
         stamp = message.goal_id.stamp.to_nsec()
-        text = message.goal_id.id or f"{self.name}-{self.bus.clock.now():.9f}"
+        text = message.goal_id.id or f"{self.name}-{next(self._numbers)}-{self.bus.clock.now():.9f}"
         goal_id = self.bus.schema.new("actionlib_msgs/GoalID", stamp=message.goal_id.stamp, id=text)
         goal = Goal(self, goal_id, message.goal)
         with self._lock:
@@ -195,6 +197,9 @@ class ActionServer:
             self._publish_status()
             try:
                 done = self._execute(goal)
+            except ArmcellError as error:  # what was asked cannot be: told, as services do
+                logger.warning("action %s: %s", self.name, error)
+                done = Done(State.ABORTED, self._empty_result(), str(error))
             except Exception as error:
                 logger.exception("action %s failed", self.name)
                 done = Done(State.ABORTED, self._empty_result(), f"{type(error).__name__}: {error}")
@@ -213,8 +218,14 @@ class ActionServer:
     # --- outgoing ---
     def _publish(self, part: str, **fields: Any) -> None:
         name = f"{self.type}Action{part.capitalize()}"
-        if not self._stop.is_set():
-            self._pub[part].publish(self.bus.schema.new(name, header=self.bus.header(), **fields))
+        self._put(part, self.bus.schema.new(name, header=self.bus.header(), **fields))
+
+    def _put(self, part: str, message: Any) -> None:
+        try:
+            self._pub[part].publish(message)
+        except InputError:
+            if not self._stop.is_set():  # else closed meanwhile
+                raise
 
     def _publish_status(self) -> None:
         now = self.bus.clock.now()
@@ -226,8 +237,7 @@ class ActionServer:
         message = self.bus.schema.new(
             "actionlib_msgs/GoalStatusArray", header=self.bus.header(), status_list=statuses
         )
-        if not self._stop.is_set():
-            self._pub["status"].publish(message)
+        self._put("status", message)
 
     def _tell(self) -> None:
         while not self._stop.wait(STATUS_PERIOD):

@@ -1,5 +1,6 @@
 """The planning scene: an immutable value of robot, state, objects and allowed contacts."""
 
+from armcell.scene.changed import scene_changes
 from armcell.scene.cloud_file import load_obstacle, load_points
 from armcell.scene.depth import depth_points
 from armcell.scene.diff import (
@@ -86,6 +87,7 @@ __all__ = [
     "octree_from_bytes",
     "save_octree",
     "save_scene_file",
+    "scene_changes",
     "shape_volume",
     "solid_inertia",
     "with_octomap",

@@ -183,6 +183,10 @@ class Welder:
             if grip.event is None and self._drives[name].closing(data):
                 self._grips[name] = self._look(data, name, grip)
 
+    def fix(self, data: mujoco.MjData, gripper: str, item: str, reason: str) -> None:
+        """Weld an object to a hand as it is now, whatever the mode is."""
+        self._grips[gripper] = self._weld(data, gripper, _Grip(item, float(data.time)), reason)
+
     def release(self, data: mujoco.MjData, gripper: str) -> None:
         """The gripper opens: undo its weld."""
         grip = self._grips[gripper]

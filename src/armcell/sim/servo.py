@@ -23,6 +23,7 @@ class ArmServo:
     def __init__(self, built: BuiltModel, settings: PhysicsSettings):
         arm = np.flatnonzero(built.pos_ctrl >= 0)  # columns of the model's order
         self._at = {int(c): i for i, c in enumerate(arm)}
+        self.columns = tuple(self._at)
         self._qpos, self._dofs = built.qpos[arm], built.dofs[arm]
         self._pos, self._vel = built.pos_ctrl[arm], built.vel_ctrl[arm]
         self.computed = settings.arm_control == "torque"

@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
+BLOCKED = 1e5
+"""[Nm s/rad or N s/m] damping of a joint that is blocked: 300 Nm turn it by 0.2 degrees a second."""
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _DIVERGED = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")
@@ -198,6 +200,11 @@ class SimWorld:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(q[column])), index.max_force)
 
+    def arm_target(self) -> JointState:
+        """Where the arm joints were last told to be; a gripper's joint is not among them."""
+        names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
+        return JointState(names, self._servo.target, self._servo.speed, time=self.time)
+
     def _split(self, names: tuple[str, ...]) -> tuple:
         columns = self.robot.columns(names)
         arm = [i for i, name in enumerate(names) if name not in self._driven]
@@ -319,6 +326,33 @@ class SimWorld:
     def contacts(self) -> list[PhysicsContact]:
         """Contacts of the last step by name, deepest first."""
         return read_contacts(self.built, self.mj_data)
+
+    # --- what is wrong with a robot, and what another one is known to do ---
+    def add_load(self, link: str, mass: float) -> None:
+        """Hang a mass [kg] at a link's centre of mass, which the arm does not compensate. A reset of the same
+        scene keeps it.
+        """
+        self.robot.link(link)
+        model, body = self.mj_model, self.built.body[link]
+        before = float(model.body_mass[body])
+        model.body_gravcomp[body] *= before / (before + mass)
+        model.body_mass[body] = before + mass
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def block(self, joint: str) -> None:
+        """A joint that hardly moves any more, whatever its motor does. A reset of the same scene keeps it."""
+        self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
+
+    def fix_in_hand(self, item: str, gripper: str) -> None:
+        """Weld an object to a gripper's hand where it is now; the weld is recorded as any other.
+
+        Raises:
+            UnknownNameError: no such gripper, or no such movable object.
+        """
+        self._gripper(gripper)
+        if item not in self.built.object_qpos:
+            raise UnknownNameError("movable object", item, self.built.object_qpos)
+        self._welder.fix(self.mj_data, gripper, item, "held by a real gripper")
 
     # --- grip ---
     @property

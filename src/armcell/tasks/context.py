@@ -13,7 +13,7 @@ import numpy as np
 from armcell.control import Driver
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.model import Gripper
-from armcell.scene import PlanningScene
+from armcell.scene import PlanningScene, scene_changes
 from armcell.tasks.settings import TaskSettings
 
 OBSERVER_PERIOD = 0.01  # [s] of the driver's clock between samples given to observers
@@ -65,6 +65,7 @@ class TaskContext:
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
         self._next_sample = 0.0
+        self._stops_told = 0  # of the safety supervisor's events
         self._told = (0, 0)  # welds and unwanted contacts that were reported
 
     # --- truth ---
@@ -87,7 +88,13 @@ class TaskContext:
 
     def change_scene(self, scene: PlanningScene) -> None:
         """Replace the world the task plans in (objects added or removed); the state stays measured."""
-        self._base = scene
+        before, self._base = self._base, scene
+        if self.observers and (changes := scene_changes(before, scene)):
+            words = [
+                f"{kind} {', '.join(map(str, what))}" for kind, what in changes.items() if kind != "allowed"
+            ]
+            words += [f"{a} may{'' if yes else ' not'} touch {b}" for a, b, yes in changes.get("allowed", ())]
+            self.emit("scene", "; ".join(words), **changes)
 
     def slip_of(self, held: Holding) -> float:
         """How far the held object has moved in the gripper since `T_tcp_object` was taken [m]."""
@@ -124,7 +131,7 @@ class TaskContext:
         """Give the observers a sample if one is due, and tell what physics did unasked."""
         if not self.observers or self.driver.now < self._next_sample:
             return
-        self._report_news()
+        self.report_news()
         self._next_sample = self.driver.now + OBSERVER_PERIOD - 1e-9
         readings = {name: self.driver.gripper(name) for name in self._base.model.grippers}
         sample = StateSample(
@@ -133,18 +140,25 @@ class TaskContext:
             self.driver.object_poses(),
             {n: r.width for n, r in readings.items()},
             {n: r.force_per_finger for n, r in readings.items()},
+            self.driver.targets(),
+            tuple(self.driver.contacts()),
         )
         for observer in self.observers:
             observer.on_state(sample)
 
-    def _report_news(self) -> None:
-        """Events for welds and unwanted contacts that are new."""
+    def report_news(self) -> None:
+        """Events for welds, unwanted contacts and stops of real arms that are new."""
         welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
         for weld in welds[self._told[0] :]:
             self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
         for contact in contacts[self._told[1] :]:
             self.emit("contact", f"{contact.body_a} touches {contact.body_b}", depth_m=contact.depth)
         self._told = (len(welds), len(contacts))
+        safety = getattr(self.driver, "safety_events", ())  # of real arms
+        for event in safety[self._stops_told :]:
+            self._stops_told += 1
+            kind = "note" if event.kind == "twin" else "stop"
+            self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)
 
     # --- telling ---
     def emit(self, kind: str, text: str, **data: Any) -> None:

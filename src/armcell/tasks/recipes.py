@@ -227,6 +227,7 @@ def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
 
 
 def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
+    """All stages planned from the scene as it is now; or None and why not."""
     """Stages planned from the measured state: the draft, or None and why there is none."""
     warm_up()  # not on the time of a plan
     planning = Planning(ctx.settings, ctx.seed, ctx.cancel)
@@ -238,10 +239,10 @@ def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | N
     failure = planning.failure
     if failure is not None and (len(stages) == 1 or planning.hopeless):
         text = f"{what}: {failure.message}"
-        ctx.emit("error", text)
+        ctx.emit("error", text, code=failure.code.name, rejections=planning.rejections.details)
         return None, Outcome(
             failure.code, text, {**failure.evidence, "rejections": planning.rejections.details}
         )
     text = f"{what}: {planning.rejections.summary()}"
-    ctx.emit("error", text)
+    ctx.emit("error", text, code="PLANNING_FAILED", rejections=planning.rejections.details)
     return None, Outcome(ErrorCode.PLANNING_FAILED, text, {"rejections": planning.rejections.details})

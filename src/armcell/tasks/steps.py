@@ -36,6 +36,10 @@ class Motion:
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
         ctx.announce(trajectory)
+        ctx.emit(
+            "plan", self.name, planner=self.planner, planning_time_s=self.planning_time,
+            clearance_m=self.clearance, points=len(trajectory.times), duration_s=trajectory.duration,
+        )  # fmt: skip
         watch = _Watch(ctx)
         result = execute(
             ctx.driver, trajectory, ctx.settings.execution, watch, progress=lambda _: ctx.observe()

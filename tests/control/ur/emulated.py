@@ -9,6 +9,8 @@ import sys
 import time
 from contextlib import contextmanager, suppress
 
+import pytest
+
 SRC = os.path.join(os.path.dirname(__file__), "..", "..", "..", "src")
 PORTS = (29999, 30001, 30002, 30003, 30004)
 
@@ -32,6 +34,13 @@ def free_hosts(count: int) -> list[str]:
     raise RuntimeError("no free loopback addresses")
 
 
+def free_port() -> int:
+    """A port of this computer for a robot to connect to: the default one may be another test's."""
+    with socket.socket() as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
+
+
 @contextmanager
 def emulator(*options: str, hosts: list[str]):
     """`armcell ur-controller` at these addresses."""
@@ -43,7 +52,7 @@ def emulator(*options: str, hosts: list[str]):
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     with suppress(PermissionError):  # a busy machine must not make the robot late, nor the driver
-        os.setpriority(os.PRIO_PROCESS, process.pid, -15)
+        os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(12))
         os.setpriority(os.PRIO_PROCESS, 0, -10)
     try:
         for host in hosts:
@@ -52,6 +61,25 @@ def emulator(*options: str, hosts: list[str]):
     finally:
         process.kill()
         process.communicate()
+
+
+@contextmanager
+def in_real_time():
+    """This thread, and those it starts, before all others of the machine: as `chrt -f 10 armcell run`.
+
+    Skips the test where that is not allowed and the machine has other things to do.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+    except PermissionError:
+        if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
+            pytest.skip("no real-time priority here, and the machine is busy")
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def _wait(process: subprocess.Popen, host: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from tests.control.ur.emulated import free_port
 
 from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, JointTrajectory
@@ -14,14 +15,15 @@ MOVE = np.array([0.8, -0.3, 0.3, 0.2, 0.3, 0.4])
 
 def one_arm(host: str, arm: dict | None = None, **settings):
     """The driver of a single UR10 (group "arm"), not yet connected."""
-    block = {"host": host, "model": "UR10", **(arm or {})}
+    block = {"host": host, "model": "UR10", "port": free_port(), **(arm or {})}
     return made(load_robot("ur10"), {"arm": block}, **settings)
 
 
 def two_arms(hosts: list[str], left: dict | None = None, right: dict | None = None, **settings):
     """The driver of two UR10 (groups "left_arm", "right_arm")."""
     blocks = [
-        {"host": h, "model": "UR10", **(more or {})} for h, more in zip(hosts, (left, right), strict=True)
+        {"host": h, "model": "UR10", "port": free_port(), **(more or {})}
+        for h, more in zip(hosts, (left, right), strict=True)
     ]
     return made(pair(), dict(zip(("left_arm", "right_arm"), blocks, strict=True)), **settings)
 

@@ -48,7 +48,8 @@ def test_the_robot_follows_the_trajectory_in_between(driver):
     seen = []
 
     def look(_):
-        seen.append((driver.arms["arm"].clock(), np.array(driver.arms["arm"].state.target_q)))
+        state = driver.arms["arm"].state
+        seen.append((state.output_double_register_24, np.array(state.target_q)))
 
     assert execute(driver, trajectory, progress=look).ok
     inside = [(t, q) for t, q in seen if 0.1 < t < 1.5]

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.control.ur.emulated import dashboard, emulator, free_hosts
+from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port
 
 from armcell.cell import cell_names, load
 from armcell.cell.cell import LIBRARY
@@ -21,7 +21,7 @@ def cell(tmp_path):
     text = (LIBRARY / "six_axis_pick" / "cell.yaml").read_text()
     # The ages are for a machine that other programs fill; the defaults are 0.05 and 0.1 s.
     text += "\nreal:\n  max_state_age: 0.3\n  watchdog: 0.5\n  arms:\n"
-    text += f"    arm: {{host: {host}, model: UR10, gripper: {{kind: socket}}}}\n"
+    text += f"    arm: {{host: {host}, port: {free_port()}, model: UR10, gripper: {{kind: socket}}}}\n"
     file = tmp_path / "cell.yaml"
     file.write_text(text)
     return file, host
@@ -31,7 +31,8 @@ def test_the_same_task_on_a_robot_over_the_wire(cell, tmp_path):
     file, host = cell
     with emulator("--cell", "six_axis_pick", "--seed", "0", hosts=[host]):
         out = tmp_path / "result.json"
-        assert main(["run", str(file), "--mode", "real", "--headless", "--json", str(out)]) == 0
+        real = ["--mode", "real", "--without-gate", "an emulator"]
+        assert main(["run", str(file), *real, "--headless", "--json", str(out)]) == 0
         messages = dashboard(host, "armcell messages")[0]
     result = json.loads(out.read_text())
     assert result["success"] and result["mode"] == "real"

@@ -293,7 +293,7 @@ def test_tf2_finds_our_transforms(debian, joined):
 
 
 def test_nodes_in_cpp_talk_with_us(debian, joined):
-    """roscpp: the rosout node takes our logs and serves; topic_tools' relay takes any type, and latches on."""
+    """roscpp: rosout takes our logs and serves; topic_tools' relay takes any type."""
     for program in ("/usr/lib/rosout/rosout", RELAY):
         if not Path(program).exists():
             pytest.skip(f"{program} is not installed (apt-get install rosout topic-tools)")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import shutil
+import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from tests.ros.ros1.conftest import eventually
 from tests.ros.ros1.debian import Debian, missing
 
 import armcell
@@ -165,6 +169,19 @@ print(json.dumps([answer.success, answer.message, after - before]))
 """
 
 
+RVIZ = """
+Visualization Manager:
+  Displays:
+    - {Class: rviz/RobotModel, Enabled: true, Name: RobotModel, Robot Description: robot_description}
+    - {Class: rviz/TF, Enabled: true, Name: TF, Show Names: false, Show Axes: false, Show Arrows: false}
+  Enabled: true
+  Global Options: {Background Color: 48; 48; 48, Fixed Frame: world, Frame Rate: 5}
+  Views:
+    Current: {Class: rviz/Orbit, Distance: 2.5, Focal Point: {X: 0.3, Y: 0, Z: 0.4}, Pitch: 0.4, Yaw: 0.8}
+Window Geometry: {Height: 600, Width: 800}
+"""
+
+
 def start(real: Debian, *arguments: str) -> subprocess.Popen:
     source = str(Path(armcell.__file__).parents[1])
     environment = {
@@ -231,3 +248,44 @@ def test_simulator_and_planner_grasp_through_a_real_graph(graph):
         for process in (planner, simulator):
             graph.stop(process)
         time.sleep(0.5)
+
+
+def test_rviz_shows_the_robot(graph):
+    for program in ("rviz", "Xvfb"):
+        if not shutil.which(program, path="/usr/bin:/bin"):
+            pytest.skip(f"{program} is not installed (apt-get install rviz xvfb)")
+    (graph.folder / "shown.rviz").write_text(RVIZ)
+    server = start(graph, "sim", CELL, "--ros1", "--mode", "fake", "__name:=shown")
+    screen = graph.start("/usr/bin/Xvfb", "-displayfd", "1", "-screen", "0", "800x600x24", "-fbdir", ".")
+    with Ros1Graph(Bus(), Ros1Settings("looker", master=graph.uri, own_master=False)) as looker:
+        try:
+            assert looker.bus.wait_for_service("/shown/get_loggers", 60), graph.log(server)
+            assert eventually(lambda: "/robot_description" in looker.bus.parameters, 60)
+            number = eventually(lambda: graph.log(screen).split())[0]
+            extra = {
+                "DISPLAY": f":{number}",
+                "LIBGL_ALWAYS_SOFTWARE": "1",
+                "XDG_RUNTIME_DIR": str(graph.folder),
+            }
+            rviz = graph.start("/usr/bin/rviz", "-d", "shown.rviz", env={**graph.environment, **extra})
+            try:
+                drawn = eventually(
+                    lambda: (n := robot_pixels(graph.folder / "Xvfb_screen0")) > 1500 and n, 60
+                )
+                assert rviz.poll() is None and "ERROR" not in graph.log(rviz), graph.log(rviz)
+                assert drawn < 60_000  # a robot, not a white window
+            finally:
+                graph.stop(rviz)
+        finally:
+            graph.stop(screen)
+            graph.stop(server)
+
+
+def robot_pixels(file: Path) -> int:
+    """Light grey pixels in the right half of a screen, which Xvfb keeps as an XWD file."""
+    data = file.read_bytes()
+    head = struct.unpack(">25I", data[:100])
+    height, bytes_per_line = head[5], head[12]
+    pixels = np.frombuffer(data, np.uint8, height * bytes_per_line, head[0] + 12 * head[19])
+    view = pixels.reshape(height, -1, 4)[70:560, 420:780, :3].astype(int)
+    return int(((view.min(2) > 90) & (view.max(2) - view.min(2) < 12)).sum())

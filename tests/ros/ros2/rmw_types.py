@@ -15,6 +15,7 @@ from cyclonedds.idl.types import (
     int64,
     sequence,
     uint8,
+    uint16,
     uint32,
     uint64,
 )
@@ -92,6 +93,31 @@ class Pose(IdlStruct, typename=dds("geometry_msgs/Pose")):
 class PoseStamped(IdlStruct, typename=dds("geometry_msgs/PoseStamped")):
     header: Header = field(default_factory=Header)
     pose: Pose = field(default_factory=Pose)
+
+
+@dataclass
+class Vector3(IdlStruct, typename=dds("geometry_msgs/Vector3")):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+@dataclass
+class Transform(IdlStruct, typename=dds("geometry_msgs/Transform")):
+    translation: Vector3 = field(default_factory=Vector3)
+    rotation: Quaternion = field(default_factory=Quaternion)
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename=dds("geometry_msgs/TransformStamped")):
+    header: Header = field(default_factory=Header)
+    child_frame_id: str = ""
+    transform: Transform = field(default_factory=Transform)
+
+
+@dataclass
+class TFMessage(IdlStruct, typename=dds("tf2_msgs/TFMessage")):
+    transforms: sequence[TransformStamped] = field(default_factory=list)
 
 
 # --- services ---
@@ -212,6 +238,130 @@ class GripperFeedbackMessage(
 ):
     goal_id: UUID = field(default_factory=UUID)
     feedback: GripperState = field(default_factory=GripperState)
+
+
+@dataclass
+class JointTrajectoryPoint(IdlStruct, typename=dds("trajectory_msgs/JointTrajectoryPoint")):
+    positions: sequence[float64] = field(default_factory=list)
+    velocities: sequence[float64] = field(default_factory=list)
+    accelerations: sequence[float64] = field(default_factory=list)
+    effort: sequence[float64] = field(default_factory=list)
+    time_from_start: Duration = field(default_factory=Duration)
+
+
+@dataclass
+class JointTrajectory(IdlStruct, typename=dds("trajectory_msgs/JointTrajectory")):
+    header: Header = field(default_factory=Header)
+    joint_names: sequence[str] = field(default_factory=list)
+    points: sequence[JointTrajectoryPoint] = field(default_factory=list)
+
+
+@dataclass
+class Twist(IdlStruct, typename=dds("geometry_msgs/Twist")):
+    linear: Vector3 = field(default_factory=Vector3)
+    angular: Vector3 = field(default_factory=Vector3)
+
+
+@dataclass
+class MultiDOFPoint(IdlStruct, typename=dds("trajectory_msgs/MultiDOFJointTrajectoryPoint")):
+    transforms: sequence[Transform] = field(default_factory=list)
+    velocities: sequence[Twist] = field(default_factory=list)
+    accelerations: sequence[Twist] = field(default_factory=list)
+    time_from_start: Duration = field(default_factory=Duration)
+
+
+@dataclass
+class MultiDOFTrajectory(IdlStruct, typename=dds("trajectory_msgs/MultiDOFJointTrajectory")):
+    header: Header = field(default_factory=Header)
+    joint_names: sequence[str] = field(default_factory=list)
+    points: sequence[MultiDOFPoint] = field(default_factory=list)
+
+
+@dataclass
+class JointTolerance(IdlStruct, typename=dds("control_msgs/JointTolerance")):
+    name: str = ""
+    position: float64 = 0.0
+    velocity: float64 = 0.0
+    acceleration: float64 = 0.0
+
+
+@dataclass
+class JointComponentTolerance(IdlStruct, typename=dds("control_msgs/JointComponentTolerance")):
+    joint_name: str = ""
+    component: uint16 = 0
+    position: float64 = 0.0
+    velocity: float64 = 0.0
+    acceleration: float64 = 0.0
+
+
+@dataclass
+class FollowGoal(IdlStruct, typename=dds("control_msgs/FollowJointTrajectory_Goal", "action")):
+    trajectory: JointTrajectory = field(default_factory=JointTrajectory)
+    multi_dof_trajectory: MultiDOFTrajectory = field(default_factory=MultiDOFTrajectory)
+    path_tolerance: sequence[JointTolerance] = field(default_factory=list)
+    component_path_tolerance: sequence[JointComponentTolerance] = field(default_factory=list)
+    goal_tolerance: sequence[JointTolerance] = field(default_factory=list)
+    component_goal_tolerance: sequence[JointComponentTolerance] = field(default_factory=list)
+    goal_time_tolerance: Duration = field(default_factory=Duration)
+
+
+@dataclass
+class FollowResult(IdlStruct, typename=dds("control_msgs/FollowJointTrajectory_Result", "action")):
+    error_code: int32 = 0
+    error_string: str = ""
+
+
+@dataclass
+class FollowFeedback(IdlStruct, typename=dds("control_msgs/FollowJointTrajectory_Feedback", "action")):
+    header: Header = field(default_factory=Header)
+    joint_names: sequence[str] = field(default_factory=list)
+    desired: JointTrajectoryPoint = field(default_factory=JointTrajectoryPoint)
+    actual: JointTrajectoryPoint = field(default_factory=JointTrajectoryPoint)
+    error: JointTrajectoryPoint = field(default_factory=JointTrajectoryPoint)
+    multi_dof_joint_names: sequence[str] = field(default_factory=list)
+    multi_dof_desired: MultiDOFPoint = field(default_factory=MultiDOFPoint)
+    multi_dof_actual: MultiDOFPoint = field(default_factory=MultiDOFPoint)
+    multi_dof_error: MultiDOFPoint = field(default_factory=MultiDOFPoint)
+
+
+FOLLOW = "control_msgs/FollowJointTrajectory"
+
+
+@dataclass
+class FollowSendGoalRequest(IdlStruct, typename=dds(f"{FOLLOW}_SendGoal_Request", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    goal_id: UUID = field(default_factory=UUID)
+    goal: FollowGoal = field(default_factory=FollowGoal)
+
+
+@dataclass
+class FollowSendGoalResponse(IdlStruct, typename=dds(f"{FOLLOW}_SendGoal_Response", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    accepted: bool = False
+    stamp: Time = field(default_factory=Time)
+
+
+@dataclass
+class FollowGetResultRequest(IdlStruct, typename=dds(f"{FOLLOW}_GetResult_Request", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    goal_id: UUID = field(default_factory=UUID)
+
+
+@dataclass
+class FollowGetResultResponse(IdlStruct, typename=dds(f"{FOLLOW}_GetResult_Response", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    status: int8 = 0
+    result: FollowResult = field(default_factory=FollowResult)
+
+
+@dataclass
+class FollowFeedbackMessage(IdlStruct, typename=dds(f"{FOLLOW}_FeedbackMessage", "action")):
+    goal_id: UUID = field(default_factory=UUID)
+    feedback: FollowFeedback = field(default_factory=FollowFeedback)
 
 
 # --- parameters ---

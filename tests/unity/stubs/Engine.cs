@@ -91,6 +91,7 @@ public class Engine
     {
         Rigidbody item = m_Items.FirstOrDefault(i =>
         {
+            if (i.gameObject.GetComponentsInChildren<BoxCollider>().Length == 0) return false; // boxes only
             Vector3 p = gripper.tcp.InverseTransformPoint(i.transform.position);
             return Math.Abs(p.y) < Half(i, gripper.tcp, Vector3.up) + k_Pad
                 && Math.Abs(p.z) < Half(i, gripper.tcp, new Vector3(0, 0, 1)) + k_Pad

@@ -119,3 +119,6 @@ class FakeDriver(SeesNoContacts):
 
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
+
+    def targets(self) -> JointState | None:
+        return self.joint_state()

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from numpy.typing import ArrayLike
 
 from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
-from armcell.core import SE3, JointState
+from armcell.core import SE3, Contact, JointState
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer, PhysicsSettings, SimWorld
 
@@ -70,6 +70,12 @@ class SimDriver:
 
     def object_poses(self) -> dict[str, SE3]:
         return self.world.sample().object_poses
+
+    def targets(self) -> JointState | None:
+        return self.world.arm_target()
+
+    def contacts(self) -> list[Contact]:
+        return [Contact(c.body_a, c.body_b, -c.depth, c.position) for c in self.world.contacts()]
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         (self.world.monitor.allow if expected else self.world.monitor.forbid)(body, tuple(others))

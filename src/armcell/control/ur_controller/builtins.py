@@ -193,7 +193,8 @@ def value_functions(robot: Robot) -> Functions:
         "popup": popup,
         "rtde_set_watchdog": rtde_set_watchdog,
         "protective_stop": protective_stop,
-        "zero_ftsensor": lambda: None,
+        "zero_ftsensor": robot.zero_force,
+        "get_tcp_force": lambda: Vec(float(x) for x in robot.tcp_force()),
         # Settings of force control; force_mode itself is not emulated.
         "force_mode_set_gain_scaling": lambda scaling: None,
         "force_mode_set_damping": lambda damping: None,

@@ -24,13 +24,14 @@ from armcell.control.ur_controller.script_server import PRIMARY, REALTIME, SECON
 from armcell.control.ur_wire.models import UrModel, ur_model
 from armcell.control.ur_wire.primary import Kinematics
 from armcell.control.ur_wire.rtde import PORT as RTDE
+from armcell.core import InputError
 
 log = logging.getLogger(__name__)
 
 TRACE = struct.Struct("<B14d")
 """A line of a trace: which arm, monotonic and robot's time [s], actual and target positions (6,) [rad]."""
 
-MAX_LAG = 0.04  # [s] behind the wall clock that is caught up; what is beyond is lost
+MAX_LAG = 1.0  # [s] behind the wall clock that is caught up; what is beyond is lost
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
 
@@ -102,6 +103,9 @@ class Rack:
     """Controllers that run together in one thread, paced by the wall clock.
 
     All have the same control period; those behind physics share one world.
+
+    Raises:
+        InputError: controllers of different periods.
     """
 
     def __init__(
@@ -120,24 +124,30 @@ class Rack:
         except BaseException:
             self.close()
             raise
+        if len({c.robot.period for c in self.controllers}) != 1:
+            self.close()
+            raise InputError("controllers of one rack have the same control period")
         self.lost = 0.0  # [s] of wall time that could not be kept up with
         self._stop = threading.Event()
 
     def run(self) -> None:
-        """Serve until `stop`."""
-        clocks = {c: time.monotonic() for c in self.controllers}
+        """Serve until `stop`. The controllers' cycles are not in step, as real ones' are not: each begins a
+        part of a period after the one before.
+        """
+        turn, due = 0, time.monotonic()
+        part = self.controllers[0].robot.period / len(self.controllers)
         while not self._stop.is_set():
             now = time.monotonic()
-            for controller, due in clocks.items():
-                if now >= due:
-                    controller.step()
-                    if self._trace is not None:
-                        self._write(controller)
-                    clocks[controller] = due + controller.robot.period
-                    if now - due > MAX_LAG:
-                        self.lost += now - due
-                        clocks[controller] = now
-            wait = max(min(clocks.values()) - time.monotonic(), 0.0)
+            if now >= due:
+                controller = self.controllers[turn]
+                controller.step()
+                if self._trace is not None:
+                    self._write(controller)
+                turn, due = (turn + 1) % len(self.controllers), due + part
+                if now - due > MAX_LAG:
+                    self.lost += now - due
+                    due = now
+            wait = max(due - time.monotonic(), 0.0)
             frozen = any(c.network.faults.frozen for c in self.controllers)
             if frozen:  # unread data would wake the selector at once
                 time.sleep(min(wait, 0.002))

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from armcell.control.ur_controller.network import Link, Network
+from armcell.control.ur_controller.plant_faults import WORDS, set_fault
 from armcell.control.ur_controller.robot import Robot
 from armcell.control.ur_wire.models import JOINTS
 from armcell.control.ur_wire.modes import RuntimeState
@@ -20,12 +21,14 @@ GREETING = "Connected: Universal Robots Dashboard Server"
 MAX_LINE = 4096
 LOCAL_REFUSAL = "Command is not allowed due to safety reasons: the robot is in local control"
 
-HELP = """\
+HELP = f"""\
 armcell protective stop | safeguard stop | safeguard reset | emergency stop | emergency release
 armcell local | remote
 armcell move joint <0-5> <rad>
 armcell speed <0..1>
 armcell fault drop <s> | freeze <s> | delay <s> | garbage <messages> | none
+armcell pose <object>
+{WORDS}
 armcell messages"""
 
 
@@ -133,8 +136,12 @@ class DashboardServer:
                 faults.delay = float(seconds)
             case ["fault", "garbage", count]:
                 faults.garbage = int(count) + 1  # this answer's own message goes through as one of them
+            case ["fault", "payload" | "offset" | "block" | "arm", *_]:
+                r.plant = set_fault(r.plant, words[1:])
             case ["fault", "none"]:
                 faults.delay, faults.garbage = 0.0, 0
+            case ["pose", name]:
+                return " ".join(f"{x:.6f}" for x in r.plant.object_pose(name))
             case ["messages"]:
                 return " | ".join(r.messages[-20:])
             case _:

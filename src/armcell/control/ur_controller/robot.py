@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,7 @@ POWER_ON_TIME, BRAKE_TIME = 0.3, 0.3  # [s]; a real arm takes several seconds
 TOOL_INPUT_HOLDS = 16  # digital input bit of the tool: the gripper holds something
 TOOL_OUTPUT_CLOSE = 16  # digital output bit of the tool: close the gripper
 TOOL_GRIP_FORCE = 0.3  # of the gripper's largest, where one output closes it
+FORCE_OFFSET = (4.0, 4.0, 4.0, 0.4, 0.4, 0.4)  # [N, Nm] standard deviation over robots
 MIN_UPTIME = 60.0  # [s]: UR's own client library wants a controller that has run for a while
 
 
@@ -58,6 +60,8 @@ class Robot:
         self._on_program_end: list[Callable[[], None]] = []
         self.motion_due = 0.0  # program time at which the last servoj or speedj ends
         self._motion_used, self._unused_for = False, 0
+        # What the sensor shows of itself: no force sensor reads zero when nothing touches the tool.
+        self._force_offset = np.random.default_rng(crc32(serial.encode())).normal(0.0, FORCE_OFFSET)
 
     # --- time ---
     def before_step(self) -> None:
@@ -117,7 +121,7 @@ class Robot:
             self.motion = None
             s.v = np.zeros(6)
         speed = s.v * (1.0 if isinstance(motion, StopJ) else self.scaling)
-        self.plant.command(s.q, speed)
+        self.plant.command(s.q, speed, self.period)
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1
         lost = isinstance(motion, ServoJ | SpeedJ) and not self._motion_used and self.scaling > 0
@@ -276,6 +280,21 @@ class Robot:
 
     def tcp_speed(self, q: Array, v: Array) -> Array:
         return jacobian(self.dh, q, forward(self.dh, q, self.setpoint.tcp)[:3, 3]) @ v
+
+    def tcp_force(self) -> Array:
+        """Force [N] over torque [Nm] (6,) on the tool by what touches it, in the base frame's axes.
+
+        About the TCP of a CB3 and the flange of an e-Series, with the sensor's offset.
+        """
+        force, torque, at = self.plant.wrench()
+        tcp = [0.0] * 6 if self.model.e_series else self.setpoint.tcp
+        point = forward(self.dh, self.plant.read()[0], tcp)[:3, 3]
+        return np.concatenate([force, torque + np.cross(at - point, force)]) + self._force_offset
+
+    def zero_force(self) -> None:
+        """An e-Series takes what its sensor shows now for zero; a CB3 has no such thing."""
+        if self.model.e_series:
+            self._force_offset = self._force_offset - self.tcp_force()
 
     @property
     def remote_or_cb3(self) -> bool:

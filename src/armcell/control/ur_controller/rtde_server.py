@@ -49,6 +49,8 @@ def outputs_of(robot: Robot) -> dict[str, Getter]:
         "target_TCP_pose": lambda: r.tcp_pose(s.q),
         "actual_TCP_speed": lambda: r.tcp_speed(*r.plant.read()[:2]),
         "target_TCP_speed": lambda: r.tcp_speed(s.q, s.v),
+        "actual_TCP_force": r.tcp_force,
+        "tcp_force_scalar": lambda: float(np.linalg.norm(r.tcp_force()[:3])),
         "tcp_offset": lambda: s.tcp,
         "joint_temperatures": lambda: (25.0,) * 6,
         "actual_joint_voltage": lambda: (48.0,) * 6,

@@ -37,7 +37,7 @@ class SimpleActionClient:
 
     def __init__(self, ns: str, ActionSpec: Any):
         session = current_session()
-        self._client = BusClient(session.bus, ns, _plain(ActionSpec))
+        self._client = session.own(BusClient(session.bus, ns, _plain(ActionSpec)))
         self._session, self._sent = session, None
 
     def wait_for_server(self, timeout: Any = 0.0) -> bool:
@@ -64,7 +64,7 @@ class SimpleActionClient:
             if active_cb is not None and sent.state is State.ACTIVE:
                 active_cb()
                 active_cb = None
-            if is_shutdown():
+            if self._session.shutting_down.is_set():
                 return
         if active_cb is not None:
             active_cb()
@@ -146,30 +146,31 @@ class SimpleActionServer:
 
     def start(self) -> None:
         if self._server is None:
-            self._server = BusServer(self._session.bus, self._name, self._type, self._execute)
+            server = BusServer(self._session.bus, self._name, self._type, self._execute)
+            self._server = self._session.own(server)
 
     def _execute(self, goal: Goal) -> Done:
         over = self._over[goal.id.id] = threading.Event()
-        if self._callback is not None:
-            self._goal = goal
-            threading.Thread(target=self._watch_cancel, args=(goal, over), daemon=True).start()
-            self._callback(self._session.messages.local(goal.message))
-            over.set()
-            # actionlib: a callback that ends without saying how has aborted its goal.
-            return self._ended.pop(goal.id.id, None) or Done(
-                State.ABORTED, self._result(None), "not set by the callback"
-            )
-        self._next.append(goal)
         threading.Thread(target=self._watch_cancel, args=(goal, over), daemon=True).start()
-        if self._on_goal is not None:
-            self._on_goal()
-        while not over.wait(CHECK):
-            if is_shutdown():
-                return Done(State.ABORTED, self._result(None), "shutdown")
-        return self._ended.pop(goal.id.id)
+        try:
+            if self._callback is not None:
+                self._goal = goal
+                self._callback(self._session.messages.local(goal.message))
+                unsaid = "not set by the callback"  # actionlib: such a goal is aborted
+            else:
+                self._next.append(goal)
+                if self._on_goal is not None:
+                    self._on_goal()
+                while not over.wait(CHECK) and not self._session.shutting_down.is_set():
+                    pass
+                unsaid = "shutdown"
+        finally:
+            over.set()
+            del self._over[goal.id.id]
+        return self._ended.pop(goal.id.id, None) or Done(State.ABORTED, self._result(None), unsaid)
 
     def _watch_cancel(self, goal: Goal, over: threading.Event) -> None:
-        while not over.is_set() and not is_shutdown():
+        while not over.is_set() and not self._session.shutting_down.is_set():
             if goal.cancel.wait(0.02):
                 if self._on_preempt is not None and goal is self._goal:
                     self._on_preempt()
@@ -181,9 +182,12 @@ class SimpleActionServer:
     def _end(self, state: State, result: Any, text: str) -> None:
         if self._goal is None:
             return
+        over = self._over.get(self._goal.id.id)
+        if over is None:
+            return  # has ended already
         self._ended[self._goal.id.id] = Done(state, self._result(result), text)
         if self._callback is None:
-            self._over[self._goal.id.id].set()
+            over.set()
 
     def set_succeeded(self, result: Any = None, text: str = "") -> None:
         self._end(State.SUCCEEDED, result, text)

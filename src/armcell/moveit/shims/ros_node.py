@@ -199,7 +199,7 @@ class Timer(threading.Thread):
     ):
         super().__init__(name="rospy timer", daemon=True)
         self._period, self._callback, self._oneshot = period.to_sec(), callback, oneshot
-        self._over = threading.Event()
+        self._over, self._ended = threading.Event(), current_session().shutting_down
         self.start()
 
     def shutdown(self) -> None:
@@ -208,7 +208,7 @@ class Timer(threading.Thread):
     def run(self) -> None:
         last_expected = last_real = None
         expected = get_time()
-        while not self._over.is_set() and not is_shutdown():
+        while not self._over.is_set() and not self._ended.is_set():
             expected += self._period
             try:
                 wait_until(expected)

@@ -80,8 +80,8 @@ class Subscriber:
                 session.say("ERROR", f"bad callback: {callback}\n{traceback.format_exc()}")
 
         with ros_errors(ROSException):
-            self._subscription = session.bus.subscribe(
-                self.name, self.type, receive, queue_size or QUEUE_SIZE
+            self._subscription = session.own(
+                session.bus.subscribe(self.name, self.type, receive, queue_size or QUEUE_SIZE)
             )
 
     def get_num_connections(self) -> int:
@@ -126,9 +126,7 @@ class Service:
         self.resolved_name = resolved(name)
 
         def answer(request: Any) -> Any:
-            given = handler(session.messages.local(request))
-            made = _response(service_class._response_class, given)
-            return made
+            return _response(service_class._response_class, handler(session.messages.local(request)))
 
         with ros_errors(ServiceException):
             self._service = session.bus.serve(self.resolved_name, service_class._type, answer)

@@ -96,7 +96,6 @@ def get_param_names() -> list[str]:
 
 
 # --- logging ---
-_last: dict[tuple[str, str], float] = {}
 _CLOSE = re.compile(r"\bclose (the )?gripper\b", re.IGNORECASE)
 
 
@@ -131,9 +130,9 @@ def logfatal(msg: Any, *args: Any, **kwargs: Any) -> None:
 
 def _throttled(level: str) -> Callable[..., None]:
     def log(period: float, msg: Any, *args: Any) -> None:
-        key, now = (level, str(msg)), get_time()
-        if now - _last.get(key, -1e18) >= period or now < _last.get(key, 0.0):
-            _last[key] = now
+        key, now, last = (level, str(msg)), get_time(), current_session().logged
+        if now - last.get(key, -1e18) >= period or now < last.get(key, 0.0):
+            last[key] = now
             _log(level, msg, args)
 
     return log
@@ -141,8 +140,9 @@ def _throttled(level: str) -> Callable[..., None]:
 
 def _once(level: str) -> Callable[..., None]:
     def log(msg: Any, *args: Any) -> None:
-        if (f"{level} once", str(msg)) not in _last:
-            _last[(f"{level} once", str(msg))] = get_time()
+        key, logged = (f"{level} once", str(msg)), current_session().logged
+        if key not in logged:
+            logged[key] = get_time()
             _log(level, msg, args)
 
     return log

@@ -142,9 +142,11 @@ class TransformListener:
     """Fills a buffer from /tf and /tf_static."""
 
     def __init__(self, buffer: Buffer, queue_size: Any = None, **more: Any):
-        bus = current_session().bus
+        session = current_session()
         self.buffer = buffer
-        self._subscriptions = [bus.subscribe(topic, TF, buffer.take, 100) for topic in TOPICS]
+        self._subscriptions = [
+            session.own(session.bus.subscribe(topic, TF, buffer.take, 100)) for topic in TOPICS
+        ]
 
     def unregister(self) -> None:
         for subscription in self._subscriptions:
@@ -161,14 +163,25 @@ class TransformBroadcaster:
         self._publisher = self._session.bus.advertise(self.TOPIC, TF, self.LATCH)
 
     def sendTransform(self, transform: Any) -> None:
-        transforms = list(transform) if isinstance(transform, list | tuple) else [transform]
+        self._publish(list(transform) if isinstance(transform, list | tuple) else [transform])
+
+    def _publish(self, transforms: list[Any]) -> None:
         self._publisher.publish(self._session.messages.local(self._session.new(TF, transforms)))
 
 
 class StaticTransformBroadcaster(TransformBroadcaster):
-    """Publishes transforms that stay."""
+    """Publishes transforms that stay: each message has all that were sent, for those who listen later."""
 
     TOPIC, LATCH = "/tf_static", True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sent: dict[str, Any] = {}  # by child frame
+
+    def _publish(self, transforms: list[Any]) -> None:
+        for transform in transforms:
+            self._sent[transform.child_frame_id] = self._session.messages.local(transform)
+        super()._publish(list(self._sent.values()))
 
 
 __all__ = [

@@ -32,8 +32,8 @@ def plan_request_from_message(
     """The request of a moveit_msgs/MotionPlanRequest.
 
     As move_group reads it: an empty pipeline or planner is the default one, a scaling outside (0, 1] is 1, no
-    time is 5 s, fewer than one attempt is one. A workspace counts where its frame is empty, as
-    moveit_commander's `set_workspace` leaves it; RViz always sends one that is meant for mobile bases.
+    time is 5 s, fewer than one attempt is one. A workspace counts where its frame is empty, as our scripts'
+    `set_workspace` leaves it: RViz and MoveIt's own clients name a frame, and mean mobile bases.
 
     Args:
         scene: in which frames are looked up.

@@ -185,7 +185,7 @@ class MoveGroupNode:
             result = plan_cartesian(scene, cartesian_request_from_message(request, scene))
         except InputError as error:
             logger.warning("Cartesian request refused: %s", error)
-            return refused(_code_of(error, ErrorCode.FAILURE))
+            return refused(code_of(error, ErrorCode.FAILURE))
         if result.fraction < 1.0:
             logger.warning("the line is followed for %.0f %%: %s", result.fraction * 100, result.message)
         # A part of the way is success with a fraction, as from move_group.
@@ -231,7 +231,7 @@ class MoveGroupNode:
                 return answer(ErrorCode.NO_IK_SOLUTION)
         except InputError as error:
             logger.warning("inverse kinematics refused: %s", error)
-            return answer(_code_of(error, ErrorCode.FAILURE))
+            return answer(code_of(error, ErrorCode.FAILURE))
         return answer(ErrorCode.SUCCESS, found)
 
     def _fk_service(self, request: Any) -> Any:
@@ -248,7 +248,7 @@ class MoveGroupNode:
             into = scene.frame_pose(frame).inv()
         except InputError as error:
             logger.warning("forward kinematics refused: %s", error)
-            return refused(_code_of(error, ErrorCode.FAILURE))
+            return refused(code_of(error, ErrorCode.FAILURE))
         poses = [
             self.bus.schema.new(
                 "geometry_msgs/PoseStamped", self.header(frame),
@@ -340,15 +340,15 @@ class MoveGroupNode:
         )
         result, outcome = self.new("MoveGroupResult"), Outcome(ErrorCode.FAILURE)
         for _ in range(attempts):
-            self._feedback(goal, "MoveGroup", "PLANNING")
-            scene = self.start_scene(request, goal.cancel)
-            if goal.cancel.is_set():
-                outcome = Outcome(ErrorCode.PREEMPTED, "cancelled")
-                break
+            self.feedback(goal, "MoveGroup", "PLANNING")
             try:
+                scene = self.start_scene(request, goal.cancel)
                 scene = scene.apply(diff_from_message(options.planning_scene_diff, scene))
             except InputError as error:
                 outcome = Outcome(ErrorCode.FAILURE, str(error))
+                break
+            if goal.cancel.is_set():
+                outcome = Outcome(ErrorCode.PREEMPTED, "cancelled")
                 break
             found = self.plan(request, scene, goal.cancel)
             response = self.planned(request, scene, found)
@@ -359,19 +359,19 @@ class MoveGroupNode:
             result.planning_time, outcome = response.planning_time, found
             if not found.ok or options.plan_only:
                 break
-            self._feedback(goal, "MoveGroup", "MONITOR")
+            self.feedback(goal, "MoveGroup", "MONITOR")
             outcome = self.executed(response.trajectory, goal.cancel)
             result.executed_trajectory = response.trajectory
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 break
-        self._feedback(goal, "MoveGroup", "IDLE")
+        self.feedback(goal, "MoveGroup", "IDLE")
         result.error_code = self.code(outcome.code)
         return done(outcome, result)
 
     def _execute(self, goal: Goal) -> Done:
-        self._feedback(goal, "ExecuteTrajectory", "MONITOR")
+        self.feedback(goal, "ExecuteTrajectory", "MONITOR")
         outcome = self.executed(goal.message.trajectory, goal.cancel)
-        self._feedback(goal, "ExecuteTrajectory", "IDLE")
+        self.feedback(goal, "ExecuteTrajectory", "IDLE")
         return done(outcome, self.new("ExecuteTrajectoryResult", self.code(outcome.code)))
 
     def executed(self, trajectory: Any, cancel: threading.Event) -> Outcome:
@@ -396,7 +396,7 @@ class MoveGroupNode:
         finally:
             self._executing.remove(cancel)
 
-    def _feedback(self, goal: Goal, action: str, state: str) -> None:
+    def feedback(self, goal: Goal, action: str, state: str) -> None:
         goal.feedback(self.new(f"{action}Feedback", state))
 
     def _on_event(self, message: Any) -> None:
@@ -458,7 +458,7 @@ def _request_code(request: Any, error: InputError) -> ErrorCode:
     return ErrorCode.FAILURE
 
 
-def _code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
+def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
     """The code for something that does not exist."""
     kind = error.kind if isinstance(error, UnknownNameError) else ""
     known = {
@@ -467,5 +467,6 @@ def _code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
         "joint": ErrorCode.INVALID_ROBOT_STATE,
         "planning group": ErrorCode.INVALID_GROUP_NAME,
         "object": ErrorCode.INVALID_OBJECT_NAME,
+        "attached object": ErrorCode.INVALID_OBJECT_NAME,
     }
     return known.get(kind, otherwise)

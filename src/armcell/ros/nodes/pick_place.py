@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from armcell.ros.convert import pose_from_message
 from armcell.ros.moveit_convert import robot_trajectory_message
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.moveit_convert.states import trajectory_message
-from armcell.ros.nodes.move_group import MoveGroupNode, done, waited
+from armcell.ros.nodes.move_group import MoveGroupNode, code_of, done, waited
 from armcell.scene import PlanningScene
 from armcell.tasks import TaskSettings
 from armcell.tasks.search import Draft, Planning, Stage, search
@@ -69,28 +69,30 @@ class PickPlaceNode:
         for member in self._members:
             member.close()
 
+    def _answer(self, goal: Goal, action: str, act: Callable[..., Outcome], what: str) -> Done:
+        result = self._node.new(f"{action}Result")
+        try:
+            outcome = act(goal, goal.message, result)
+        except InputError as error:
+            outcome = Outcome(code_of(error, ErrorCode.FAILURE), str(error))
+        result.error_code = self._node.code(outcome.code)
+        self._node.feedback(goal, action, "IDLE")
+        if not outcome.ok:
+            logger.warning("%s failed: %s: %s", what, outcome.code.name, outcome.message)
+        return done(outcome, result)
+
     # --- pickup ---
     def _pickup(self, goal: Goal) -> Done:
-        asked = goal.message
-        result = self._node.new("PickupResult")
-        outcome = self._picked(goal, asked, result)
-        result.error_code = self._node.code(outcome.code)
-        self._say(goal, "Pickup", "IDLE", outcome, f"pick {asked.target_name}")
-        return done(outcome, result)
+        return self._answer(goal, "Pickup", self._picked, f"pick {goal.message.target_name}")
 
     def _picked(self, goal: Goal, asked: Any, result: Any) -> Outcome:
         self._node.settled(asked.group_name, goal.cancel)
         scene = self._cell.scene()
         if asked.target_name not in scene.objects:
             known = [n for n, o in scene.objects.items() if o.movable]
-            return Outcome(
-                ErrorCode.INVALID_OBJECT_NAME, str(UnknownNameError("object", asked.target_name, known))
-            )
-        try:
-            gripper = self._gripper(asked.group_name, asked.end_effector)
-            grasps = self._grasps(scene, asked, gripper)
-        except InputError as error:
-            return Outcome(_missing(error), str(error))
+            raise UnknownNameError("object", asked.target_name, known)
+        gripper = self._gripper(asked.group_name, asked.end_effector)
+        grasps = self._grasps(scene, asked, gripper)
         outcome = Outcome(ErrorCode.PLANNING_FAILED, "no grasp was given or found")
         began = time.monotonic()
         for _ in range(self._settings.attempts):
@@ -188,21 +190,13 @@ class PickPlaceNode:
 
     # --- place ---
     def _place(self, goal: Goal) -> Done:
-        asked = goal.message
-        result = self._node.new("PlaceResult")
-        outcome = self._placed(goal, asked, result)
-        result.error_code = self._node.code(outcome.code)
-        self._say(goal, "Place", "IDLE", outcome, f"place {asked.attached_object_name}")
-        return done(outcome, result)
+        return self._answer(goal, "Place", self._placed, f"place {goal.message.attached_object_name}")
 
     def _placed(self, goal: Goal, asked: Any, result: Any) -> Outcome:
         self._node.settled(asked.group_name, goal.cancel)
         scene, began = self._cell.scene(), time.monotonic()
-        try:
-            item, gripper = self._held(scene, asked)
-            places = self._places(scene, asked, item, gripper)
-        except InputError as error:
-            return Outcome(_missing(error), str(error))
+        item, gripper = self._held(scene, asked)
+        places = self._places(scene, asked, item, gripper)
         s = self._settings
         stages: list[Stage] = [
             ChooseGivenPlace(item, gripper, tuple(places), s.near),
@@ -277,7 +271,7 @@ class PickPlaceNode:
         self, goal: Goal, action: str, stages: list[Stage], scene: PlanningScene, seconds: float
     ) -> tuple[Draft | None, Outcome]:
         """The first complete plan, or why there is none, candidate by candidate."""
-        self._node._feedback(goal, action, "PLANNING")
+        self._node.feedback(goal, action, "PLANNING")
         settings = self._settings
         if seconds > 0:
             settings = replace(settings, planning_budget=max(float(seconds), settings.planning_time))
@@ -296,7 +290,7 @@ class PickPlaceNode:
 
     def _perform(self, goal: Goal, action: str, draft: Draft) -> Outcome:
         """Do what was planned, step by step."""
-        self._node._feedback(goal, action, "MONITOR")
+        self._node.feedback(goal, action, "MONITOR")
         with self._node.stoppable(goal.cancel):
             return self._steps(goal, draft)
 
@@ -343,11 +337,6 @@ class PickPlaceNode:
         result.trajectory_descriptions = [m.name for m in motions]
         result.planning_time = seconds
 
-    def _say(self, goal: Goal, action: str, state: str, outcome: Outcome, what: str) -> None:
-        self._node._feedback(goal, action, state)
-        if not outcome.ok:
-            logger.warning("%s failed: %s: %s", what, outcome.code.name, outcome.message)
-
 
 def _posture(message: Any, gripper: Gripper) -> float | None:
     """The width [m] that a posture's last point asks of the gripper; None where it says nothing of it."""
@@ -371,15 +360,3 @@ def _way(scene: PlanningScene, message: Any, T_world_tip: SE3, tip: str) -> Way 
     R = T_world_tip.rotation.matrix if frame == tip else scene.frame_pose(frame).rotation.matrix
     x, y, z = (R @ direction / length * float(message.desired_distance)).tolist()
     return Way((x, y, z), float(message.min_distance))
-
-
-def _missing(error: InputError) -> ErrorCode:
-    kinds = {
-        "planning group": ErrorCode.INVALID_GROUP_NAME,
-        "attached object": ErrorCode.INVALID_OBJECT_NAME,
-        "object": ErrorCode.INVALID_OBJECT_NAME,
-        "frame": ErrorCode.FRAME_TRANSFORM_FAILURE,
-    }
-    return (
-        kinds.get(error.kind, ErrorCode.FAILURE) if isinstance(error, UnknownNameError) else ErrorCode.FAILURE
-    )

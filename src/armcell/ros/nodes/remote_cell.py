@@ -29,6 +29,7 @@ from armcell.scene import WORLD, PlanningScene
 
 logger = logging.getLogger(__name__)
 STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint states
+POSE_TIMEOUT = 1.0  # [s] after the first joint states, for the poses of what can move
 STALE = 2.0  # [s] without joint states: the simulator is gone
 ARRIVED = 0.01  # [rad or m] from the trajectory's end
 AT_REST = 0.02  # [rad/s or m/s]
@@ -39,6 +40,7 @@ GRIP_TIMEOUT = 6.0  # [s]
 GRIP_START = 0.4  # [s] in which fingers may begin to move
 HELD_MARGIN = 0.01  # [m] around an object in which the tcp of the hand that holds it is
 POLL = 0.01  # [s]
+BEGINS = "executing"  # a motion, on /trajectory_status
 
 
 class RemoteCell:
@@ -57,6 +59,7 @@ class RemoteCell:
         self._joints: JointState | None = None
         self._at = 0.0  # [s] of the wall's clock, of the last joint states
         self._poses: dict[str, SE3] = {}
+        self._unseen = {n for n, o in scene.objects.items() if o.movable}  # no pose came yet
         self._targets: dict[str, float] = {}  # widths that the grippers were told
         self._running: list[Work] = []
         self._closed = threading.Event()
@@ -82,6 +85,7 @@ class RemoteCell:
             for g in grippers
         }
         self._said: list[str] = []
+        self._announces = False  # the simulator says when a motion begins
 
     def close(self) -> None:
         self._closed.set()
@@ -111,6 +115,7 @@ class RemoteCell:
     def _on_status(self, message: Any) -> None:
         with self._lock:
             self._said.append(message.data)
+            self._announces |= message.data.startswith(BEGINS)
 
     def _pose_callback(self, name: str) -> Callable[[Any], None]:
         def take(message: Any) -> None:
@@ -125,6 +130,7 @@ class RemoteCell:
                 return
             with self._lock:
                 self._poses[name] = T
+                self._unseen.discard(name)
 
         return take
 
@@ -156,6 +162,7 @@ class RemoteCell:
 
     def scene(self) -> PlanningScene:
         state = self.joints()
+        self._await_poses()
         model = self.model
         q = self._scene.state.updated(state).positions
         with self._lock:
@@ -169,6 +176,17 @@ class RemoteCell:
             if item is not None and self._grips(gripper, state):
                 scene = scene.with_attached(item, gripper.tcp_link, gripper.hand_links)
         return scene
+
+    def _await_poses(self) -> None:
+        """Where things are is the simulator's to say: wait for that, once."""
+        if not self._unseen:
+            return
+        give_up = time.monotonic() + POSE_TIMEOUT
+        while self._unseen and time.monotonic() < give_up and not self._closed.is_set():
+            time.sleep(POLL)
+        if self._unseen:
+            logger.warning("no /object_pose of %s: taken from the cell", ", ".join(sorted(self._unseen)))
+            self._unseen = set()
 
     def _grips(self, gripper: Gripper, state: JointState) -> bool:
         """Whether the fingers were told to close farther than they could."""
@@ -283,7 +301,7 @@ class RemoteCell:
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
             with self._lock:
                 said = list(self._said)
-            if (told := _told(said)) is not None:
+            if (told := _told(said, begun=not self._announces)) is not None:
                 return told
             if not said:  # one that says nothing: look at the joints
                 state = self.joints().reindexed(names)
@@ -341,15 +359,16 @@ class RemoteCell:
         self.stop_joints(())
 
 
-def _told(said: list[str]) -> ExecutionResult | None:
+def _told(said: list[str], begun: bool) -> ExecutionResult | None:
     """How a motion ended by what /trajectory_status has said since it was sent; None: it has not.
 
-    What comes before "executing" is of an earlier motion, or of its stop; only a refusal comes without.
+    Args:
+        begun: False: what comes before "executing" is of an earlier motion, or of its stop; only a refusal
+            comes without. True: the simulator never says "executing".
     """
-    begun = False
     for text in said:
         what, _, why = text.partition(": ")
-        begun |= text.startswith("executing")
+        begun |= text.startswith(BEGINS)
         if what == "refused" or (begun and what == "failed"):
             return ExecutionResult(ErrorCode.CONTROL_FAILED, f"the simulator: {why}")
         if begun and what == "done":

@@ -21,7 +21,6 @@ from armcell.tasks import TaskSettings
 
 
 def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
-    describe(bus, cell.model)
     group = MoveGroupNode(cell, bus)
     stack.callback(group.close)
     stack.callback(PickPlaceNode(group, settings).close)
@@ -60,6 +59,7 @@ class ServedCell:
         Raises:
             What made it end, where it ended before it was ready.
         """
+        describe(self.bus, self.live.model)
         self.thread.start()
         while not self.node.ready.wait(poll):
             if not self.thread.is_alive():
@@ -75,7 +75,11 @@ class ServedCell:
             self.thread.join(timeout=5.0)
 
     def __enter__(self) -> ServedCell:
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -92,6 +96,7 @@ class ServedPlanner:
         self._stack = ExitStack()
 
     def start(self) -> None:
+        describe(self.bus, self._scene.model)
         warm_up()
         for group in self._scene.model.groups.values():
             if group.tip_link:

@@ -32,6 +32,7 @@ from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
 CONNECTORS = 16  # connections that are being made at one time
+MAX_SUBSCRIBERS = 2048  # connections of all topics together
 MAX_COMPLAINTS = 100  # different ones that are logged
 
 
@@ -342,7 +343,9 @@ class Ros1Node:
         with self._lock:
             publication = self._publications.get(header["topic"])
             known = [[p.topic, p.type] for p in self._publications.values()]
-        if publication is None:
+        if sum(len(p.links()) for p in self.publications()) >= MAX_SUBSCRIBERS:
+            text = f"[{self.name}] has {MAX_SUBSCRIBERS} subscribers already"
+        elif publication is None:
             text = f"[{self.name}] is not a publisher of [{header['topic']}]. Topics are {known}"
         else:
             text = publication.refusal(header)
@@ -379,4 +382,4 @@ class Ros1Node:
             if first:
                 self._complaints.add(kind)
         if first:
-            logger.warning("TCPROS: %s: %s", peer, text[:400])
+            logger.warning("TCPROS: %s: %s", peer, " ".join(text[:400].split()))

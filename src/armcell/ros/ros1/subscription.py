@@ -20,6 +20,7 @@ from armcell.ros.ros1.rpc import RpcError, ask
 
 logger = logging.getLogger(__name__)
 RECEIVE_BYTES = 256 << 10
+MAX_SAID = 100  # different complaints of one topic that are logged
 FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] between two attempts, doubled each time
 
 
@@ -88,8 +89,9 @@ class Subscription:
 
     def say_once(self, text: str) -> None:
         with self._lock:
-            first = text not in self._said and len(self._said) < 100
-            self._said.add(text)
+            first = text not in self._said and len(self._said) < MAX_SAID
+            if first:
+                self._said.add(text)
         if first:
             logger.warning("%s: %s", self.topic, text)
 

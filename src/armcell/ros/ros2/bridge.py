@@ -193,6 +193,8 @@ class Ros2Bridge:
             if now != seen or due:
                 seen = now
                 self._look(context)
+            for outgoing in self._out.values():
+                outgoing.follow()
             if due:
                 next_look = time.monotonic() + PERIOD
                 for part in (*self._out.values(), *self._in.values()):

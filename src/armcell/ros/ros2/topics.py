@@ -5,12 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from armcell.core import ArmcellError
+from armcell.ros.bus import Attachment
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.dds import OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE, Reader, Sample
 from armcell.ros.ros2.names import DdsName
-from armcell.ros.ros2.qos import TF_STATIC, Profile, offered, requested
+from armcell.ros.ros2.qos import LARGE, TF_STATIC, Profile, offered, requested
 
+ON_DEMAND = (
+    "sensor_msgs/CameraInfo",
+    "tf2_msgs/TFMessage",
+    *LARGE,
+)  # publishers look whether anybody listens
 OTHER = "this definition of the message"  # ours, where everything else would fit
 
 
@@ -32,11 +38,23 @@ class Outgoing:
         self.sent = 0
         context.codec.prepare(type_name)
         user_data = type_hash_data(context, type_name)
+        self._owner = owner
         self._writer = context.writer(names.topic(topic, type_name), self.profile, user_data)
-        self._attachment = context.bus.attach(topic, type_name, self._put, owner)
+        self._attachment: Attachment | None = None
+        self.follow()
+
+    def follow(self) -> None:
+        """Listen on the bus, or do not: what costs much is made only for those who listen."""
+        wanted = self.type not in ON_DEMAND or self.profile.latched or bool(self._writer.readers())
+        if wanted and self._attachment is None:
+            self._attachment = self._context.bus.attach(self.topic, self.type, self._put, self._owner)
+        elif not wanted and self._attachment is not None:
+            self._attachment.close()
+            self._attachment = None
 
     def close(self) -> None:
-        self._attachment.close()
+        if self._attachment is not None:
+            self._attachment.close()
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:

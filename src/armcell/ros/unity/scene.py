@@ -20,13 +20,11 @@ from armcell.ros.nodes.states import RATE
 from armcell.ros.unity.meshes import small_hull, write_stl
 from armcell.ros.unity.urdf import file_name
 from armcell.scene import CollisionObject
+from armcell.sim import PhysicsSettings
 
 FORMAT = 1
 FIXED_TIMESTEP = 0.005  # [s] PhysX keeps contacts of a grasp with this; Unity's 0.02 lets them slip
 SOLVER_ITERATIONS, VELOCITY_ITERATIONS = 40, 20
-STIFFNESS, DAMPING = 10000.0, 1000.0  # [Nm/rad, Nm s/rad] of an arm joint with full effort
-FULL_EFFORT = 50.0  # [Nm] joints with less get gains in proportion, as in armcell's own physics
-SLIDE_STIFFNESS, SLIDE_DAMPING = 50000.0, 5000.0  # [N/m, N s/m]
 FINGER_STIFFNESS, FINGER_DAMPING = 5000.0, 200.0  # [N/m, N s/m]
 
 
@@ -48,7 +46,7 @@ def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[d
             "urdf": urdf,
             "start": dict(zip(scene.model.joint_names, scene.positions.tolist(), strict=True)),
             "grippers": [_gripper(g, len(scene.model.grippers)) for g in scene.model.grippers.values()],
-            "drives": _drives(scene.model),
+            "drives": _drives(scene.model, cell.physics),
             "may_touch": sorted(sorted(pair) for pair in scene.model.disabled_collisions if len(pair) == 2),
         },
         "objects": [_object(item, folder, len(movable) == 1) for item in objects],
@@ -75,8 +73,10 @@ def _gripper(gripper: Gripper, count: int) -> dict[str, Any]:
     return data
 
 
-def _drives(model: RobotModel) -> dict[str, dict[str, float]]:
-    """Stiffness, damping and largest force or torque of every movable joint."""
+def _drives(model: RobotModel, physics: PhysicsSettings) -> dict[str, dict[str, float]]:
+    """Stiffness, damping and largest force or torque of every movable joint: those of our own physics, whose
+    law for arms is that of Unity's drives.
+    """
     fingers = {g.joint_name: g for g in model.grippers.values()}
     drives = {}
     for joint in model.joints.values():
@@ -89,10 +89,10 @@ def _drives(model: RobotModel) -> dict[str, dict[str, float]]:
             stiffness, damping = FINGER_STIFFNESS, FINGER_DAMPING
             effort = gripper.max_force * abs(gripper.width_per_joint) / 2
         elif joint.type == "prismatic":
-            stiffness, damping = SLIDE_STIFFNESS, SLIDE_DAMPING
+            stiffness, damping = physics.slide_kp, physics.slide_kv
         else:
-            share = min(effort / FULL_EFFORT, 1.0) if math.isfinite(effort) else 1.0
-            stiffness, damping = STIFFNESS * share, DAMPING * share
+            share = min(effort / physics.full_gain_effort, 1.0) if math.isfinite(effort) else 1.0
+            stiffness, damping = physics.arm_kp * share, physics.arm_kv * share
         drives[joint.name] = {"stiffness": stiffness, "damping": damping}
         if math.isfinite(effort):
             drives[joint.name]["force_limit"] = effort

@@ -2,6 +2,7 @@
 
 from armcell.tasks.arms.carry import Carrying, CarrySettings, move_together, shifted
 from armcell.tasks.arms.context import ArmContext
+from armcell.tasks.arms.hand_over import hand_over
 from armcell.tasks.arms.screw import ScrewSettings, screw
 from armcell.tasks.arms.side_by_side import SideBySide, side_by_side
 
@@ -11,6 +12,7 @@ __all__ = [
     "Carrying",
     "ScrewSettings",
     "SideBySide",
+    "hand_over",
     "move_together",
     "screw",
     "shifted",

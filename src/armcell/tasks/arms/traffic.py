@@ -92,20 +92,30 @@ class Traffic:
                 return None
             now, scene, other = ctx.driver.now, ctx.whole_scene(), self.running[self.other(me)]
         arms = Arms(scene, (me, self.other(me)))
-        proof = arms.certify(
-            wanted, other.trajectory, (now, other.start), self._room(arms, scene, wanted), begin=now,
-            until=max(now + wanted.duration, other.end), evidence=False,
-        )  # fmt: skip
-        if proof.free:
+        if self._free(ctx, arms, scene, wanted, other, now):
             self.running[me] = RunningMotion(wanted, now)
             return wanted
         if straight or self._behind(me):
             return None
+        if not ctx.driver.is_simulated and other.trajectory.duration > 0:
+            return None  # a way round it in time would need the other to keep time
         found = self._plan(ctx, scene, wanted.positions[-1], motion)
         if found is not None:
             self.searched[me] += 1
             self.running[me] = RunningMotion(found, now)
         return found
+
+    def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
+        """Whether a motion may begin. Simulated arms keep time, and are proven with the times. Real ones may
+        be slowed by a slider or a pause, and go on while this is looked at: they are proven for any time.
+        """
+        room = self._room(arms, scene, wanted)
+        if not ctx.driver.is_simulated:
+            return arms.certify_any_time(wanted, other.trajectory, room)
+        return arms.certify(
+            wanted, other.trajectory, (now, other.start), room, begin=now,
+            until=max(now + wanted.duration, other.end), evidence=False,
+        ).free  # fmt: skip
 
     def _room(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
         """The clearance, or a little less than there is where the arms stand nearer than that."""
@@ -127,7 +137,11 @@ class Traffic:
         result: PlanResult = plan_beside(
             scene, request, self.other(ctx.group), running, ctx.driver.now, self.clearance, ctx.cancel
         )
-        return result.trajectory if result.ok else None
+        found = result.trajectory if result.ok else None
+        if found is None or ctx.driver.is_simulated:
+            return found
+        arms = Arms(scene, (ctx.group, self.other(ctx.group)))
+        return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory) -> bool:
         """A motion of the traffic's own (making way, coming back), begun now."""
@@ -144,6 +158,12 @@ class Traffic:
         self.running[ctx.group] = RunningMotion.standing(ctx.whole_scene(), ctx.group, ctx.driver.now)
 
     # --- waiting for each other ---
+    def _rests(self, ctx: ArmContext, group: str) -> bool:
+        running = self.running[group]
+        if ctx.driver.is_simulated:
+            return running.end <= ctx.driver.now
+        return running.trajectory.duration == 0.0  # a real one rests when it has said so
+
     def _behind(self, me: str) -> bool:
         """Whether the other waits for its way as well and began to earlier: it goes first."""
         mine, theirs = self.waits.get(me), self.waits.get(self.other(me))
@@ -156,7 +176,7 @@ class Traffic:
         me, other = ctx.group, self.other(ctx.group)
         if self._behind(me) or me in self.asked:
             self.make_way(ctx)
-        elif other in self.waits and self.running[other].end <= ctx.driver.now:
+        elif other in self.waits and self._rests(ctx, other):
             self.asked.add(other)
 
     def make_way(self, ctx: ArmContext) -> None:

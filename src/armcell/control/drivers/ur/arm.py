@@ -11,17 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.control.drivers.ur import program as commands
 from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.drivers.ur.heart import Heart
 from armcell.control.drivers.ur.identity import Identity
 from armcell.control.drivers.ur.program import ProgramLink, ProgramSettings
 from armcell.control.drivers.ur.rtde_client import RobotState, RtdeClient
 from armcell.control.drivers.ur.settings import ArmSettings, RealSettings
 from armcell.control.safety import Fault
+from armcell.control.ur_wire.kinematics import forward
 from armcell.control.ur_wire.modes import MAY_MOVE, RobotMode, RuntimeState, SafetyMode
 from armcell.core import InputError, JointTrajectory
 
 Array = NDArray[np.float64]
 
+FARTHEST = 0.3  # [s] from the last state to a point that is sent
 INPUTS = (("speed_slider_mask", "speed_slider_fraction"),)
 _CURES = {
     SafetyMode.PROTECTIVE_STOP: "look why, free the arm, then unlock it and resume",
@@ -34,11 +35,11 @@ class UrArm:
 
     def __init__(
         self, name: str, joint_names: Sequence[str], settings: ArmSettings, limits: RealSettings,
-        identity: Identity, heart: Heart, on_state: Callable[[], None],
+        identity: Identity, on_state: Callable[[], None],
     ):  # fmt: skip
         self.name, self.joint_names = name, tuple(joint_names)
         self.settings, self.identity = settings, identity
-        self._limits, self._heart = limits, heart
+        self._limits = limits
         self.step = 1.0 / identity.model.frequency  # [s]
         self._rtde = RtdeClient(settings.host, identity.model.frequency, INPUTS, lambda _: on_state())
         self._link = ProgramLink(
@@ -48,7 +49,7 @@ class UrArm:
         self.armed = False  # the program runs and the supervisor minds it
         self._session = 0
         self._streamed = 0.0  # when a servo target was last sent
-        self._beating = threading.Lock()
+        self._no_force = np.zeros(6)
 
     # --- connection ---
     def connect(self) -> None:
@@ -139,9 +140,15 @@ class UrArm:
                 "not running", f"robot mode {names.get(mode, mode)}", "power on, release brakes"
             )
         age = self.age
-        longest = limits.max_state_age if self.moving else limits.max_silence
-        if self.armed and age > longest and self._heart.awake:
+        moving = self.moving
+        if self.armed and age > (limits.max_state_age if moving else limits.max_silence):
             return self._found("stale state", f"its state is {age * 1000:.0f} ms old", "check the network")
+        # Held up for less than the watchdog, this program has still kept the robot going; for longer it has
+        # not, whatever the robot's state may be.
+        blind = self._rtde.blind
+        if self.armed and blind > (limits.watchdog if moving else limits.max_silence):
+            text = f"this computer was held up for {blind * 1000:.0f} ms"
+            return self._found("stale state", text, "give it less to do, or priority: chrt -f 10 armcell ...")
         if self.armed and not self._link.connected:
             return self._found("program ended", "our program on the robot ended or its link broke", "resume")
         error = float(np.abs(np.subtract(state.target_q, state.actual_q)).max())
@@ -153,13 +160,14 @@ class UrArm:
         return Fault(self.name, kind, text, cure)
 
     # --- motion ---
-    def forward(self, trajectory: JointTrajectory) -> None:
-        """Have the robot play a trajectory of its joints."""
-        self._link.forward(commands.split(trajectory, self.joint_names), self.step)
+    def forward(self, trajectory: JointTrajectory) -> int:
+        """Have the robot play a trajectory of its joints; returns the number it goes by."""
+        return self._link.forward(commands.split(trajectory, self.joint_names), self.step)
 
-    def clock(self) -> float:
-        """How far along the forwarded trajectory the robot is [s]."""
-        return float(self.state.output_double_register_24)
+    def clock(self, number: int) -> float:
+        """How far along a forwarded trajectory the robot is [s]; 0 while it has not begun it."""
+        state = self.state
+        return float(state.output_double_register_24) if state.output_int_register_26 == number else 0.0
 
     @property
     def result(self) -> str:
@@ -168,10 +176,52 @@ class UrArm:
     def cancel(self) -> None:
         self._link.send(commands.CANCEL)
 
-    def servo(self, q: ArrayLike) -> None:
-        """A target for now; to be sent again every period."""
+    def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
+        """A point to go through at a time [s, our monotonic clock], with the speed there.
+
+        To be sent again every period. Points of the same time keep several arms together.
+        """
         self._streamed = time.monotonic()
-        self._link.send(commands.SERVO, np.asarray(q, dtype=float).tolist())
+        assert self._rtde.last_two is not None
+        before, state = self._rtde.last_two
+        runs = state.output_double_register_25 > before.output_double_register_25
+        pace = self.scaling if runs else 0.0  # of the program's clock: slider and pause slow it
+        ahead = at - self._rtde.clock.offset - state.timestamp  # [s] of the robot's clock
+        ahead = min(max(ahead, 0.0), FARTHEST)
+        stamp = float(state.output_double_register_25) + pace * ahead
+        fast = 1.0 / max(self.scaling, 0.05)  # on a slowed clock
+        self._link.servo(q, np.asarray(v) * fast, stamp)
+
+    @property
+    def time_of_state(self) -> float:
+        """When the robot measured its last state [s, our monotonic clock]."""
+        return self.state.timestamp + self._rtde.clock.offset
+
+    def measured_at(self, when: float) -> tuple[Array, Array]:
+        """Positions and speeds at a time [s, our monotonic clock], between two states or at the ends."""
+        stamp, after = when - self._rtde.clock.offset, self.state
+        for state in reversed(list(self._rtde.history)):
+            if state.timestamp <= stamp:
+                span = after.timestamp - state.timestamp
+                share = min((stamp - state.timestamp) / span, 1.0) if span > 0 else 0.0
+                q0, q1 = np.array(state.actual_q), np.array(after.actual_q)
+                v0, v1 = np.array(state.actual_qd), np.array(after.actual_qd)
+                return q0 + share * (q1 - q0), v0 + share * (v1 - v0)
+            after = state
+        return np.array(after.actual_q), np.array(after.actual_qd)
+
+    # --- force ---
+    def zero_force(self) -> None:
+        """What is felt now counts as nothing from here on."""
+        self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
+
+    def force(self) -> tuple[Array, Array, Array]:
+        """Force [N] and torque [Nm] on the tool, and the point [m] that the torque is about; base frame."""
+        state = self.state
+        felt = np.array(state.actual_TCP_force) - self._no_force
+        tool = [0.0] * 6 if self.identity.model.e_series else state.tcp_offset
+        point = forward(self.identity.geometry, state.actual_q, tool)[:3, 3]
+        return felt[:3], felt[3:], point
 
     def beat(self) -> None:
         """Tell the program that we are alive."""

@@ -17,12 +17,19 @@ from armcell.control.drivers.ur.heart import Heart
 from armcell.control.drivers.ur.identity import check_identity, check_ready, check_swapped, identify
 from armcell.control.drivers.ur.motion import Forwarded, Streamed
 from armcell.control.drivers.ur.settings import real_settings
+from armcell.control.following import Following
 from armcell.control.safety import Fault, SafetyEvent, Supervisor
-from armcell.core import SE3, InputError, JointState, JointTrajectory
+from armcell.control.twin.guard import TwinGuard
+from armcell.control.twin.pinger import Pinger
+from armcell.core import SE3, SO3, InputError, JointState, JointTrajectory, Outcome
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 
 log = logging.getLogger(__name__)
+
+HALF_TURN = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))
+SEEN_LATE = 0.06  # [s] by which a measured state may be behind
+LONGEST_SKEW = 0.05  # [s] between the arms' states; beyond it the older one is taken as it is
 
 
 class UrDriver(SeesNoContacts):
@@ -43,7 +50,10 @@ class UrDriver(SeesNoContacts):
         self._scene, self._model = scene, scene.model
         self._tree = kinematic_tree(scene.model)
         self.settings = real_settings(options.extra.get("real", {}), scene.model)
-        self.period = 0.01
+        self.guard: TwinGuard | None = None  # to be set before connecting
+        self._pingers: list[Pinger] = []
+        self.period = 1.0 / 125.0
+        self.latency = self.settings.stream_lead + SEEN_LATE
         self.arms: dict[str, UrArm] = {}
         self._grippers: dict[str, UrGripper] = {}
 
@@ -53,7 +63,7 @@ class UrDriver(SeesNoContacts):
         Raises:
             InputError: wrong address, model or robot, local control, a stop, a port in use, with the cure.
         """
-        self._began = time.monotonic()
+        self._began = self._advanced = time.monotonic()
         wanted = self.settings.arms
         found = {name: identify(arm.host) for name, arm in wanted.items()}
         check_swapped(wanted, found)
@@ -67,7 +77,7 @@ class UrDriver(SeesNoContacts):
             undo.callback(self._heart.stop)
             for name, arm in wanted.items():
                 joints = self._model.group(name).joint_names
-                made = UrArm(name, joints, arm, self.settings, found[name], self._heart, self._look)
+                made = UrArm(name, joints, arm, self.settings, found[name], self._look)
                 self.arms[name] = made
                 undo.callback(made.close)
                 made.connect()
@@ -89,11 +99,40 @@ class UrDriver(SeesNoContacts):
         self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
         self._held: dict[str, tuple[str, SE3]] = {}
         self._forces: dict[str, float] = {}
+        self._T_world_base = {  # the controllers' bases: a model's base_link turned by half a turn
+            name: self._tree.link_pose(self._q, self._model.joints[arm.joint_names[0]].parent) @ HALF_TURN
+            for name, arm in self.arms.items()
+        }
         self._supervisor = Supervisor(self.arms)
+        if self.guard is not None:
+            with ExitStack() as undo:
+                undo.callback(self.__exit__)
+                self._begin_guard(self.guard)
+                undo.pop_all()
         return self
+
+    def _begin_guard(self, guard: TwinGuard) -> None:
+        """Have it notice every arm's network, and write down what it does."""
+        guard.check_calibration({name: arm.identity.calibration for name, arm in self.arms.items()})
+        self._pingers = [Pinger(arm.settings.host) for arm in self.arms.values()]
+        for pinger in self._pingers:
+            pinger.start()
+        guard.trips = {name: ping.trip for name, ping in zip(self.arms, self._pingers)}
+        assert self._supervisor is not None
+        guard.note = self._supervisor.record
+
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        """Why the twin refuses a trajectory; None if it does not, or there is none."""
+        if self.guard is None:
+            return None
+        held = {gripper: item for gripper, (item, _) in self._held.items()}
+        return self.guard.rehearse(trajectory, self.joint_state(), self._poses, held)
 
     def __exit__(self, *exc: object) -> None:
         self._supervisor = None
+        for pinger in self._pingers:
+            pinger.close()
+        self._pingers.clear()
         for arm in self.arms.values():
             arm.close()
         self._heart.stop()
@@ -118,38 +157,72 @@ class UrDriver(SeesNoContacts):
         return time.monotonic() - self._began
 
     def joint_state(self) -> JointState:
+        """All arms at one time: that of the arm whose last state is the oldest."""
         q, v = self._q.copy(), np.zeros(self._model.dof)
+        times = [arm.time_of_state for arm in self.arms.values()]
+        when = max(min(times), max(times) - LONGEST_SKEW)
         for arm in self.arms.values():
-            columns, state = self._model.columns(arm.joint_names), arm.state
-            q[columns], v[columns] = state.actual_q, state.actual_qd
+            columns = self._model.columns(arm.joint_names)
+            q[columns], v[columns] = arm.measured_at(when)
         for name in self._grippers:
             g = self._model.gripper(name)
             q[self._column[name]] = g.joint_position(self._grippers[name].read()[0])
         return JointState(self._model.joint_names, q, v, time=self.now)
 
+    def _due(self) -> float:
+        """[s, monotonic] until when time was let pass; now, if that is long ago."""
+        now = time.monotonic()
+        if now - self._advanced > self.settings.stream_lead:  # too late for its points to be in time
+            self._advanced = now
+        return self._advanced
+
+    @property
+    def tick(self) -> float:
+        """What the next command is for [s]: even steps of `advance`, however late this program is."""
+        return self._due() - self._began
+
     def advance(self, duration: float) -> None:
-        time.sleep(duration)
+        self._advanced = self._due() + duration  # what the caller took since the last time is part of it
+        time.sleep(max(self._advanced - time.monotonic(), 0.0))
+        q = self.joint_state().positions
         for name in self._grippers:
-            self._carry(name)
+            self._carry(name, q)
 
     # --- motion ---
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Stream a target to the arms whose joints these are. Nothing is sent after a stop."""
+        """Stream a target to the arms whose joints these are. Nothing is sent after a stop.
+
+        It is for `stream_lead` later than `tick`, on one clock for all arms.
+        """
         sent = JointState(joint_names, positions, velocities, time=self.now)  # type: ignore[arg-type]
         if self.fault() is None:
+            at = self._due() + self.settings.stream_lead
             for arm in self._arms_of(joint_names):
-                arm.servo(sent.reindexed(arm.joint_names).positions)
+                mine = sent.reindexed(arm.joint_names)
+                speed = np.zeros(6) if mine.velocities is None else mine.velocities
+                arm.servo(mine.positions, speed, at)
         return sent
 
-    def follow(self, trajectory: JointTrajectory) -> Forwarded | Streamed:
+    def follow(self, trajectory: JointTrajectory) -> Following:
         """One arm plays its trajectory itself; several get it streamed by one clock."""
         fault = self.fault()
         if fault is not None:
             raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
         arms = self._arms_of(trajectory.joint_names)
-        return Forwarded(arms[0], trajectory) if len(arms) == 1 else Streamed(arms, trajectory, self.fault)
+        following = (
+            Forwarded(arms[0], trajectory)
+            if len(arms) == 1
+            else Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
+        )
+        return following if self.guard is None else self._guarded(self.guard, following, trajectory, arms)
+
+    def _guarded(
+        self, guard: TwinGuard, following: Following, trajectory: JointTrajectory, arms: list[UrArm]
+    ) -> Following:
+        assert self._supervisor is not None
+        return guard.watching(following, trajectory, arms, self._supervisor.trip)
 
     def _arms_of(self, joint_names: Iterable[str]) -> list[UrArm]:
         names = set(joint_names)
@@ -166,6 +239,11 @@ class UrDriver(SeesNoContacts):
     def stop(self) -> None:
         """Stop every arm where it is; each then holds the measured position."""
         for arm in self.arms.values():
+            arm.cancel()
+
+    def hold(self, joint_names: tuple[str, ...]) -> None:
+        """Stop the arms whose joints these are where they are."""
+        for arm in self._arms_of(joint_names):
             arm.cancel()
 
     def fault(self) -> Fault | None:
@@ -206,8 +284,11 @@ class UrDriver(SeesNoContacts):
             )
         if not (np.isfinite(width) and np.isfinite(force)):
             raise InputError(f"gripper target {width} m, {force} N")
-        if width > self._grippers[gripper].read()[0] + 1e-3:
+        present, holds = self._grippers[gripper].read()
+        if width > present + 1e-3:
             self._held.pop(gripper, None)
+        elif not holds:
+            self.zero_wrench(gripper)  # it begins to close: nothing is in it yet
         self._forces[gripper] = force
         self._grippers[gripper].drive(width, force)
 
@@ -215,7 +296,7 @@ class UrDriver(SeesNoContacts):
         g = self._model.gripper(gripper)
         if gripper not in self._grippers:
             return GripperReading(g.width(float(self._q[self._column[gripper]])), 0.0)
-        self._carry(gripper)
+        self._carry(gripper, self.joint_state().positions)
         width, holds = self._grippers[gripper].read()
         held = self._held.get(gripper)
         if not holds or held is None:
@@ -223,21 +304,40 @@ class UrDriver(SeesNoContacts):
         return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
-        """Not known: what a UR sends as TCP force was never compared with ours in frame and sign.
+        """As `Driver.wrench`, by the arm's RTDE. Zeroed whenever the hand begins to close.
+
+        A UR tells it in the axes of its base, about the TCP (CB3) or about the flange (e-Series). A CB3
+        estimates it from its motors' currents, which is good to about 10 N.
 
         Raises:
-            InputError: always; a zero would make two arms squeeze what they carry.
+            InputError: the gripper's arm is not a real one.
         """
-        raise InputError(
-            "mode real does not feel forces yet", cure="carry and screw run in the modes sim and fake"
-        )
+        g = self._model.gripper(gripper)
+        arm = self._arm_of(gripper)
+        force, torque, point = arm.force()
+        T = self._T_world_base[arm.name]
+        R = T.rotation.matrix
+        here = self._tree.link_pose(self.joint_state().positions, g.tcp_link).translation
+        force, torque = R @ force, R @ torque
+        return np.concatenate([force, torque + np.cross(T.apply(point) - here, force)])
 
-    def _carry(self, gripper: str) -> None:
+    def zero_wrench(self, gripper: str) -> None:
+        """What this hand feels now counts as nothing: to be called where nothing touches it."""
+        self._arm_of(gripper).zero_force()
+
+    def _arm_of(self, gripper: str) -> UrArm:
+        group = self._model.gripper(gripper).arm_group
+        if group not in self.arms:
+            raise InputError(
+                f"gripper {gripper!r} is on {group!r}, which is no real arm",
+                cure=f"arms in the cell file's 'real': {', '.join(self.arms)}",
+            )
+        return self.arms[group]
+
+    def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
         """An object between fingers that hold something goes with them."""
         holds = self._grippers[gripper].read()[1]
-        T_world_tcp = self._tree.link_pose(
-            self.joint_state().positions, self._model.gripper(gripper).tcp_link
-        )
+        T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
         if not holds:
             self._held.pop(gripper, None)
         elif gripper in self._held:
@@ -253,6 +353,25 @@ class UrDriver(SeesNoContacts):
 
     def object_poses(self) -> dict[str, SE3]:
         return dict(self._poses)
+
+    def targets(self) -> JointState | None:
+        names = tuple(n for arm in self.arms.values() for n in arm.joint_names)
+        states = [arm.state for arm in self.arms.values()]
+        q, v = (np.concatenate([s.values[key] for s in states]) for key in ("target_q", "target_qd"))
+        return JointState(names, q, v, time=self.now)
+
+    # A real robot sees no contacts but by its own protective stops; its twin does.
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        if self.guard is not None:
+            self.guard.stage.expect_contact(body, tuple(others), expected)
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        if self.guard is not None:
+            self.guard.stage.watch_object(name, tuple(supports))
+
+    def unwatch_object(self, name: str) -> None:
+        if self.guard is not None:
+            self.guard.stage.unwatch_object(name)
 
 
 drivers.register("real")(UrDriver)

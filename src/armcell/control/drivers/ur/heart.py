@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable
 
 BEAT = 0.01  # [s] between beats
-OVERSLEPT = 3 * BEAT
-WAKING = 0.02  # [s] the receiving threads get to catch up after this process was held up
 
 
 class Heart:
@@ -16,7 +14,6 @@ class Heart:
 
     def __init__(self, beat: Callable[[], None]):
         self._beat = beat
-        self._last = self._awake_since = time.monotonic()
         self._beating = False
 
     def start(self) -> None:
@@ -30,18 +27,5 @@ class Heart:
 
     def _run(self) -> None:
         while self._beating:
-            now = time.monotonic()
-            if now - self._last > OVERSLEPT:
-                self._awake_since = now
-            self._last = now
             self._beat()
             time.sleep(BEAT)
-
-    @property
-    def awake(self) -> bool:
-        """Whether this process was not held up just now, so that an old state is the robot's or network's.
-
-        While it is held up no sign of life leaves it, and the robots' own watchdogs stop them.
-        """
-        now = time.monotonic()
-        return now - self._last < OVERSLEPT and now - self._awake_since > WAKING

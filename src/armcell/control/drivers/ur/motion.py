@@ -16,16 +16,11 @@ class Forwarded:
     """Played by the robot, whose clock the speed slider and a pause slow."""
 
     def __init__(self, arm: UrArm, trajectory: JointTrajectory):
-        self._arm, self._started = arm, time.monotonic()
-        self._before = arm.clock()
-        arm.forward(trajectory)
+        self._arm = arm
+        self._number = arm.forward(trajectory)
 
     def clock(self) -> float:
-        now = self._arm.clock()
-        if now == self._before and time.monotonic() - self._started < 0.3:
-            return 0.0  # still that of the trajectory before
-        self._before = -1.0
-        return now
+        return self._arm.clock(self._number)
 
     def state(self) -> str:
         return self._arm.result
@@ -40,30 +35,36 @@ class Forwarded:
 class Streamed:
     """Sent point by point to several arms. When one slows, pauses or stops, all do: one clock for all."""
 
-    def __init__(self, arms: Sequence[UrArm], trajectory: JointTrajectory, fault: Callable[[], Fault | None]):
+    def __init__(
+        self, arms: Sequence[UrArm], trajectory: JointTrajectory, lead: float,
+        fault: Callable[[], Fault | None],
+    ):  # fmt: skip
+        self._lead = lead  # [s] by which points are ahead of when they are to be reached
         self._arms, self._trajectory, self._fault = arms, trajectory, fault
         self._clock, self._state = 0.0, RUNNING
+        self.sent_at: list[float] = []  # when points were sent [s, monotonic]
         self._cancel = threading.Event()
         threading.Thread(target=self._stream, name="ur stream", daemon=True).start()
 
     def _stream(self) -> None:
         period = max(arm.step for arm in self._arms)
         duration, first = self._trajectory.duration, float(self._trajectory.times[0])
-        due = last = time.monotonic()
+        due = time.monotonic()
         names = self._trajectory.joint_names
         columns = [[names.index(n) for n in arm.joint_names] for arm in self._arms]
         while self._fault() is None and not self._cancel.is_set():
-            now = time.monotonic()
-            elapsed, last = min(now - last, 4 * period), now  # a late thread does not make the arms jump
-            self._clock = min(self._clock + elapsed * min(arm.scaling for arm in self._arms), duration)
-            q, _, _ = self._trajectory.sample(first + self._clock)
+            scaling = min(arm.scaling for arm in self._arms)
+            q, v, _ = self._trajectory.sample(first + self._clock)
+            self.sent_at.append(time.monotonic())
             for arm, own in zip(self._arms, columns):
-                arm.servo(q[own])
+                arm.servo(q[own], v[own] * scaling, due + self._lead)
             if self._clock >= duration:
                 self._state = DONE
                 return
-            due = max(due + period, now)
+            late = time.monotonic() - due > self._lead  # then the points are for later: no jump
+            due = time.monotonic() if late else due + period
             time.sleep(max(due - time.monotonic(), 0.0))
+            self._clock = min(self._clock + period * scaling, duration)
         self._state = CANCELLED
         for arm in self._arms:
             arm.cancel()

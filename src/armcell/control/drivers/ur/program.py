@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
 
@@ -19,7 +20,9 @@ SCALE = 1_000_000
 KEEP_ALIVE, SERVO, TRAJECTORY, CANCEL, PAYLOAD, TCP, TOOL_OUT, STANDARD_OUT, END = range(9)
 RUNNING, DONE, CANCELLED = "running", "done", "cancelled"
 _RESULTS = {0: DONE, 1: CANCELLED, 2: "starved of points", 3: "faster than a joint can be"}
-_COMMAND, _POINT = struct.Struct(">8i"), struct.Struct(">20i")
+ROOM = 32  # points that the program keeps: more than `stream_lead` of them
+STAMP = 100_000  # of a point's time in the program's clock
+_COMMAND, _SERVO, _POINT = struct.Struct(">8i24x"), struct.Struct(">14i"), struct.Struct(">20i")
 SCRIPT_PORT = 30002
 
 
@@ -30,8 +33,6 @@ class ProgramSettings:
     watchdog: float = 0.1  # [s] without a command until a moving arm stops by itself
     idle_watchdog: float = 2.0  # [s] the same for one that rests: a busy computer is no danger then
     stop_deceleration: float = 15.0  # [rad/s^2] of its stops
-    lookahead: float = 0.03  # [s] of servoj, 0.03 to 0.2
-    gain: int = 1000  # of servoj, 100 to 2000
 
 
 def program_text(host: str, port: int, session: int, settings: ProgramSettings) -> str:
@@ -40,8 +41,8 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
     values = {
         "HOST": host, "PORT": port, "SESSION": session, "WATCHDOG": settings.watchdog,
         "IDLE_WATCHDOG": settings.idle_watchdog,
-        "STOP_DECELERATION": settings.stop_deceleration, "LOOKAHEAD": settings.lookahead,
-        "GAIN": settings.gain,
+        "ROOM": ROOM, "ROOM_FOR_POINTS": ",".join(["0"] * ROOM * 13),
+        "STOP_DECELERATION": settings.stop_deceleration,
     }  # fmt: skip
     for name, value in values.items():
         text = text.replace("{{" + name + "}}", str(value))
@@ -170,13 +171,19 @@ class ProgramLink:
         six = [round(float(v) * SCALE) for v in values] + [0] * (6 - len(values))
         self._send(self._reverse, _COMMAND.pack(kind, *six, last))
 
-    def forward(self, trajectory: JointTrajectory, step: float) -> None:
-        """Have a trajectory run; `result` tells when it has ended."""
+    def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
+        """A point to go through at a time [s] of the program's clock, with the speed there."""
+        values = (round(float(x) * SCALE) for x in (*np.asarray(q), *np.asarray(v)))
+        self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))
+
+    def forward(self, trajectory: JointTrajectory, step: float) -> int:
+        """Have a trajectory run; returns its number. `result` tells when it has ended."""
         self._number = self._number % 1000 + 1
         points = points_of(trajectory, step, self._number)
         self.result = RUNNING
         self.send(TRAJECTORY, (self._number,), len(points))
         self._send(self._points, b"".join(points))
+        return self._number
 
     def _send(self, link: socket.socket | None, data: bytes) -> None:
         if link is None:

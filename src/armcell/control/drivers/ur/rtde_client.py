@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import selectors
 import socket
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +21,13 @@ STATE_VARIABLES = (
     "actual_TCP_force", "robot_mode", "safety_mode", "safety_status_bits", "runtime_state",
     "speed_scaling", "target_speed_fraction", "actual_digital_input_bits", "actual_digital_output_bits",
     "output_int_register_24", "output_int_register_25", "output_double_register_24",
+    "output_double_register_25", "output_int_register_26", "tcp_offset",
 )  # fmt: skip
+
+LOOK = 0.01  # [s] at most between two looks whether something has come
+HISTORY = 0.2  # [s] of states that are kept
+MAX_SLEW = 0.05  # how fast the clocks' offset may rise
+LOST = 0.05  # [s] by which it may jump
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,30 @@ class RobotState:
             raise AttributeError(name) from None
 
 
+class RobotClock:
+    """The robot's clock as seen from here: what is least late of the last second's packets tells the offset.
+
+    Packets come late by what the network and both computers take, never early. So the smallest difference
+    between a packet's arrival and its time stamp is the best, and the clocks of several robots are known
+    on ours to a fraction of their period.
+    """
+
+    def __init__(self, window: int):
+        self._seen: deque[float] = deque(maxlen=window)
+        self.offset = 0.0  # [s] our monotonic clock minus the robot's
+        self._last = 0.0
+
+    def seen(self, stamp: float, received: float) -> None:
+        """A packet with the robot's time stamp arrived."""
+        first = not self._seen
+        self._seen.append(received - stamp)
+        least = min(self._seen)
+        risen = self.offset + MAX_SLEW * max(stamp - self._last, 0.0)
+        lost = least > self.offset + LOST  # an emulator on a busy machine stood still
+        self.offset = least if first or lost else min(least, risen)
+        self._last = stamp
+
+
 class RtdeClient:
     """One connection with a thread that receives.
 
@@ -50,6 +82,9 @@ class RtdeClient:
         self.host, self.frequency = host, frequency
         self._port, self._inputs, self._on_state = port, inputs, on_state
         self.latest: RobotState | None = None
+        self.last_two: tuple[RobotState, RobotState] | None = None  # replaced as one
+        self.history: deque[RobotState] = deque(maxlen=max(round(HISTORY * frequency), 2))
+        self.clock = RobotClock(round(frequency))
         self.error: str | None = None  # why the connection ended
         self._buffer = bytearray()
         self._recipes: list[rtde.Recipe] = []
@@ -72,6 +107,7 @@ class RtdeClient:
             ) from None
         self._socket.settimeout(1.0)
         self._open = True
+        self._looked = time.monotonic()
         self._thread = threading.Thread(target=self._receive, name=f"rtde {self.host}", daemon=True)
         self._thread.start()
         end = time.monotonic() + timeout
@@ -116,27 +152,45 @@ class RtdeClient:
         self._buffer += data
 
     def _receive(self) -> None:
+        waiting = selectors.DefaultSelector()
         try:
+            waiting.register(self._socket, selectors.EVENT_READ)
             while self._open:
                 newest: RobotState | None = None
                 for kind, body in rtde.frames(self._buffer):
                     if kind == rtde.DATA and body[:1] == bytes([self._output_id]):
                         newest = RobotState(self._output.unpack(body[1:]), time.monotonic())
+                        self.clock.seen(newest.timestamp, newest.received)
+                        self.last_two = (self.last_two or (newest, newest))[1], newest
+                        self.history.append(newest)
                 if newest is not None:
                     self.latest = newest
                     if self._on_state is not None:
                         self._on_state(newest)
-                try:
+                    self._looked = newest.received
+                if waiting.select(LOOK):
                     self._fill()
-                except TimeoutError:
-                    continue  # silence is judged by the state's age
-        except (OSError, rtde.RtdeError, struct.error) as error:
+                else:
+                    self._looked = time.monotonic()  # nothing has come
+        except (OSError, ValueError, rtde.RtdeError, struct.error) as error:
             self.error = str(error) or type(error).__name__
+        finally:
+            waiting.close()
 
     @property
     def age(self) -> float:
-        """Of the latest state [s]."""
-        return time.monotonic() - self.latest.received if self.latest is not None else float("inf")
+        """How old the latest state was when this computer last looked for a newer one [s].
+
+        By the robot's time stamp: what lay in a buffer meanwhile is not new.
+        """
+        if self.latest is None:
+            return float("inf")
+        return max(self._looked - self.latest.timestamp - self.clock.offset, 0.0)
+
+    @property
+    def blind(self) -> float:
+        """For how long this computer has not looked [s]: it was held up, and knows nothing."""
+        return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:
         """Values of an input recipe, counted from 0 in the order given.

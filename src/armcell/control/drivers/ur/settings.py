@@ -47,6 +47,8 @@ class RealSettings(_Strict):
     max_silence: float = Field(1.0, gt=0)  # [s] while it rests
     max_tracking_error: float = Field(0.1, gt=0)  # [rad] target against actual
     watchdog: float = Field(0.1, ge=0.02, le=1.0)  # [s] without our word until an arm stops by itself
+    twin: bool = True  # play every motion in physics first, and compare the arms with that
+    stream_lead: float = Field(0.04, ge=0.01, le=0.2)  # [s] that streamed points are ahead of their time
     stop_deceleration: float = Field(15.0, gt=0, le=40)  # [rad/s^2] of the supervisor's stops
 
 

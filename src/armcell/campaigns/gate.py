@@ -1,0 +1,202 @@
+"""The gate in front of real arms: a signed record that a campaign showed this very cell and task to work.
+
+Signed is by a keyed hash (HMAC-SHA256) with a key of the user's own, made at first use. It shows that the
+record was issued by `armcell gate` under this user's account and is as it was then: nobody has edited the
+share of success, and a campaign of somebody else's machine does not count unless its key was brought along.
+It does not keep out somebody who can read the key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from armcell.campaigns.statistics import Share, success
+from armcell.campaigns.store import TRIALS, asked, rows_of
+from armcell.cell import Cell, cell_names, content_hashes
+from armcell.cell.cell import LIBRARY
+from armcell.cell.versions import versions
+from armcell.core import InputError
+
+FORMAT = 1
+LEAST = 0.95
+"""Share of success that the lower end of the exact 95 % interval has to reach."""
+KEY_VARIABLE = "ARMCELL_GATE_KEY"
+KEY_BYTES = 32
+
+
+def gate_file(cell: Cell) -> Path:
+    """Where a cell's gate record is looked for: beside its file; of a built-in cell in the working folder."""
+    if LIBRARY in cell.file.parents:
+        return Path(f"{cell.name}.gate.json")
+    return cell.file.with_name(f"{cell.file.stem}.gate.json")
+
+
+def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> dict[str, Any]:
+    """Write a gate record of a finished campaign, if it shows enough.
+
+    Args:
+        cell: that the record is for: the campaign's cell with its `values`.
+        folder: of the campaign.
+    Raises:
+        InputError: the campaign is of another cell, or shows too little; says what it shows.
+    """
+    folder = Path(folder)
+    spec, then = asked(folder)
+    now = content_hashes(cell)
+    changed = changed_parts(then, now)
+    if changed:
+        raise InputError(
+            f"is not of this cell as it is now; what differs is: {', '.join(changed)}", file=folder,
+            cure=f"armcell gate {cell.file}",
+        )  # fmt: skip
+    rows, _ = rows_of(folder / TRIALS)
+    share = success(rows)
+    low, high = share.clopper_pearson
+    if share.total == 0 or low < least:
+        raise InputError(
+            f"shows too little: {share.count} of {share.total} succeeded, which is at least {low:.1%} "
+            f"(95 % interval), and {least:.0%} is asked for",
+            file=folder, cure=_cure(share.count, share.total, least),
+        )  # fmt: skip
+    record = {
+        "format": FORMAT,
+        "cell": cell.name,
+        "issued": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "hashes": now,
+        "versions": versions(),
+        "least": least,
+        "campaign": {
+            "folder": folder.name,
+            "trials_sha256": hashlib.sha256((folder / TRIALS).read_bytes()).hexdigest(),
+            "trials": share.total,
+            "succeeded": share.count,
+            "interval": [low, high],
+            "unwanted_contacts": sum(row["unwanted_contacts"] for row in rows),
+            "sampling": spec.sampling,
+            "seed": spec.seed,
+            "parameters": {path: _plain(value) for path, value in spec.parameters.items()},
+            "values": {path: _plain(value) for path, value in spec.values.items()},
+        },
+    }
+    signed = {**record, "signature": _signature(record, _key(make=True))}
+    try:
+        file.write_text(json.dumps(signed, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            f"cannot be written: {error.strerror}", file=file, cure="choose another with -o"
+        ) from None
+    return signed
+
+
+def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
+    """The gate record of a cell, if there is one and it is of this cell, task, configuration and versions.
+
+    Raises:
+        InputError: what is missing or wrong, and how to get a new one.
+    """
+    place = file or gate_file(cell)
+    cure = f"armcell gate {_name(cell)}, or --without-gate REASON, which goes into the run's record"
+    if not place.is_file():
+        raise InputError(
+            f"cell {cell.name!r} has not been shown to work in simulation: no gate record {place}", cure=cure
+        )
+    try:
+        record = json.loads(place.read_text(encoding="utf-8"))
+        signature = record.pop("signature")
+        form, then, least, low = (
+            record["format"],
+            record["hashes"],
+            record["least"],
+            record["campaign"]["interval"][0],
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        raise InputError(f"is no gate record ({type(error).__name__})", file=place, cure=cure) from None
+    if form != FORMAT:
+        raise InputError(f"is of format {form}, this armcell reads {FORMAT}", file=place, cure=cure)
+    if not hmac.compare_digest(str(signature), _signature(record, _key(make=False))):
+        raise InputError(
+            "its signature is not right: it was edited, or issued under another key", file=place,
+            cure=f"{cure}; to take a key to another machine: {KEY_VARIABLE}=FILE",
+        )  # fmt: skip
+    changed = changed_parts(then, content_hashes(cell), record["versions"])
+    if changed:
+        raise InputError(
+            f"is not valid for the cell as it is now; since then, what changed is: {', '.join(changed)}",
+            file=place, cure=cure,
+        )  # fmt: skip
+    if low < LEAST or least < LEAST:
+        raise InputError(f"shows {low:.1%}, {LEAST:.0%} is asked for", file=place, cure=cure)
+    return {**record, "file": str(place)}
+
+
+def changed_parts(
+    then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
+) -> list[str]:
+    """What differs between two cells' hashes, in words; versions with both numbers where they are known."""
+    found = []
+    for part in sorted({*then, *now}):
+        if then.get(part) == now.get(part):
+            continue
+        library = part.partition("versions.")[2]
+        if library and old_versions is not None:
+            found.append(f"{library} {old_versions.get(library)} -> {versions().get(library)}")
+        else:
+            found.append("armcell's code" if part == "code" else part)
+    return found
+
+
+# --- the key ---
+def key_file() -> Path:
+    """Of this user, or what the environment names."""
+    named = os.environ.get(KEY_VARIABLE)
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    return Path(base) / "armcell" / "gate.key"
+
+
+def _key(make: bool) -> bytes:
+    file = key_file()
+    try:
+        if make and not file.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(handle, "w", encoding="ascii") as stream:
+                stream.write(secrets.token_hex(KEY_BYTES) + "\n")
+        key = bytes.fromhex(file.read_text(encoding="ascii").strip())
+    except FileNotFoundError:
+        return b""  # nothing was ever signed here: no signature is right
+    except (OSError, ValueError) as error:
+        raise InputError(f"the gate's key cannot be read ({error})", file=file) from None
+    if len(key) < KEY_BYTES:
+        raise InputError("is too short for a key", file=file, cure="delete it: a new one is made")
+    return key
+
+
+def _signature(record: Mapping[str, Any], key: bytes) -> str:
+    text = json.dumps(record, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hmac.new(key, text.encode("ascii"), hashlib.sha256).hexdigest() if key else "none"
+
+
+# --- words ---
+def _cure(count: int, total: int, least: float) -> str:
+    if count == total:
+        more = next(n for n in range(total + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
+        return f"{more} trials without a failure show it: armcell gate CELL --trials {more}"
+    return "see the campaign's report for the causes, mend them, and run it again"
+
+
+def _name(cell: Cell) -> str:
+    return cell.name if cell.name in cell_names() else str(cell.file)
+
+
+def _plain(value: Any) -> Any:
+    return json.loads(json.dumps(value, default=str))

@@ -1,0 +1,114 @@
+"""Whether two cells are about the same thing: hashes of all that a cell says, part by part."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import armcell
+from armcell.cell.versions import versions
+
+if TYPE_CHECKING:
+    from armcell.cell.cell import Cell
+
+ADDRESSES = ("host", "port", "own_host")  # of a real arm: where it is changes nothing of what it does
+
+
+def content_hashes(cell: Cell) -> dict[str, str]:
+    """Of the parts that decide a run, by name; the same in every process.
+
+    The names are those of the cell file's keys (`task`, `objects.cube`, `physics`), `robot` (with its
+    meshes), `code` (armcell's own) and `versions.<library>`. A script counts with what is in it.
+    """
+    spec = cell.spec.model_dump(mode="json")
+    objects = cell.scene().objects
+    parts: dict[str, Any] = {
+        "robot": {k: v for k, v in _fields(cell.model).items() if k != "source"},
+        **{f"objects.{n}": (entry, objects[n].shapes) for n, entry in spec["objects"].items()},
+        "objects": list(spec["objects"]),  # physics depends on their order
+        "task": (spec["task"], _script(cell)),
+        "settings": cell.settings,
+        "physics": cell.physics,
+        "real": _without_addresses(spec["real"]),
+        "code": code_hash(),
+        **{f"versions.{name}": version for name, version in versions().items()},
+    }
+    looked_at = cell.spec.perception is not None or any(step.look for step in cell.spec.task)
+    passed_over = {"description", "script", *(() if looked_at else ("cameras", "markers"))}
+    rest = {k: v for k, v in spec.items() if k not in parts and k not in passed_over}
+    return {name: _hash(part) for name, part in {**parts, **rest}.items()}
+
+
+@cache
+def code_hash() -> str:
+    """Of armcell's own source."""
+    root, digest = Path(armcell.__file__).parent, hashlib.sha256()
+    for file in sorted(f for f in root.rglob("*") if f.suffix in (".py", ".script")):
+        digest.update(f"{file.relative_to(root)} ".encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()[:32]
+
+
+def _script(cell: Cell) -> bytes:
+    file = cell.file.parent / (cell.spec.script or "")
+    return file.read_bytes() if cell.spec.script is not None and file.is_file() else b""
+
+
+def _without_addresses(real: dict[str, Any]) -> dict[str, Any]:
+    arms = {
+        name: {k: v for k, v in arm.items() if k not in ADDRESSES} if isinstance(arm, dict) else arm
+        for name, arm in real.get("arms", {}).items()
+    }
+    return {**real, "arms": arms} if real else {}
+
+
+def _hash(value: Any) -> str:
+    digest = hashlib.sha256()
+    _feed(digest, value)
+    return digest.hexdigest()[:32]
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in fields(value)}
+
+
+def _feed(digest: Any, value: Any) -> None:
+    """Type and content of a value, unambiguously."""
+    if isinstance(value, np.ndarray):
+        digest.update(f"array {value.dtype} {value.shape} ".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value) and not isinstance(value, type):
+        digest.update(f"{type(value).__name__} ".encode())
+        _feed(digest, _fields(value))
+    elif isinstance(value, Mapping):
+        rows = sorted(((repr(_plain(k)), v) for k, v in value.items()), key=lambda row: row[0])
+        digest.update(f"mapping {len(rows)} ".encode())
+        for name, inner in rows:
+            digest.update(name.encode())
+            _feed(digest, inner)
+    elif isinstance(value, list | tuple):
+        digest.update(f"list {len(value)} ".encode())
+        for inner in value:
+            _feed(digest, inner)
+    elif isinstance(value, set | frozenset):
+        _feed(digest, sorted(repr(inner) for inner in value))
+    else:
+        digest.update(f"{_plain(value)!r} ".encode())
+
+
+def _plain(value: Any) -> Any:
+    """Without what differs between processes: the order of sets, addresses."""
+    if isinstance(value, frozenset):
+        return tuple(sorted(value))
+    if isinstance(value, Enum):
+        return value.name
+    if value is None or isinstance(value, str | int | float | bool | bytes | tuple):
+        return value
+    return str(value)

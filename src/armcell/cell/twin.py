@@ -1,0 +1,134 @@
+"""A cell's twin: the guard of its real arms, and learning what is normal between an arm and its twin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armcell.cell.identity import content_hashes
+from armcell.control import execute
+from armcell.control.drivers.ur import UrDriver
+from armcell.control.twin import Stage, TwinBands, TwinGuard, learned
+from armcell.core import InputError, JointGoal, JointState, PlanRequest
+from armcell.planning import plan
+from armcell.scene import PlanningScene
+
+if TYPE_CHECKING:
+    from armcell.cell.cell import Cell
+    from armcell.cell.live import LiveCell
+
+DECIDING = ("robot", "physics", "real")
+"""Parts of a cell that the bands hang on: model, gains, and how the arms are driven."""
+HOME_SPEED = 0.1  # of the limits: the loop that comes first
+SPEEDS = (0.2, 0.4, 0.6)  # of the limits, by turns
+REACH = 0.7  # [rad] by which goals are from the home position, at most
+TRIES = 30  # goals looked at until one is free
+
+
+def bands_file(cell: Cell) -> Path:
+    """Where a cell's bands are: beside its file."""
+    return cell.file.with_name(f"{cell.file.stem}.twin.json")
+
+
+def twin_identity(cell: Cell) -> dict[str, str]:
+    hashes = content_hashes(cell)
+    return {part: hashes[part] for part in DECIDING}
+
+
+def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
+    """The guard of a cell's arms. It compares only with `watch`, and where bands were learned.
+
+    Raises:
+        InputError: the bands were learned on something else; says on what.
+    """
+    file, bands = bands_file(cell), None
+    if watch and file.is_file():
+        bands = TwinBands.load(file)
+        now = twin_identity(cell)
+        changed = [part for part in DECIDING if bands.identity.get(part) != now[part]]
+        if changed:
+            raise InputError(
+                f"since the twin's bands were learned, what changed is: {', '.join(changed)}", file=file,
+                cure=f"learn them anew, which begins with a slow loop: armcell twin {cell.file}",
+            )  # fmt: skip
+    return TwinGuard(Stage(scene, cell.physics), bands)
+
+
+def learn_bands(
+    cell: Cell, motions: int = 12, seed: int = 0, tell: Callable[[str], None] = lambda text: None
+) -> TwinBands:
+    """Move every arm about, at first slowly, and learn how far from its twin it is when nothing is wrong.
+
+    Free motions near the home position, planned in the cell's scene and each rehearsed; nothing is gripped.
+
+    Args:
+        motions: per arm, after the slow loop.
+        tell: gets a line per motion.
+    Raises:
+        InputError: a motion failed, or no goal is free.
+    """
+    rng = np.random.default_rng(seed)
+    with cell.connect("real", seed, watch=False) as live:
+        driver = live.driver
+        if not isinstance(driver, UrDriver) or driver.guard is None:
+            raise InputError("the cell's real arms have no twin", file=cell.file, cure="real: {twin: true}")
+        for name in driver.arms:
+            home = _home(cell, name)
+            _go(live, name, home, HOME_SPEED, tell)
+            for step in (0.1, -0.1):
+                _go(live, name, home + step, HOME_SPEED, tell)
+            for k in range(motions):
+                _wander(live, name, home, SPEEDS[k % len(SPEEDS)], rng, tell)
+            _go(live, name, home, SPEEDS[1], tell)
+        watched = driver.guard.motions
+        arms = {
+            name: learned([(m.twin, m.columns, m.seen) for m in watched if m.arm == name])
+            for name in driver.arms
+        }
+        calibration = {f"calibration.{n}": arm.identity.calibration for n, arm in driver.arms.items()}
+    return TwinBands(arms, {**twin_identity(cell), **calibration})
+
+
+def _home(cell: Cell, group: str) -> np.ndarray:
+    names = cell.model.group(group).joint_names
+    if "home" in cell.model.named_states.get(group, {}):
+        return cell.model.named_state(group, "home").reindexed(names).positions
+    return cell.scene().state.reindexed(names).positions
+
+
+def _wander(
+    live: LiveCell, group: str, home: np.ndarray, speed: float, rng: np.random.Generator,
+    tell: Callable[[str], None],
+) -> None:  # fmt: skip
+    failure = ""
+    for _ in range(TRIES):
+        try:
+            _go(live, group, home + rng.uniform(-REACH, REACH, len(home)), speed, tell)
+            return
+        except _NotFree as error:
+            failure = str(error)
+    raise InputError(f"{group}: no free motion near home was found: {failure}")
+
+
+class _NotFree(InputError):
+    """A goal that cannot be planned to."""
+
+
+def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[[str], None]) -> None:
+    model, scene = live.model, live.scene()
+    names = model.group(group).joint_names
+    columns = list(model.columns(names))
+    q = np.clip(q, model.lower[columns], model.upper[columns])
+    goal = JointGoal(JointState(names, q))
+    result = plan(scene, PlanRequest(group, (goal,), velocity_scaling=speed, acceleration_scaling=speed))
+    if not result.ok or result.trajectory is None:
+        raise _NotFree(result.message)
+    done = execute(live.driver, result.trajectory)
+    if not done.ok and done.evidence.get("twin"):
+        raise _NotFree(done.message)
+    if not done.ok:
+        raise InputError(f"{group}: {done.message}", cure="see docs/real_ur.md, Faults")
+    tell(f"{group}: {done.duration:.1f} s at {speed:.0%}")

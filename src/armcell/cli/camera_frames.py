@@ -1,0 +1,62 @@
+"""`armcell run --frames CAMERA`: a simulated camera's pictures in the record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from armcell.core import Event, InputError, JointTrajectory, StateSample, UnknownNameError
+
+RATE = 5.0  # [Hz] of the cell's clock
+
+
+def camera_frames(
+    wanted: Sequence[str], cell: Any, mode: str, driver: Any, recorder: Any
+) -> list[CameraFrames]:
+    """Observers for what the command line asks for.
+
+    Raises:
+        InputError: no physics to look at, no record to write to, no such rate.
+        UnknownNameError: no such camera.
+    """
+    if recorder is None or mode != "sim":
+        raise InputError("--frames needs physics and a record", cure="mode sim, and no --headless")
+    known = {camera.name: camera for camera in cell.cameras}
+    found = []
+    for each in wanted:
+        name, _, rate = each.partition("=")
+        if name not in known:
+            raise UnknownNameError("camera", name, known)
+        try:
+            hertz = float(rate or RATE)
+        except ValueError:
+            hertz = 0.0
+        if not 0 < hertz <= 100:
+            raise InputError(
+                f"--frames {each}: {rate!r} is no rate", cure="a number of Hz up to 100: overview=10"
+            )
+        found.append(CameraFrames(driver, known[name], hertz, recorder))
+    return found
+
+
+class CameraFrames:
+    """Takes a picture at a rate [Hz] of the cell's clock."""
+
+    def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
+        self._driver, self._camera, self._period, self._recorder = driver, camera, 1.0 / rate, recorder
+        self._due = 0.0
+
+    def on_state(self, sample: StateSample) -> None:
+        if sample.time < self._due - 1e-9:
+            return
+        from armcell.sim import render_rgb
+
+        self._due = sample.time + self._period
+        picture = render_rgb(self._driver.world, self._camera)
+        self._recorder.add_frame(sample.time, self._camera.name, picture)
+
+    def on_event(self, event: Event) -> None:
+        pass
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass

@@ -1,0 +1,73 @@
+"""`armcell gate`: the record that mode `real` asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from armcell.cli.console import check_writable, console
+
+EXAMPLES = """
+Examples:
+
+  armcell gate my_cell.yaml --trials 100                     a campaign, and the record if it shows 95 %
+
+  armcell gate my_cell.yaml --campaign runs/20261122-101500-campaign-my_cell    from one that was run
+
+  armcell run my_cell.yaml --mode real                       asks for it
+"""
+
+
+def gate(
+    cell: str = typer.Argument(..., help="Folder or YAML file of a cell with its task; or a built-in cell."),
+    campaign: Path | None = typer.Option(
+        None, metavar="FOLDER", help="A campaign of this very cell; without it one is run."
+    ),
+    trials: int = typer.Option(
+        100, min=1, help="Of the campaign that is run; 72 without a failure show 95 %."
+    ),
+    workers: int = typer.Option(0, min=0, help="Processes; 0: one per core."),
+    seed: int = typer.Option(0, min=0, help="Of the first trial; each next one has the next."),
+    set_: list[str] = typer.Option(
+        [], "--set", metavar="PATH=VALUE", help="Another value than in the cell file; may be repeated."
+    ),
+    file: Path | None = typer.Option(
+        None, "-o", "--output", metavar="FILE", help="The record. [default: <cell>.gate.json beside the cell]"
+    ),
+    runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
+) -> int:
+    """Issue the signed record that `armcell run --mode real` asks for.
+
+    A campaign must show, at the lower end of the exact 95 % interval, that the task succeeds in at least 95 %
+    of trials in physics. The record is of this cell, task, settings and versions; whatever changes makes it
+    invalid.
+    Exit status 0 if it was issued, 1 if the campaign shows too little.
+    """
+    from armcell import campaigns
+    from armcell.campaigns import gate as gates
+    from armcell.campaigns.store import asked
+    from armcell.cell import load, parsed, with_values
+    from armcell.cli.campaign import run_campaign
+
+    values = dict(parsed(one) for one in set_)
+    if campaign is not None:
+        values = {**asked(campaign)[0].values, **values}
+    loaded = with_values(load(cell), values)
+    target = file or gates.gate_file(loaded)
+    check_writable(target)
+    if campaign is None:
+        spec = campaigns.CampaignSpec(cell, values=values, trials=trials, seed=seed)
+        store = campaigns.begin(spec, runs)
+        run_campaign(store, workers)
+        campaign = store.folder
+    record = gates.issue(loaded, campaign, target)
+    shown = record["campaign"]
+    console.print(
+        f"{shown['succeeded']} of {shown['trials']} succeeded: at least {shown['interval'][0]:.1%} "
+        f"(exact 95 % interval), {shown['unwanted_contacts']} unwanted contacts"
+    )
+    if not (shown["parameters"] or loaded.spec.randomize):
+        console.print("nothing was varied but the planners' seed: 'randomize' or --campaign say what may be")
+    console.print(f"gate record: {target}", soft_wrap=True)
+    return 0

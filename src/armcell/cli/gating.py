@@ -1,0 +1,46 @@
+"""What `armcell run --mode real` asks of the gate, and what the run's record keeps of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from armcell.cli.console import err
+from armcell.core import InputError
+
+
+def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
+    """{"gate": what the run's record keeps} in mode real, else nothing.
+
+    Raises:
+        InputError: no record of this cell, and no reason given to go without.
+    """
+    if mode != "real" or not cell.spec.real:  # without arms the driver says what to write
+        return {}
+    from armcell.campaigns import gate
+
+    if without is not None:
+        if not without.strip():
+            raise InputError(
+                "--without-gate needs a reason", cure='--without-gate "first trial, arm in the air"'
+            )
+        try:
+            gate.check(cell, file)
+            why = "the record would have been valid"
+        except InputError as error:
+            why = str(error)
+        err(f"without a gate record: {without}")
+        return {"gate": {"overridden": True, "reason": without, "else": why}}
+    record = gate.check(cell, file)
+    return {"gate": {"overridden": False, **record}}
+
+
+def gate_words(passed: dict[str, Any]) -> str:
+    found = passed["gate"]
+    if found["overridden"]:
+        return f"gate overridden: {found['reason']}"
+    shown = found["campaign"]
+    return (
+        f"gate passed: {shown['succeeded']} of {shown['trials']} in simulation, "
+        f"at least {shown['interval'][0]:.1%}; {found['file']}"
+    )

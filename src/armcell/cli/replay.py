@@ -1,0 +1,140 @@
+"""`armcell replay` and `armcell diff`: what a recorded run was, again, and beside another."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from armcell.cli.console import check_writable, console, err, write_json
+
+REPLAY_EXAMPLES = """
+Examples:
+
+  armcell replay runs/20261122-101500-panda_pick              in the browser, with a time slider
+
+  armcell replay runs/20261122-101500-panda_pick --execute    run it again: is every state the same?
+"""
+DIFF_EXAMPLES = """
+Examples:
+
+  armcell diff runs/20261122-101500-panda_pick runs/20261122-101530-panda_pick
+"""
+
+
+def replay(
+    run: Path = typer.Argument(..., help="Folder of a run, or its run.mcap."),
+    execute: bool = typer.Option(
+        False, "--execute", help="Run the task again and compare every recorded state, bit for bit."
+    ),
+    anyway: bool = typer.Option(
+        False, "--anyway", help="With --execute: also where cell, script or versions have changed since."
+    ),
+    runs: Path = typer.Option(
+        Path("runs"), metavar="FOLDER", help="Where --execute puts the new run's folder."
+    ),
+    json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="With --execute: as JSON."),
+    port: int = typer.Option(8080, min=1, max=65535, help="Port of the view; the next free one if taken."),
+    open_browser: bool = typer.Option(False, "--open", help="Open the page in the browser."),
+) -> int:
+    """Show a recorded run in the browser with a time slider, or run it again and compare bit for bit.
+
+    With --execute the exit status is 0 if every recorded state, event and plan is the same, 1 if not.
+    A record that was cut off (a killed process, a full disk) is shown as far as it goes.
+    """
+    from armcell.records import read_record
+
+    if json_file is not None:
+        check_writable(json_file)
+    record = read_record(run)
+    if record.cut:
+        err(f"{record.file}: {record.cut}; what is before is shown")
+    if execute:
+        return _execute(record, runs, anyway, json_file)
+    from armcell.core import InputError
+    from armcell.records import cell_of
+    from armcell.viewer.replay import ReplayView
+
+    if not record.about:
+        raise InputError(
+            "does not say which cell ran",
+            file=record.file,
+            cure="it still opens in Foxglove (app.foxglove.dev)",
+        )
+    scene = cell_of(record.about).scene(record.about["seed"])
+    with ReplayView(record, scene, port=port) as view:
+        console.print(f"view: {view.url}")
+        console.print("press Ctrl-C to end")
+        if open_browser:
+            import webbrowser
+
+            webbrowser.open(view.url)
+        while True:
+            time.sleep(3600)
+
+
+def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> int:
+    from armcell.records import execute_again, new_run_folder, write_report
+    from armcell.records.again import checked_cell
+
+    checked_cell(record, anyway)  # what forbids it is said before a folder is made
+    folder = new_run_folder(runs, f"{record.about['cell']}-again")
+    found, result, recorder = execute_again(record, folder, anyway)
+    write_json(folder / "result.json", result)
+    write_report(folder, result, recorder)
+    console.print(f"run again: {folder}", soft_wrap=True)
+    _print(found)
+    if json_file is not None:
+        write_json(json_file, _as_json(found))
+    return 0 if found.same_course else 1
+
+
+def diff(
+    first: Path = typer.Argument(..., metavar="RUN1", help="Folder of a run, or its run.mcap."),
+    second: Path = typer.Argument(..., metavar="RUN2"),
+    json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write it as JSON."),
+) -> int:
+    """Where two recorded runs part: the first state, event and plan that differ, and how far apart they get.
+
+    Exit status 0 if the runs are the same, 1 if not. Planning times are of the wall clock and do not count.
+    """
+    from armcell.records import compare, read_record
+
+    if json_file is not None:
+        check_writable(json_file)
+    found = compare(read_record(first), read_record(second))
+    _print(found)
+    if json_file is not None:
+        write_json(json_file, _as_json(found))
+    return 0 if found.same_course and found.outcome is None else 1
+
+
+def _print(found: Any) -> None:
+    for line in found.words():
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _as_json(found: Any) -> dict[str, Any]:
+    def parting(each: Any) -> Any:
+        if each is None:
+            return None
+        values = (
+            v if isinstance(v, float | int | str | bool) or v is None else str(v)
+            for v in (each.first, each.second)
+        )
+        return {"time_s": each.time, "what": each.what, "values": list(values)}
+
+    return {
+        "identical": found.identical,
+        "states": found.states,
+        "same_states": found.same_states,
+        "asked": list(found.parts),
+        "cut": list(found.cut),
+        **{k: parting(getattr(found, k)) for k in ("state", "event", "plan", "outcome")},
+        "distances": [
+            {"what": d.what, "largest": d.largest, "at_s": d.at, "above": [list(r) for r in d.reached]}
+            for d in found.distances
+        ],
+    }

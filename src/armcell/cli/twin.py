@@ -1,0 +1,53 @@
+"""`armcell twin`: learn what is normal between real arms and their twin in physics."""
+
+from __future__ import annotations
+
+import numpy as np
+import typer
+
+from armcell.cli.console import check_writable, console
+
+
+def twin(
+    cell: str = typer.Argument(..., help="Folder or YAML file of a cell with a block 'real'."),
+    motions: int = typer.Option(12, min=3, help="Of each arm, after the slow loop that comes first."),
+    seed: int = typer.Option(0, min=0, help="Of the motions' goals."),
+    yes: bool = typer.Option(False, "--yes", help="Do not ask. For emulators."),
+) -> int:
+    """Move the real arms about and learn how far they are from their twin when nothing is wrong.
+
+    At first slowly: it is also the loop to be driven after every change of model, gains or calibration.
+    Written to <cell>.twin.json beside the cell file; from then on mode real slows and stops an arm that
+    leaves its bands.
+    """
+    from armcell.cell import load
+    from armcell.cell.twin import bands_file, learn_bands
+    from armcell.core import InputError
+    from armcell.planning import warm_up
+
+    loaded = load(cell)
+    target = bands_file(loaded)
+    check_writable(target)
+    hosts = [str(arm.get("host", "")) for arm in loaded.spec.real.get("arms", {}).values()]
+    if yes and not all(h.startswith("127.") for h in hosts):
+        raise InputError("--yes is for emulators on this machine (127.x), these arms may be real",
+                         cure="leave it out and confirm")  # fmt: skip
+    if hosts and not yes:
+        typer.confirm(
+            f"Arms at {', '.join(hosts)} will move about their home position, at first at 10 %, then up to "
+            "60 % of their speed. Hand on the emergency stop. Go on?", abort=True,
+        )  # fmt: skip
+    warm_up()
+    bands = learn_bands(loaded, motions, seed, console.print)
+    bands.save(target)
+    for name, arm in bands.arms.items():
+        told = np.isfinite(arm.current).all()
+        console.print(
+            f"{name}: position {np.rad2deg(arm.position.max()):.2f} deg, "
+            f"velocity {arm.velocity.max():.2f} rad/s, "
+            + (f"current {arm.current.max():.2f} A, " if told else "no current told, ")
+            + f"round trip {arm.trip * 1000:.0f} ms; {arm.lag * 1000:.0f} ms behind; {arm.samples} looks",
+            soft_wrap=True,
+        )
+    console.print(f"bands: {target}", soft_wrap=True)
+    return 0

@@ -1,0 +1,210 @@
+"""The twin guard: refuses what touches in physics; slows, then stops an arm that is not where its twin is."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from armcell.control.following import Following
+from armcell.control.safety import Fault
+from armcell.control.twin.bands import LASTING, SMOOTHED, ArmBands, Seen, TwinBands
+from armcell.control.twin.rehearsal import Rehearsal, Stage
+from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
+
+SLOW_AFTER, STOP_AFTER = LASTING, 12
+"""Looks in a row outside a band until the arms are slowed, and until they are stopped."""
+FAR = 3.0  # bands from the twin at which they are stopped as soon as they would be slowed
+SLOW = 0.25  # of the speed
+STEADY = 0.002  # by which the scaling of the speed may differ from the last look's
+
+
+class GuardedArm(Protocol):
+    """What the guard sees of a real arm."""
+
+    name: str
+    joint_names: tuple[str, ...]
+
+    @property
+    def state(self) -> Any: ...
+
+    @property
+    def scaling(self) -> float: ...
+
+    def set_slider(self, fraction: float) -> None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion that was watched, for learning."""
+
+    arm: str
+    twin: Rehearsal
+    columns: tuple[int, ...]
+    seen: list[Seen]
+
+
+class TwinGuard:
+    """Of all arms of a driver.
+
+    Args:
+        stage: where motions are rehearsed.
+        bands: None: nothing is compared, only rehearsed and kept in `motions`, to learn from.
+        note: told what the guard did: an arm's name, a kind, a text. It goes into the run's record.
+    """
+
+    def __init__(
+        self, stage: Stage, bands: TwinBands | None = None,
+        note: Callable[[str, str, str], None] = lambda arm, kind, text: None,
+    ):  # fmt: skip
+        self.stage, self.bands, self.note = stage, bands, note
+        self.trips: Mapping[str, Callable[[], float]] = {}  # shortest round trip of late [s], by arm
+        self.motions: list[Motion] = []
+        self._twin: Rehearsal | None = None
+        self._rehearsed: JointTrajectory | None = None
+
+    def check_calibration(self, found: Mapping[str, str]) -> None:
+        """
+        Args:
+            found: checksum of each arm's calibration.
+        Raises:
+            InputError: the bands were learned with another robot, or before it was calibrated anew.
+        """
+        for arm, now in found.items():
+            then = None if self.bands is None else self.bands.identity.get(f"calibration.{arm}")
+            if then not in (None, now):
+                raise InputError(
+                    f"{arm}: the twin's bands were learned on calibration {then}, this robot has {now}",
+                    cure="learn them anew, which begins with a slow loop: armcell twin CELL",
+                )
+
+    def rehearse(
+        self,
+        trajectory: JointTrajectory,
+        state: JointState,
+        poses: Mapping[str, SE3],
+        held: Mapping[str, str],
+    ) -> Outcome | None:
+        """Play a trajectory in physics; why it must not be driven, or None."""
+        self._rehearsed = trajectory
+        self._twin = self.stage.play(trajectory, state, poses, held)
+        outcome = self._twin.outcome
+        if outcome.ok:
+            return None
+        self.note("all", "twin refused", outcome.message)
+        return Outcome(
+            outcome.code, f"the twin refuses it: {outcome.message}", {**outcome.evidence, "twin": True}
+        )
+
+    def watching(
+        self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
+        trip: Callable[[Fault], None],
+    ) -> Following:  # fmt: skip
+        """A motion under way, compared with its twin at every look at its clock."""
+        twin = self._twin
+        if twin is None or trajectory is not self._rehearsed:
+            return following
+        return Watched(self, following, twin, list(arms), trip)
+
+
+class Watched:
+    """A motion that is compared with its twin. Passes everything on."""
+
+    def __init__(
+        self, guard: TwinGuard, following: Following, twin: Rehearsal, arms: list[GuardedArm],
+        trip: Callable[[Fault], None],
+    ):  # fmt: skip
+        self._guard, self._following, self._twin, self._arms, self._trip = guard, following, twin, arms, trip
+        names = twin.joint_names
+        self._columns = {arm.name: tuple(names.index(n) for n in arm.joint_names) for arm in arms}
+        self._kept = {arm.name: Motion(arm.name, twin, self._columns[arm.name], []) for arm in arms}
+        guard.motions.extend(self._kept.values()) if guard.bands is None else None
+        self._outside = dict.fromkeys(self._columns, 0)
+        self._worst: dict[str, tuple[float, str]] = dict.fromkeys(self._columns, (0.0, ""))
+        self._currents = {name: deque[np.ndarray](maxlen=SMOOTHED) for name in self._columns}
+        self._scaling: dict[str, float] = {}  # at the last look
+        self._before: dict[str, float] = {}  # sliders as they were, once slowed
+        self._stopped = self._told = False
+
+    def clock(self) -> float:
+        t = self._following.clock()
+        if t > 0.0 and self._following.state() == "running":
+            for arm in self._arms:
+                self._look(arm, t)
+        return t
+
+    def state(self) -> str:
+        found = self._following.state()
+        if found != "running" and not self._told:
+            self._told = True
+            self._end(found)
+        return found
+
+    def paused(self) -> bool:
+        return self._following.paused()
+
+    def cancel(self) -> None:
+        self._following.cancel()
+
+    # --- looking ---
+    def _look(self, arm: GuardedArm, t: float) -> None:
+        state, scaling = arm.state, arm.scaling
+        played = len(self._arms) == 1  # then the robot's own clock stands in the very state
+        clock = float(state.output_double_register_24) if played else t
+        if scaling <= 0.0 or clock <= 0.0 or (played and abs(clock - t) > 0.2):
+            return
+        q, v, current = (np.array(state.values[k]) for k in ("actual_q", "actual_qd", "actual_current"))
+        trip = self._guard.trips.get(arm.name, lambda: math.nan)()
+        steady = abs(scaling - self._scaling.get(arm.name, 1.0)) < STEADY
+        self._scaling[arm.name] = scaling
+        seen = Seen(clock, scaling, q, v, current, trip, steady)
+        bands = self._guard.bands
+        if bands is None:
+            self._kept[arm.name].seen.append(seen)
+        elif arm.name in bands.arms:
+            self._judge(arm, seen, bands.arms[arm.name])
+
+    def _judge(self, arm: GuardedArm, seen: Seen, bands: ArmBands) -> None:
+        found = bands.deviations(seen, self._twin, self._columns[arm.name], self._currents[arm.name])
+        kind, ratios = max(found.items(), key=lambda item: float(item[1].max()))
+        ratio = float(ratios.max())
+        joint = "" if kind == "timing" else arm.joint_names[int(np.argmax(ratios))]
+        text = f"{joint or 'the network'}: {kind} is {ratio:.1f} times its band from the twin's"
+        self._worst[arm.name] = max(self._worst[arm.name], (ratio, text))
+        if ratio <= 1.0:
+            self._outside[arm.name] = 0
+            return
+        self._outside[arm.name] += 1
+        count = self._outside[arm.name]
+        if count >= SLOW_AFTER and not self._before and not self._stopped:
+            self._slow(arm, text, seen.clock)
+        if not self._stopped and (count >= STOP_AFTER or (count >= SLOW_AFTER and ratio > FAR)):
+            self._stopped = True
+            cures = {"current": "a payload that was not told? a touch?", "timing": "look at the network"}
+            cure = cures.get(kind, "is it blocked, displaced, badly calibrated?")
+            self._trip(Fault(arm.name, "twin deviation", f"{text} at {seen.clock:.2f} s", cure))
+            self._as_before()  # nothing moves before somebody has said so
+
+    def _slow(self, cause: GuardedArm, text: str, clock: float) -> None:
+        for arm in self._arms:
+            now = float(arm.state.target_speed_fraction)
+            self._before[arm.name] = now
+            arm.set_slider(min(SLOW, now))
+        self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
+
+    def _as_before(self) -> None:
+        """The sliders as they were before they were slowed."""
+        for arm in self._arms:
+            if arm.name in self._before:
+                arm.set_slider(self._before.pop(arm.name))
+
+    def _end(self, how: str) -> None:
+        self._as_before()
+        for arm in self._arms:
+            ratio, text = self._worst[arm.name]
+            if self._guard.bands is not None and text:
+                self._guard.note(arm.name, "twin", f"{how}: at most {ratio:.2f} of a band ({text})")

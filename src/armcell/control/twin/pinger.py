@@ -1,0 +1,67 @@
+"""The network's round trip to a robot, measured all the time on a connection of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import threading
+import time
+from collections import deque
+
+from armcell.control.ur_wire import rtde
+
+EVERY = 0.02  # [s] between an answer and the next question
+SHORTEST_OF = 5  # one late answer is a busy computer's, five in a row are the network's
+
+
+class Pinger:
+    """Asks a controller for its version, again and again: RTDE answers that at any time and moves nothing."""
+
+    def __init__(self, host: str, port: int = rtde.PORT):
+        self._address = (host, port)
+        self._trips: deque[float] = deque(maxlen=SHORTEST_OF)
+        self._asked: float | None = None
+        self._open = False
+
+    def start(self) -> None:
+        """
+        Raises:
+            OSError: nobody there.
+        """
+        self._socket = socket.create_connection(self._address, 3.0)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._open = True
+        self._thread = threading.Thread(target=self._run, name=f"ping {self._address[0]}", daemon=True)
+        self._thread.start()
+
+    def trip(self) -> float:
+        """Shortest of the last few round trips [s], the one under way among them; NaN before there are."""
+        trips, asked = list(self._trips), self._asked
+        if len(trips) < SHORTEST_OF:
+            return math.nan
+        under_way = [] if asked is None else [time.monotonic() - asked]
+        return min(trips[1:] + under_way) if under_way and under_way[0] > trips[0] else min(trips)
+
+    def _run(self) -> None:
+        question, buffer = rtde.frame(rtde.CONTROLLER_VERSION, b""), bytearray()
+        with contextlib.suppress(OSError, rtde.RtdeError):  # a lost link is noticed by who drives
+            while self._open:
+                self._asked = began = time.monotonic()
+                self._socket.sendall(question)
+                while not any(kind == rtde.CONTROLLER_VERSION for kind, _ in rtde.frames(buffer)):
+                    data = self._socket.recv(4096)
+                    if not data:
+                        return
+                    buffer += data
+                self._trips.append(time.monotonic() - began)
+                self._asked = None
+                time.sleep(EVERY)
+
+    def close(self) -> None:
+        self._open = False
+        if hasattr(self, "_socket"):
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+            self._socket.close()
+            self._thread.join(timeout=1.0)

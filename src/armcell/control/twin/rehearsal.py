@@ -1,0 +1,137 @@
+"""A trajectory played in physics from the measured state: what will touch, and what is to be expected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.control.driver import DriverOptions
+from armcell.control.drivers.sim import SimDriver
+from armcell.core import SE3, ErrorCode, JointState, JointTrajectory, Outcome
+from armcell.scene import PlanningScene
+from armcell.sim import PhysicsSettings, SimWorld
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """How a trajectory goes in physics, by its own clock; or why it must not be driven.
+
+    Attributes:
+        outcome: SUCCESS, or CONTROL_FAILED with what touched or where the arm did not follow.
+    """
+
+    outcome: Outcome
+    joint_names: tuple[str, ...]
+    times: Array  # (k,) [s]
+    positions: Array  # (k, n) [rad]
+    velocities: Array  # (k, n) [rad/s]
+    efforts: Array  # (k, n) [Nm], gravity included
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """Position, velocity and effort (n,) at a time [s], held at both ends."""
+        k = int(np.searchsorted(self.times, t))
+        if k == 0 or k == len(self.times):
+            k = min(k, len(self.times) - 1)
+            return self.positions[k], self.velocities[k], self.efforts[k]
+        s = (t - self.times[k - 1]) / (self.times[k] - self.times[k - 1])
+        rows = (self.positions, self.velocities, self.efforts)
+        q, v, effort = ((1 - s) * x[k - 1] + s * x[k] for x in rows)
+        return q, v, effort
+
+
+class Stage:
+    """Where rehearsals are played: a physics world of the cell, put into the measured state each time.
+
+    Args:
+        scene: what stands in the cell.
+        settings: of the cell's physics.
+    """
+
+    def __init__(self, scene: PlanningScene, settings: PhysicsSettings):
+        self._scene, self._settings = scene, settings
+        self._world: SimWorld | None = None
+        self._expected: set[tuple[str, str]] = set()
+        self._watched: dict[str, tuple[str, ...]] = {}
+
+    # --- what the task says of contacts, as to a simulated robot ---
+    def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None:
+        pairs = {(body, other) for other in others}
+        self._expected = self._expected | pairs if expected else self._expected - pairs
+
+    def watch_object(self, name: str, supports: tuple[str, ...]) -> None:
+        self._watched[name] = supports
+
+    def unwatch_object(self, name: str) -> None:
+        self._watched.pop(name, None)
+
+    # --- playing ---
+    def play(
+        self,
+        trajectory: JointTrajectory,
+        state: JointState,
+        poses: Mapping[str, SE3],
+        held: Mapping[str, str],
+    ) -> Rehearsal:
+        """Play a trajectory.
+
+        Args:
+            state: all joints as measured.
+            poses: T_world_object of the movable objects.
+            held: object by the gripper that holds it; it goes along as if it were part of the hand.
+        """
+        from armcell.control.executor import ExecutionSettings, execute
+
+        world = self._placed(state, poses, held)
+        driver = SimDriver(self._scene, DriverOptions(physics=self._settings))
+        driver.world = world
+        names, began = trajectory.joint_names, world.time
+        columns = list(world.robot.columns(names))
+        times: list[float] = []
+        rows: list[tuple[Array, Array, Array]] = []
+
+        def keep(_: float) -> None:
+            now = world.joint_state()
+            assert now.velocities is not None and now.efforts is not None
+            times.append(world.time - began)
+            rows.append((now.positions[columns], now.velocities[columns], now.efforts[columns]))
+
+        keep(0.0)
+        result: Outcome = execute(driver, trajectory, ExecutionSettings(), progress=keep)
+        touched = world.monitor.unwanted
+        if touched:
+            first = touched[0]
+            result = Outcome(
+                ErrorCode.CONTROL_FAILED,
+                f"in physics {first.body_a} touches {first.body_b} at {first.time - began:.2f} s",
+                {"pair": (first.body_a, first.body_b), "time_s": first.time - began},
+            )
+        elif not result.ok:
+            result = replace(result, message=f"in physics: {result.message}")
+        q, v, effort = (np.array(column) for column in zip(*rows))
+        return Rehearsal(result, names, np.array(times), q, v, effort)
+
+    def _placed(self, state: JointState, poses: Mapping[str, SE3], held: Mapping[str, str]) -> SimWorld:
+        scene = self._scene
+        for name, pose in poses.items():
+            if name in scene.objects:
+                scene = scene.with_object_pose(name, pose)
+        model = scene.model
+        q = np.clip(state.reindexed(model.joint_names).positions, model.lower, model.upper)
+        scene = replace(scene, positions=q)
+        if self._world is None:
+            self._world = SimWorld(scene, self._settings)
+        else:
+            self._world.reset(scene)
+        world = self._world
+        for gripper, item in held.items():
+            world.fix_in_hand(item, gripper)
+        for body, other in self._expected:
+            world.monitor.allow(body, other)
+        for name, supports in self._watched.items():
+            world.monitor.watch(name, supports)
+        return world

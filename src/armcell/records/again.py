@@ -1,0 +1,74 @@
+"""Running a recorded run again, and judging whether it came out the same to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from armcell.cell import run_task
+from armcell.core import InputError, Observer
+from armcell.planning import warm_up
+from armcell.records.about import about_run, cell_of, changed_since
+from armcell.records.compare import Comparison, compare
+from armcell.records.reader import Record, read_record
+from armcell.records.recorder import RunRecorder
+
+REPEATABLE = ("sim", "fake")
+
+
+def execute_again(
+    record: Record, folder: Path, anyway: bool = False, observers: Sequence[Observer] = ()
+) -> tuple[Comparison, dict[str, Any], RunRecorder]:
+    """Run a recorded run's task again, recorded into a folder.
+
+    Args:
+        anyway: also where something it depends on has changed since.
+    Returns:
+        How the two compare, the new run's result, and its recorder (closed).
+    Raises:
+        InputError: the record does not say what ran, it was a real arm's, or what has changed since.
+    """
+    cell = checked_cell(record, anyway)
+    seed, mode = int(record.about["seed"]), str(record.about["mode"])
+    about = about_run(cell, seed, mode, record.about.get("values", {}))
+    warm_up()
+    recorder = RunRecorder(folder, cell.scene(seed), about=about)
+    with recorder, cell.connect(mode, seed, [recorder, *observers]) as live:
+        result = run_task(cell, live, seed, mode)
+        result["command"] = command_of(record)
+        recorder.finish(result)
+    return compare(record, read_record(recorder.mcap_file)), result, recorder
+
+
+def checked_cell(record: Record, anyway: bool = False) -> Any:
+    """The record's cell, if running it must give the same run.
+
+    Raises:
+        InputError: why it need not.
+    """
+    if not record.about:
+        raise InputError(
+            "does not say what ran", file=record.file,
+            cure="records of `armcell run` do; this one can be looked at: armcell replay without --execute",
+        )  # fmt: skip
+    mode = record.about["mode"]
+    if mode not in REPEATABLE:
+        raise InputError(
+            f"is of mode {mode}: only physics repeats itself", file=record.file,
+            cure="armcell replay shows it; armcell diff compares it with another run",
+        )  # fmt: skip
+    cell = cell_of(record.about)
+    changed = changed_since(record.about, cell)
+    if changed and not anyway:
+        raise InputError(
+            f"since this record, what changed is: {', '.join(changed)}", file=record.file,
+            cure="restore it, or compare all the same with --anyway",
+        )  # fmt: skip
+    return cell
+
+
+def command_of(record: Record) -> str:
+    """The command that was typed."""
+    result: Mapping[str, Any] = record.result or {}
+    return str(result.get("command") or f"armcell run {record.about['cell']} --seed {record.about['seed']}")

@@ -1,0 +1,261 @@
+"""Reading a run's record back, whole or cut off: whatever was complete in it is there."""
+
+from __future__ import annotations
+
+import bisect
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap import records
+from numpy.typing import NDArray
+
+from armcell.core import SE3, Contact, Event, InputError, JointState, JointTrajectory, StateSample
+from armcell.records.about import checked_about
+from armcell.records.mcap_writer import ABOUT, NANO, RESULT, typestore
+from armcell.records.recorder import MCAP_FILE
+
+Array = NDArray[np.float64]
+
+LARGEST_RECORD = 1 << 30  # [bytes]: what claims to be larger is damage
+_JOINTS = ("/joint_states", "/joint_targets", "/gripper_states")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedJoints:
+    """A JointState message as it stands in the record. Empty arrays where nothing was known."""
+
+    names: tuple[str, ...]
+    positions: Array
+    velocities: Array
+    efforts: Array
+
+    def as_state(self, time: float) -> JointState:
+        v, effort = (x if len(x) else None for x in (self.velocities, self.efforts))
+        return JointState(self.names, self.positions, v, effort, time)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedState:
+    """One instant, number for number as recorded."""
+
+    nanoseconds: int  # of the cell's clock
+    joints: RecordedJoints
+    targets: RecordedJoints | None = None
+    grippers: RecordedJoints | None = None  # width [m] as position, force [N] as effort
+    poses: Mapping[str, Array] = field(default_factory=dict)  # by object: x, y, z, qx, qy, qz, qw
+    contacts: tuple[tuple[Any, ...], ...] = ()  # a, b, distance [m], x, y, z [m]
+
+    @property
+    def time(self) -> float:
+        """[s]"""
+        return self.nanoseconds / NANO
+
+    def sample(self) -> StateSample:
+        """As an observer got it."""
+        t, g = self.time, self.grippers
+        return StateSample(
+            t,
+            self.joints.as_state(t),
+            {n: SE3.from_quat_xyzw(p[:3], p[3:]) for n, p in self.poses.items()},
+            {} if g is None else dict(zip(g.names, g.positions.tolist())),
+            {} if g is None else {n: f for n, f in zip(g.names, g.efforts.tolist()) if np.isfinite(f)},
+            None if self.targets is None else self.targets.as_state(t),
+            tuple(Contact(a, b, d, (x, y, z)) for a, b, d, x, y, z in self.contacts),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A run as recorded.
+
+    Attributes:
+        about: what ran, see `about_run`; empty in a record of something else than a cell's task.
+        result: how it ended, or None: it was cut off, or nobody said.
+        cut: why the record is not whole; empty if it is.
+    """
+
+    file: Path
+    about: Mapping[str, Any]
+    result: Mapping[str, Any] | None
+    cut: str
+    states: tuple[RecordedState, ...]
+    events: tuple[Event, ...]
+    trajectories: tuple[tuple[float, JointTrajectory], ...]  # time [s] at which each began
+    images: int = 0  # camera pictures in it
+
+    @property
+    def duration(self) -> float:
+        """[s] of the cell's clock, from the first state to the last."""
+        return self.states[-1].time - self.states[0].time if self.states else 0.0
+
+    def index_at(self, time: float) -> int:
+        """Of the last state not after a time [s]."""
+        return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
+
+
+def record_file(run: str | Path) -> Path:
+    """The record of a run folder, or a record's own file.
+
+    Raises:
+        InputError: there is none.
+    """
+    path = Path(run)
+    if path.is_file():
+        return path
+    for name in (MCAP_FILE, f"{MCAP_FILE}.part"):  # .part: the run was killed
+        if (path / name).is_file():
+            return path / name
+    reason = f"has no {MCAP_FILE}" if path.is_dir() else "there is no such run"
+    raise InputError(
+        reason, file=path, cure="give a folder that `armcell run` made, such as runs/<time>-<cell>"
+    )
+
+
+def read_record(run: str | Path) -> Record:
+    """A record from a run folder or an MCAP file.
+
+    Raises:
+        InputError: no record, no MCAP, of another version, or cut off before the first state.
+    """
+    file = record_file(run)
+    reading = _Reading(file)
+    cut = reading.read()
+    if not reading.states:
+        raise InputError(
+            "has no state in it" + (f": {cut}" if cut else ""), file=file,
+            cure="a record begins when its run does: run the task again",
+        )  # fmt: skip
+    return Record(
+        file, reading.about, reading.result, cut, tuple(reading.states), tuple(reading.events),
+        tuple(reading.trajectories), reading.images,
+    )  # fmt: skip
+
+
+class _Reading:
+    """The messages of a file put together."""
+
+    def __init__(self, file: Path):
+        self.file = file
+        self.about: dict[str, Any] = {}
+        self.result: dict[str, Any] | None = None
+        self.states: list[RecordedState] = []
+        self.events: list[Event] = []
+        self.trajectories: list[tuple[float, JointTrajectory]] = []
+        self.images = 0
+        self._start: int | None = None  # [ns]; of a record without `about` its first message
+        self._kinds: dict[int, str] = {}  # message type by schema
+        self._channels: dict[int, Any] = {}
+        self._parts: dict[str, Any] = {}  # of the state that is being read
+        self._poses: dict[str, Array] = {}
+
+    def read(self) -> str:
+        """Why the file ends too early, or nothing."""
+        from mcap.exceptions import InvalidMagic, McapError
+        from mcap.stream_reader import StreamReader
+        from rosbags.serde.errors import SerdeError
+        from zstandard import ZstdError
+
+        damage = (McapError, SerdeError, ZstdError, struct.error, ValueError, KeyError, TypeError, IndexError)
+        try:
+            with self.file.open("rb") as stream:
+                for record in StreamReader(
+                    stream, validate_crcs=True, record_size_limit=LARGEST_RECORD
+                ).records:
+                    self._take(record)
+        except InvalidMagic:
+            if not self.states:
+                raise InputError("is no MCAP file", file=self.file) from None
+            return "its end is missing"
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror}", file=self.file) from None
+        except InputError:
+            raise
+        except damage as error:
+            last = f"{self.states[-1].time:.2f} s" if self.states else "its beginning"
+            return f"it is cut off or damaged after {last} ({type(error).__name__})"
+        return ""
+
+    def _take(self, record: Any) -> None:
+        match record:
+            case records.Schema():
+                self._kinds[record.id] = record.name
+            case records.Channel():
+                self._channels[record.id] = record
+            case records.Metadata(name=name) if name == ABOUT:
+                self.about = checked_about(json.loads(record.metadata["json"]), self.file)
+                self._start = int(self.about["start_ns"])
+            case records.Metadata(name=name) if name == RESULT:
+                self.result = json.loads(record.metadata["json"])
+            case records.Message():
+                self._message(record)
+
+    def _message(self, record: records.Message) -> None:
+        channel = self._channels[record.channel_id]
+        topic = channel.topic
+        if self._start is None:
+            self._start = record.log_time
+        if topic == "/tf":
+            self._end_state()
+        elif topic.startswith("/camera/"):
+            self.images += 1
+        elif topic in _JOINTS:
+            message = self._decoded(record, channel)
+            self._parts[topic] = RecordedJoints(
+                tuple(message.name), message.position, message.velocity, message.effort
+            )
+            if topic == "/joint_states":
+                self._parts["at"] = self._nanoseconds(message.header.stamp)
+        elif topic.startswith("/object_pose/"):
+            name = channel.metadata.get("object", topic.rpartition("/")[2])
+            self._poses[name] = _pose_row(self._decoded(record, channel).pose)
+        elif topic == "/contacts":
+            rows = json.loads(self._decoded(record, channel).data)
+            self._parts[topic] = tuple(tuple(row) for row in rows)
+        elif topic == "/events":
+            event = json.loads(self._decoded(record, channel).data)
+            self.events.append(Event(event["time"], event["kind"], event["text"], event["data"]))
+        elif topic == "/planned_trajectory":
+            message = self._decoded(record, channel)
+            at = self._nanoseconds(message.header.stamp) / NANO
+            self.trajectories.append((at, _trajectory(message)))
+
+    def _end_state(self) -> None:
+        parts, self._parts = self._parts, {}
+        poses, self._poses = self._poses, {}
+        if "/joint_states" in parts:
+            told, grippers = (parts.get(topic) for topic in _JOINTS[1:])
+            touching = parts.get("/contacts", ())
+            joints: RecordedJoints = parts["/joint_states"]
+            self.states.append(RecordedState(parts["at"], joints, told, grippers, poses, touching))
+
+    def _decoded(self, record: records.Message, channel: records.Channel) -> Any:
+        return typestore().deserialize_cdr(record.data, self._kinds[channel.schema_id])
+
+    def _nanoseconds(self, stamp: Any) -> int:
+        assert self._start is not None
+        return stamp.sec * NANO + stamp.nanosec - self._start
+
+
+def _pose_row(pose: Any) -> Array:
+    p, q = pose.position, pose.orientation
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
+def _trajectory(message: Any) -> JointTrajectory:
+    points, n = message.points, len(message.joint_names)
+    times = [p.time_from_start.sec + p.time_from_start.nanosec / NANO for p in points]
+
+    def rows(kind: str) -> Array | None:
+        given = [getattr(p, kind) for p in points]
+        return np.array(given).reshape(len(points), n) if all(len(g) == n for g in given) and n else None
+
+    positions = rows("positions")
+    return JointTrajectory(
+        tuple(message.joint_names), np.array(times), np.zeros((0, n)) if positions is None else positions,
+        rows("velocities"), rows("accelerations"),
+    )  # fmt: skip

@@ -1,0 +1,60 @@
+"""Objects that come into a scene during a run, as JSON in its record, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.scene import CollisionObject
+
+SIZES: dict[type, tuple[str, ...]] = {
+    Box: ("x", "y", "z"),
+    Sphere: ("radius",),
+    Cylinder: ("radius", "length"),
+    Capsule: ("radius", "length"),
+    Cone: ("radius", "length"),
+    Plane: (),
+}
+_BY_NAME = {cls.__name__.lower(): cls for cls in SIZES}
+
+
+def pose_data(T: SE3) -> dict[str, Any]:
+    return {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
+
+
+def object_data(item: CollisionObject) -> dict[str, Any]:
+    """Clouds of points and octrees are only named: they may be large and come ten times a second."""
+    return {
+        "shapes": [{**_shape_data(shape), "pose": pose_data(T)} for shape, T in item.shapes],
+        "pose": pose_data(item.T_world_object),
+        "color": [float(c) for c in item.color],
+        "movable": item.movable,
+    }
+
+
+def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
+    """None where nothing of it was recorded."""
+    shapes = [
+        (shape, SE3.from_mapping(each["pose"], "pose"))
+        for each in data["shapes"]
+        if (shape := _shape_of(each)) is not None
+    ]
+    if not shapes:
+        return None
+    pose = SE3.from_mapping(data["pose"], "pose")
+    return CollisionObject(name, tuple(shapes), pose, color=tuple(data["color"]), movable=data["movable"])
+
+
+def _shape_data(shape: Shape) -> dict[str, Any]:
+    if isinstance(shape, Mesh):
+        return {"mesh": {"vertices": shape.vertices.tolist(), "faces": shape.faces.tolist()}}
+    kind = type(shape)
+    return {kind.__name__.lower(): [float(getattr(shape, size)) for size in SIZES.get(kind, ())]}
+
+
+def _shape_of(data: dict[str, Any]) -> Shape | None:
+    if "mesh" in data:
+        return Mesh(np.array(data["mesh"]["vertices"], float), np.array(data["mesh"]["faces"], int))
+    return next((cls(*data[name]) for name, cls in _BY_NAME.items() if name in data), None)

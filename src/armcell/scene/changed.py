@@ -1,0 +1,36 @@
+"""What is different between two scenes of one robot, for records."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from armcell.scene.scene import PlanningScene
+
+
+def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]:
+    """By kind: `added` and `changed` {name: CollisionObject}, `moved` {name: T_world_object}, `removed`
+    [name], `allowed` [[a, b, whether they may touch, or None for no more said]]. Kinds without any are left
+    out. Joint positions and what is attached are not looked at.
+    """
+    olds, news = before.objects, after.objects
+    held = {*before.attached, *after.attached}
+    both = [n for n in news if n in olds]
+    shapes = {
+        n: news[n] for n in both if news[n].shapes is not olds[n].shapes or news[n].color != olds[n].color
+    }
+    found = {
+        "added": {n: o for n, o in news.items() if n not in olds and n not in held},
+        "changed": shapes,
+        "moved": {
+            n: news[n].T_world_object
+            for n in both
+            if n not in shapes and not news[n].T_world_object.isclose(olds[n].T_world_object, 0.0, 0.0)
+        },
+        "removed": [n for n in olds if n not in news and n not in held],
+        "allowed": [
+            [*sorted(pair), after.allowed_pairs.get(pair)]
+            for pair in sorted({*before.allowed_pairs, *after.allowed_pairs}, key=sorted)
+            if before.allowed_pairs.get(pair) != after.allowed_pairs.get(pair)
+        ],
+    }
+    return {kind: what for kind, what in found.items() if what}

@@ -1,0 +1,292 @@
+"""Records read back, cut off anywhere, run again, and compared: against what was told to the recorder."""
+
+import json
+import os
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.helpers import call, cell_file, read_json, start
+from tests.records.synthetic import panda_scene, play
+
+from armcell.core import SE3, Box, Contact, Event, InputError, JointState, StateSample
+from armcell.kinematics import kinematic_tree
+from armcell.records import RunRecorder, compare, read_record
+from armcell.records.scenes import scenes_of
+from armcell.scene import CollisionObject, scene_changes
+
+BOX = """robot: panda
+start: {arm: home}
+objects:
+  box: {box: [0.1, 0.1, 0.1], pose: [0.4, 0.4, 0.05]}
+task: [{move: extended}]
+"""
+
+
+class Told:
+    """Keeps what the recorder is told, and may change it on the way."""
+
+    def __init__(self, recorder, changed=lambda kind, value: value):
+        self._recorder, self._changed = recorder, changed
+        self.samples, self.events, self.plans = [], [], []
+
+    def on_state(self, sample):
+        touch = (Contact("cube", "floor", -1e-4, (0.1, 0.2, 0.0)),) if sample.time > 3 else ()
+        sample = replace(
+            sample, targets=sample.joints.reindexed(sample.joints.joint_names[:3]), contacts=touch
+        )
+        sample = self._changed("state", sample)
+        self.samples.append(sample)
+        self._recorder.on_state(sample)
+
+    def on_event(self, event):
+        event = self._changed("event", event)
+        self.events.append(event)
+        self._recorder.on_event(event)
+
+    def on_trajectory(self, time, trajectory):
+        trajectory = self._changed("plan", trajectory)
+        self.plans.append((time, trajectory))
+        self._recorder.on_trajectory(time, trajectory)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return panda_scene()
+
+
+def recorded(scene, folder, changed=lambda kind, value: value) -> Told:
+    about = {"format": 1, "cell": "made up", "seed": 0, "mode": "fake", "hashes": {}, "versions": {}}
+    with RunRecorder(folder, scene, about=about) as recorder:
+        told = Told(recorder, changed)
+        play(scene, told, rate=100.0)
+        recorder.finish({"success": True, "message": "done"})
+    return told
+
+
+@pytest.fixture(scope="module")
+def run(scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    return folder, recorded(scene, folder)
+
+
+def test_every_number_comes_back(run):
+    folder, told = run
+    record = read_record(folder)
+    assert record.cut == "" and record.result == {"success": True, "message": "done"}
+    assert record.about["cell"] == "made up" and len(record.states) == len(told.samples) > 1000
+    for state, sample in zip(record.states, told.samples, strict=True):
+        assert state.nanoseconds == round(sample.time * 1e9)
+        assert state.joints.positions.tobytes() == sample.joints.positions.tobytes()
+        assert state.joints.velocities.tobytes() == sample.joints.velocities.tobytes()
+        assert state.joints.efforts.tobytes() == sample.joints.efforts.tobytes()
+        assert state.targets.names == sample.targets.joint_names
+        again = state.sample()
+        assert again.object_poses["cube"].isclose(sample.object_poses["cube"], 0.0, 1e-7)
+        assert again.gripper_width == sample.gripper_width and again.gripper_force == sample.gripper_force
+        assert again.contacts == sample.contacts
+    assert [(e.time, e.kind, e.text, e.data) for e in record.events] == [
+        (e.time, e.kind, e.text, e.data) for e in told.events
+    ]
+    for (at, plan), (told_at, told_plan) in zip(record.trajectories, told.plans, strict=True):
+        assert at == pytest.approx(told_at, abs=1e-9) and plan.joint_names == told_plan.joint_names
+        assert plan.positions.tobytes() == told_plan.positions.tobytes()
+        np.testing.assert_allclose(plan.times, told_plan.times, atol=1e-9)
+    assert compare(record, read_record(folder)).identical
+
+
+def test_cut_off_anywhere_the_whole_part_is_there(run, tmp_path):
+    folder, told = run
+    data = (folder / "run.mcap").read_bytes()
+    rng = np.random.default_rng(1)
+    found = []
+    for length in sorted(rng.integers(0, len(data), 25).tolist()):
+        file = tmp_path / "cut.mcap"
+        file.write_bytes(data[:length])
+        try:
+            record = read_record(file)
+        except InputError as error:
+            assert "cut.mcap" in str(error)
+            found.append(0)
+            continue
+        assert record.cut
+        for state, sample in zip(record.states, told.samples):
+            assert state.joints.positions.tobytes() == sample.joints.positions.tobytes()
+        found.append(len(record.states))
+    assert found == sorted(found) and found[-1] > 0.8 * len(told.samples)
+    assert sum(n > 0 for n in found) > 15  # little is lost: a chunk is half a second or so
+
+
+def test_damage_is_said_and_never_a_traceback(run, tmp_path):
+    folder, _ = run
+    data = (folder / "run.mcap").read_bytes()
+    rng = np.random.default_rng(2)
+    for at in rng.integers(0, len(data), 25).tolist():
+        broken = bytearray(data)
+        broken[at : at + 40] = rng.bytes(len(broken[at : at + 40]))
+        file = tmp_path / "broken.mcap"
+        file.write_bytes(broken)
+        try:
+            read_record(file)
+        except InputError as error:
+            assert "broken.mcap" in str(error)
+
+
+def test_what_is_no_record(scene, tmp_path):
+    with pytest.raises(InputError, match="no such run"):
+        read_record(tmp_path / "nothing")
+    with pytest.raises(InputError, match=r"has no run\.mcap"):
+        read_record(tmp_path)
+    (tmp_path / "text.mcap").write_text("hello, this is no record at all")
+    with pytest.raises(InputError, match="is no MCAP file"):
+        read_record(tmp_path / "text.mcap")
+    with RunRecorder(tmp_path / "new", scene, about={"format": 99}) as recorder:
+        play(scene, recorder, rate=5.0)
+    with pytest.raises(InputError, match="format 99, this armcell reads 1"):
+        read_record(tmp_path / "new")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_ends_the_record_and_not_the_run(scene, tmp_path, caplog):
+    recorder = RunRecorder(tmp_path, scene)
+    for k in range(900):
+        if k == 600:
+            os.dup2(os.open("/dev/full", os.O_WRONLY), recorder._mcap._stream.fileno())
+        q = scene.positions + 1e-3 * np.random.default_rng(k).random(len(scene.positions))
+        recorder.on_state(StateSample(0.01 * k, JointState(scene.model.joint_names, q)))
+    recorder.finish({"success": True})
+    assert caplog.text.count("ends here: No space left on device") == 1
+    assert len(recorder.series().times) == 900  # the report still has all
+    record = read_record(tmp_path)
+    assert record.cut and 200 < len(record.states) <= 600
+
+
+def test_the_first_difference_is_found_where_it_was_made(run, scene, tmp_path):
+    folder, told = run
+    at = {"state": 700, "event": 9, "plan": 3}
+    seen = dict.fromkeys(at, -1)
+
+    def changed(kind, value):
+        seen[kind] += 1
+        if seen[kind] != at[kind] and not (kind == "state" and seen[kind] > at[kind]):
+            return value
+        if kind == "state":  # in the last bit, and growing
+            q = value.joints.positions.copy()
+            q[2] = (
+                np.nextafter(q[2], 9) if seen[kind] == at[kind] else q[2] + 1.1e-5 * (seen[kind] - at[kind])
+            )
+            return replace(value, joints=replace(value.joints, positions=q))
+        if kind == "event":
+            return replace(value, text=value.text + " again")
+        return replace(value, positions=value.positions + 1e-12)
+
+    recorded(scene, tmp_path, changed)
+    first, second = read_record(folder), read_record(tmp_path)
+    found = compare(first, second)
+    assert found.same_states == 700 and found.state.time == pytest.approx(told.samples[700].time, abs=1e-9)
+    assert found.state.what == f"position of {scene.model.joint_names[2]}"
+    assert found.state.second == np.nextafter(found.state.first, 9)
+    assert found.event.what == "event 10" and found.plan.what == "plan 4"
+    assert [d.what for d in found.distances] == [scene.model.joint_names[2]]
+    last = len(told.samples) - 1
+    assert found.distances[0].largest == pytest.approx(1.1e-5 * (last - 700), rel=1e-6)
+    assert dict(found.distances[0].reached)[1e-4] == pytest.approx(told.samples[710].time, abs=1e-9)
+    assert not found.same_course and any("first different" in line for line in found.words())
+    # A run that goes on for longer.
+    with RunRecorder(tmp_path / "short", scene) as recorder:
+        for sample in told.samples[:50]:
+            recorder.on_state(sample)
+    assert compare(first, read_record(tmp_path / "short")).state.what == "the last state's time"
+
+
+def test_scenes_come_back_as_they_were_changed(scene, tmp_path):
+    box = CollisionObject.single("box", Box(0.1, 0.2, 0.3), SE3.from_xyz(1, 2, 3), color=(1, 0, 0, 1))
+    second = scene.with_object(box).with_allowed("box", "floor")
+    third = second.without_object("wall").with_object_pose("box", SE3.from_xyz(3, 2, 1))
+    with RunRecorder(tmp_path, scene) as recorder:
+        for k, (old, new) in enumerate(((scene, second), (second, third))):
+            recorder.on_state(StateSample(float(k), scene.state))
+            recorder.on_event(Event(k + 0.5, "scene", "changed", scene_changes(old, new)))
+    scenes = scenes_of(read_record(tmp_path), scene)
+    assert [at for at, _ in scenes] == [0.0, 0.5, 1.5]
+    assert scenes[1][1].object("box").shapes[0][0] == Box(0.1, 0.2, 0.3)
+    assert "wall" not in scenes[2][1].objects
+    assert scenes[2][1].object("box").T_world_object.isclose(SE3.from_xyz(3, 2, 1))
+    assert scene_changes(scene, second)["allowed"] == [["box", "floor", True]]
+    assert scene_changes(third, third) == {}
+
+
+@pytest.mark.slow
+def test_a_run_executed_again_is_the_same_to_the_bit(tmp_path, capsys):
+    file, runs = cell_file(tmp_path, BOX), tmp_path / "runs"
+    assert call(capsys, "run", file, "--seed", 5, "--runs", runs).status == 0
+    (first,) = runs.iterdir()
+    said = call(capsys, "replay", first, "--execute", "--runs", runs, "--json", tmp_path / "r.json")
+    found = read_json(tmp_path / "r.json")
+    assert said.status == 0 and found["identical"] and found["states"] == found["same_states"] > 100
+    # Softer servos: the runs part, and it is said where.
+    assert call(capsys, "run", file, "--seed", 6, "--set", "physics.arm_kp=3000", "--runs", runs).status == 0
+    other = max(runs.iterdir(), key=lambda f: f.stat().st_mtime)
+    said = call(capsys, "diff", first, other, "--json", tmp_path / "d.json")
+    assert said.status == 1 and "asked: seed 5 / 6" in said.out and "asked: another physics" in said.out
+    assert read_json(tmp_path / "d.json")["same_states"] < found["states"]
+    # What has changed since is named; the recorded cell itself is what runs, not the changed file.
+    record = json.loads(json.dumps(dict(read_record(first).about)))
+    record["hashes"]["versions.mujoco"], record["versions"]["mujoco"] = "x", "3.1.4"
+    scene = panda_scene()
+    with RunRecorder(tmp_path / "older", scene, about=record) as recorder:
+        recorder.on_state(StateSample(0.0, scene.state))
+    said = call(capsys, "replay", tmp_path / "older", "--execute", "--runs", runs)
+    assert said.status == 1 and "mujoco 3.1.4 ->" in said.err and "--anyway" in said.err
+    said = call(capsys, "replay", tmp_path / "older", "--execute", "--anyway", "--runs", runs)
+    assert said.status == 1 and "first different" in said.out
+
+
+@pytest.mark.slow
+def test_a_killed_run_leaves_what_was_whole(tmp_path, capsys):
+    file = cell_file(tmp_path, BOX.replace("[{move: extended}]", "[{hold: 500.0}]"))
+    process = start("run", file, "--runs", tmp_path / "runs", "--time-scale", "5")
+    end = time.monotonic() + 120
+    while time.monotonic() < end:
+        parts = list((tmp_path / "runs").glob("*/run.mcap.part"))
+        if parts and parts[0].stat().st_size > 200_000:
+            break
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    record = read_record(parts[0].parent)
+    assert record.cut and len(record.states) > 200 and record.about["mode"] == "sim"
+    assert record.result is None
+
+
+def test_the_view_shows_the_recorded_instant(run, scene):
+    from armcell.viewer.replay import ReplayView
+
+    folder, told = run
+    record = read_record(folder)
+    with ReplayView(record, scene, port=0) as view:
+        for k in (1200, 300):
+            view.seek(told.samples[k].time)
+            tree = kinematic_tree(scene.model)
+            T = tree.link_pose(told.samples[k].joints.positions, "panda_hand")
+            end = time.monotonic() + 5
+            while time.monotonic() < end:
+                frame = view.viewer.link_frames["panda_hand"]
+                if SE3.from_quat_wxyz(frame.position, frame.wxyz).isclose(T, 1e-6, 1e-6):
+                    break
+                time.sleep(0.01)
+            else:
+                raise AssertionError("the link is not where it was")
+            assert view.time.value == pytest.approx(told.samples[k].time, abs=0.005)
+        view.speed.value = "5"
+        view.toggle()
+        assert view.play_button.label == "Pause"
+        end = time.monotonic() + 5
+        while view.time.value < told.samples[300].time + 1.0 and time.monotonic() < end:
+            time.sleep(0.01)
+        view.toggle()
+        assert view.play_button.label == "Play" and view.time.value > told.samples[300].time + 0.9
+        assert len(view.stage.options) == 12

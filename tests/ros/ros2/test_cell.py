@@ -1,0 +1,167 @@
+"""A cell in a ROS 2 domain: driven by a plain DDS program, and in two processes that share nothing else."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from armcell.cell import load
+from armcell.ros import Bus, CellNode, schema
+
+pytestmark = pytest.mark.slow
+S = schema()
+ARM = "/arm_controller/follow_joint_trajectory"
+SEND, CANCEL, RESULT = (f"{ARM}/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result"))
+
+
+@pytest.fixture
+def cell(reach):
+    """A Panda that follows exactly, as a ROS 2 node; joined before the peer asks."""
+    from armcell.ros.ros2 import Ros2Bridge, Ros2Settings
+
+    node = CellNode(load("panda_pick").connect("fake", 0, time_scale=4.0), Bus())
+    with Ros2Bridge(node.bus, Ros2Settings(reach, distro="jazzy")):
+        thread = node.start()
+        assert node.ready.wait(300)
+        yield node
+        node.close()
+        thread.join(10)
+
+
+def trajectory(joints, start, turn, seconds, first=0.0):
+    """Of the first joint, by `turn` [rad]; begins where the arm is at time `first`."""
+
+    def point(at, angle):
+        positions = (start + angle * np.eye(len(start))[0]).tolist()
+        return {"positions": positions, "time_from_start": {"sec": int(at), "nanosec": int(at % 1 * 1e9)}}
+
+    return {"joint_names": joints, "points": [point(first, 0.0), point(seconds, turn)]}
+
+
+def arm_state(peer):
+    """Names and positions of the arm's joints, as the peer hears of them."""
+    peer.drop("rt/joint_states")
+    peer.subscribe("rt/joint_states", "JointState", depth=1)
+    message = peer.take("rt/joint_states", 1, timeout=20.0)[-1]
+    pairs = [(n, p) for n, p in zip(message["name"], message["position"]) if "finger" not in n]
+    return [n for n, _ in pairs], np.array([p for _, p in pairs])
+
+
+def send(peer, number, goal):
+    goal_id = {"uuid": [number] * 16}
+    answer = peer.call(
+        SEND, "FollowSendGoal", {"goal_id": goal_id, "goal": {"trajectory": goal}}, timeout=20.0
+    )
+    return goal_id, answer["accepted"]
+
+
+def result(peer, goal_id):
+    return peer.call(RESULT, "FollowGetResult", {"goal_id": goal_id}, timeout=60.0)
+
+
+def test_a_ros2_client_drives_the_arm(cell, peer):
+    peer.subscribe(f"rt{ARM}/_action/feedback", "FollowFeedbackMessage", depth=0)
+    peer.wait_matched(f"rt{ARM}/_action/feedback", timeout=20.0)
+    joints, start = arm_state(peer)
+    goal_id, accepted = send(peer, 1, trajectory(joints, start, 0.5, 2.0))
+    assert accepted
+    ended = result(peer, goal_id)
+    assert (ended["status"], ended["result"]["error_code"]) == (4, 0)
+    assert arm_state(peer)[1] - start == pytest.approx(0.5 * np.eye(7)[0], abs=0.01)
+    told = peer.take(f"rt{ARM}/_action/feedback", 1)
+    assert told and told[-1]["feedback"]["joint_names"] == joints
+    assert len(told[-1]["feedback"]["actual"]["positions"]) == 7
+
+    joints, start = arm_state(peer)
+    goal_id, _ = send(peer, 2, trajectory(joints, start, -0.5, 20.0))
+    time.sleep(1.0)
+    answer = peer.call(CANCEL, "CancelGoal", {"goal_info": {"goal_id": goal_id}}, timeout=20.0)
+    assert answer["return_code"] == 0
+    assert result(peer, goal_id)["status"] == 5
+    assert abs(arm_state(peer)[1][0] - start[0]) < 0.4  # it stopped on the way
+
+
+def test_wrong_trajectories_are_aborted_with_the_reason(cell, peer):
+    joints, start = arm_state(peer)
+    good = trajectory(joints, start, 0.1, 1.0)
+    unknown = {**good, "joint_names": [*joints[:-1], "elbow"]}
+    not_a_number = trajectory(joints, start, float("nan"), 1.0)
+    elsewhere = trajectory(joints, start + 1.0, 0.1, 1.0)
+    for number, (goal, reason) in enumerate(
+        [(unknown, "unknown joint"), (not_a_number, "finite"), (elsewhere, "")], start=10
+    ):
+        goal_id, accepted = send(peer, number, goal)
+        ended = result(peer, goal_id)
+        assert accepted and ended["status"] == 6 and ended["result"]["error_code"] < 0, ended
+        assert reason in ended["result"]["error_string"]
+    goal_id, _ = send(peer, 20, good)
+    assert result(peer, goal_id)["status"] == 4
+
+
+def test_states_come_at_their_rate(cell, peer):
+    """30 Hz of the cell's clock, which /clock shows; each message a step further."""
+    peer.subscribe("rt/clock", "Clock", depth=0)
+    clocks = [m["clock"] for m in peer.take("rt/clock", 60, timeout=20.0)]
+    stamps = np.array([c["sec"] + c["nanosec"] * 1e-9 for c in clocks])
+    assert len(stamps) >= 60 and (np.diff(stamps) > 0).all()
+    assert np.median(np.diff(stamps)) == pytest.approx(1 / 30, abs=0.004)
+
+
+def test_a_subscriber_that_has_stopped_holds_nobody_up(bus, bridge, peer, mortal):
+    """Large messages, one of two readers frozen: the other one gets the last, writing never waits long."""
+    for one in (peer, mortal):
+        one.subscribe("rt/large", "String")
+    publisher = bus.advertise("/large", "std_msgs/String")
+    for one in (peer, mortal):
+        one.wait_matched("rt/large", timeout=20.0)
+    mortal.process.send_signal(signal.SIGSTOP)
+    longest = 0.0
+    for i in range(100):
+        began = time.monotonic()
+        publisher.publish(S.new("std_msgs/String", f"{i} " + "x" * 400_000))
+        longest = max(longest, time.monotonic() - began)
+        time.sleep(0.01)
+    got, end = [], time.monotonic() + 20
+    while "99" not in got and time.monotonic() < end:
+        got += [m["data"].split()[0] for m in peer.take("rt/large", 1)]
+    mortal.process.send_signal(signal.SIGCONT)
+    assert got[-1] == "99" and longest < 2.0  # a reader's lease is 10 s
+
+
+def start(environment, *arguments):
+    return subprocess.Popen(
+        [sys.executable, "-u", "-m", "armcell", *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+def test_simulator_and_planner_in_two_processes_grasp_over_dds(bus, bridge, reach):
+    """The first reference system's scenario: a Panda grasps a cube and lifts it."""
+    environment = {"CYCLONEDDS_URI": reach.config, "ROS_DISTRO": "jazzy"}
+    at = ("--ros2", "--domain", str(reach.domain))
+    simulator = start(environment, "sim", "panda_table", *at, "--time-scale", "2")
+    planner = start(environment, "serve", "panda_table", *at, "--plan-only")
+    try:
+        poses = bus.subscribe("/object_pose", "geometry_msgs/PoseStamped", queue_size=1)
+        first = poses.get(300)
+        assert first is not None
+        assert bus.wait_for_service("/grasp", 300)
+        assert bridge.wait_for_node("/armcell", 10) and bridge.wait_for_node("/armcell_sim", 10)
+        object.__setattr__(bridge.settings, "service_timeout", 300.0)
+        answer = bus.call("/grasp", S.new("std_srvs/TriggerRequest"))
+        assert answer.success, answer.message
+        poses.get(5)
+        assert poses.get(5).pose.position.z - first.pose.position.z > 0.15
+    finally:
+        said = []
+        for process in (simulator, planner):
+            process.send_signal(signal.SIGINT)
+            said.append(process.communicate(timeout=60)[0])
+    assert [p.returncode for p in (simulator, planner)] == [0, 0], said
+    assert re.search(rf"ROS 2: node /armcell_sim \(domain {reach.domain}, LOCALHOST, jazzy\)", said[0])
+    assert "/armcell_sim" in said[1]  # the status line names the other node
