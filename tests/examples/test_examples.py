@@ -427,3 +427,11 @@ def test_17_clear_a_bin(printed):
     assert number(r"picks: (\d+) of 20 things", text) >= 4
     assert "6 picks are all that was allowed" in text and "unwanted contacts: 0" in text
     assert "transfer: SUCCESS after 2 tries" in text and "trouble: lost cube on the way" in text
+
+
+@pytest.mark.slow
+def test_18_pick_from_a_belt(printed):
+    text = printed("18_pick_from_a_belt.py")
+    assert number(r"moves at ([\d.]+) mm/s", text) == 100
+    assert "in the hand: box_1" in text and "placed: True" in text
+    assert "unwanted contacts: 0 welds: 0" in text

@@ -15,6 +15,7 @@ from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal
 from armcell.tasks import (
+    MovingSettings,
     RecoverySettings,
     StageReport,
     TaskContext,
@@ -24,6 +25,7 @@ from armcell.tasks import (
     let_go,
     move_to,
     pick,
+    pick_moving,
     place,
     release,
     transfer,
@@ -87,6 +89,11 @@ class Arm:
     def move_to(self, target: Target) -> Outcome:
         """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
+
+    def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
+        """Grasp an object that moves at a steady speed, as on a belt, and lift it."""
+        gripper = self._ctx.scene().model.gripper(arm_group=self.group)
+        return pick_moving(self._ctx, item, gripper, settings)
 
     def grasp(self, item: str) -> Outcome:
         """Take hold of an object where it is, without lifting it."""

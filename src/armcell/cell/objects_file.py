@@ -45,6 +45,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         "subframes": {n: SE3.from_mapping(pose, f"subframes/{n}") for n, pose in spec.subframes.items()},
         "type": ObjectType(spec.type.key, spec.type.db),
         "movable": spec.movable,
+        "belt": spec.belt,
         "thread": None if spec.thread is None else Thread(**spec.thread.model_dump()),
     }
     if spec.color is not None:
@@ -169,6 +170,8 @@ def _entry(item: CollisionObject, every: Mapping[str, CollisionObject], beside: 
     entry["color"] = [float(c) for c in item.color]
     if item.movable:
         entry["movable"] = True
+    if item.belt is not None:
+        entry["belt"] = [float(v) for v in item.belt]
     if item.mass is not None:
         entry["mass"] = float(item.mass)
     if item.material != Material():

@@ -89,6 +89,7 @@ class ObjectSpec(Strict):
     sizes: dict[str, float] = {}  # [m] of the library object
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
+    belt: tuple[float, float, float] | None = None  # [m/s] of a fixed object's surface, in its frame
     thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] | None = None

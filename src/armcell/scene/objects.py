@@ -99,6 +99,7 @@ class CollisionObject:
     subframes: Mapping[str, SE3] = field(default_factory=dict)  # T_object_subframe by name
     type: ObjectType = ObjectType()
     thread: Thread | None = None  # screwed into another object, in physics
+    belt: tuple[float, float, float] | None = None  # [m/s, object frame] of a fixed object's surface
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -111,6 +112,12 @@ class CollisionObject:
             raise InputError(f"object {self.name!r} has no shape")
         if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
             raise InputError(f"object {self.name!r}: mass is {self.mass:g} kg, it must be positive")
+        moves = self.belt is not None and np.isfinite(self.belt).all() and np.any(self.belt)
+        if self.belt is not None and (self.movable or not moves):
+            text = (
+                f"object {self.name!r}: belt is {self.belt} m/s, it is the speed of a fixed object's surface"
+            )
+            raise InputError(text)
         if self.movable and any(isinstance(s, Plane) for s, _ in self.shapes):
             raise InputError(f"object {self.name!r}: a plane cannot move")
         if self.movable and self.has_cloud:

@@ -33,6 +33,7 @@ OBJECT_GROUP, VISUAL_GROUP, COLLISION_GROUP = 0, 2, 3
 """MuJoCo's geom groups; viewers draw 0 to 2."""
 RENDER_CAMERA = "render"
 _TINY_MASS, _TINY_INERTIA = 1e-4, 1e-7
+_BELT_MASS = 1e5  # [kg] what lies on a belt does not slow it down
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ class BuiltModel:
     vel_ctrl: Ints  # (dof,) of the velocity input, -1 where there is none
     grippers: dict[str, GripperIndex]
     object_qpos: dict[str, int]  # movable objects: start of x, y, z, qw, qx, qy, qz
+    belts: tuple[tuple[int, int, float], ...]  # index in qpos, in qvel, speed [m/s]
     threaded: dict[str, tuple[int, int]]  # objects screwed into others: slide and turn
     object_dof: dict[str, int]
     objects: dict[str, CollisionObject]  # attached ones included, at their initial poses
@@ -379,10 +381,22 @@ def _add_object(
             "solref": settings.object_solref,
             "solimp": settings.object_solimp,
         }
+    elif item.belt is not None:
+        _add_belt(body, item.name, item.belt)
     for i, (shape, T_object_shape) in enumerate(item.shapes):
         split = object_pieces if free else convex_pieces
         adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", split, **values)
     return body
+
+
+def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
+    """A joint along the belt's way. Before every step it is put back and given the belt's speed, so that the
+    body stays where it is and what touches it feels a surface that moves."""
+    speed = float(np.linalg.norm(velocity))
+    body.add_joint(name=_belt_name(name), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.asarray(velocity) / speed)
+    body.explicitinertial = True
+    body.mass, body.inertia = _BELT_MASS, [_BELT_MASS] * 3
+    body.gravcomp = 1.0
 
 
 def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
@@ -402,6 +416,10 @@ def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> No
         name=f"{name}:thread", type=mujoco.mjtEq.mjEQ_JOINT, name1=_slide_name(name), name2=_turn_name(name),
         data=[0.0, per_radian] + [0.0] * 10, solref=[0.004, 1.0], solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
     )  # fmt: skip
+
+
+def _belt_name(name: str) -> str:
+    return f"{name}:belt"
 
 
 def _slide_name(name: str) -> str:
@@ -467,6 +485,11 @@ def _index(
             g.name: _gripper_index(mj, model, g, settings, owner_index) for g in model.grippers.values()
         },
         object_qpos={n: int(j.qposadr[0]) for n, j in free.items()},
+        belts=tuple(
+            (int(j.qposadr[0]), int(j.dofadr[0]), float(np.linalg.norm(o.belt)))
+            for n, o in objects.items()
+            if o.belt is not None and (j := mj.joint(_belt_name(n))) is not None
+        ),
         threaded={
             n: (int(mj.joint(_slide_name(n)).qposadr[0]), int(mj.joint(_turn_name(n)).qposadr[0]))
             for n, o in objects.items()

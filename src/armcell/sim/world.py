@@ -142,6 +142,8 @@ class SimWorld:
         before = [drive.update for drive in self._drives.values()]
         if self._servo.computed:
             before.append(self._servo.update)
+        if self.built.belts:
+            before.append(self._run_belts)
         after = [self.monitor.update]
         if self.settings.grip_mode != "friction":
             after.append(self._welder.update)
@@ -154,6 +156,11 @@ class SimWorld:
         mujoco.mj_kinematics(model, data)  # a step leaves poses where it began; this brings them up to date
         if any(data.warning[w].number for w in _DIVERGED):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
+
+    def _run_belts(self, data: mujoco.MjData) -> None:
+        """A belt has its speed and stays where it is."""
+        for position, velocity, speed in self.built.belts:
+            data.qpos[position], data.qvel[velocity] = 0.0, speed
 
     # --- robot ---
     def joint_state(self) -> JointState:
@@ -428,8 +435,8 @@ def _same_build(a: PlanningScene, b: PlanningScene) -> bool:
     for name, new in news.items():
         old = olds[name]
         free = new.movable or name in b.attached
-        if old.shapes is not new.shapes or (old.mass, old.material, old.movable, old.color) != (
-            new.mass, new.material, new.movable, new.color
+        if old.shapes is not new.shapes or (old.mass, old.material, old.movable, old.color, old.belt) != (
+            new.mass, new.material, new.movable, new.color, new.belt
         ):  # fmt: skip
             return False
         if new.thread is not None:

@@ -3,6 +3,7 @@
 from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.moving import MovingSettings, pick_moving
 from armcell.tasks.proof import NOISE, Proof, prove, varied
 from armcell.tasks.recipes import grasp, hold, let_go, move_to, pick, place, release
 from armcell.tasks.recovery import RecoverySettings, transfer
@@ -18,6 +19,7 @@ __all__ = [
     "Foresee",
     "Holding",
     "Motion",
+    "MovingSettings",
     "Planning",
     "Proof",
     "RecoverySettings",
@@ -35,6 +37,7 @@ __all__ = [
     "move_to",
     "perform_all",
     "pick",
+    "pick_moving",
     "place",
     "prove",
     "release",

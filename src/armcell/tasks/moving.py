@@ -1,0 +1,242 @@
+"""Picking what moves at a steady speed, as on a belt: the hand moves along while it comes down and closes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.control import execute
+from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.core.checks import require
+from armcell.grasping import Grasp
+from armcell.kinematics import ik_solver
+from armcell.model import Gripper
+from armcell.planning import warm_up
+from armcell.scene import PlanningScene
+from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.stages import ChooseGrasp, Connect
+from armcell.tasks.stages.grasp import finger_state
+from armcell.tasks.steps import CheckGrasp, Grip, Watch, perform_all, staged
+from armcell.timing.chords import chords
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MovingSettings:
+    """Of a pick from a belt."""
+
+    watch: float = 0.2  # [s] that the object is looked at to know its speed
+    spare: float = 0.6  # [s] that the hand waits above the place of meeting
+    first_lead: float = 3.0  # [s] from now to the meeting, at first
+    blend: float = 0.6  # [s] in which the hand comes to the belt's speed, and back to rest
+    approach: float = 1.4  # [s] down, as the hand moves along
+    close: float = 0.9  # [s] for the fingers
+    lift: float = 1.4  # [s]
+    tries: int = 3
+    slowest: float = 0.005  # [m/s] below which nothing moves
+
+    def __post_init__(self) -> None:
+        for name in ("watch", "spare", "first_lead", "blend", "approach", "close", "lift"):
+            require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
+        require(self.tries >= 1, f"tries is {self.tries}, it must be at least 1")
+
+
+def pick_moving(
+    ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings = MovingSettings()
+) -> Outcome:
+    """Grasp an object that moves at a steady speed, and lift it.
+
+    Args:
+        settings: times; the distances are those of `ctx.settings`.
+    Returns:
+        SUCCESS with the speed [m/s] in the evidence; PLANNING_FAILED with the reasons where it cannot be met;
+        CONTROL_FAILED where it was not held after `tries`.
+    Raises:
+        InputError: no such object, not movable, it does not move, or the gripper holds something.
+    """
+    if not ctx.scene().object(item).movable:
+        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+    if any(held.gripper.name == gripper.name for held in ctx.holding.values()):
+        raise InputError(f"gripper {gripper.name!r} already holds something", cure="place it first")
+    warm_up()
+    outcome = Outcome(ErrorCode.FAILURE, "not tried")
+    for _ in range(settings.tries):
+        outcome = _once(ctx, item, gripper, settings)
+        if outcome.ok or outcome.code in (ErrorCode.PREEMPTED, ErrorCode.PLANNING_FAILED):
+            return outcome
+        ctx.emit("note", f"pick {item} on the way: {outcome.message}; trying again farther on")
+        ctx.holding.pop(item, None)
+        Grip("open", gripper, gripper.max_width, gripper.max_force).perform(ctx)
+    return outcome
+
+
+def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> Outcome:
+    velocity, seen_at, T_seen = _speed(ctx, item, s)
+    t, lead = ctx.settings, s.first_lead
+    for _ in range(3):  # the first guess of the time may be too short for the way there
+        meeting = ctx.driver.now + lead
+        T_then = replace(T_seen, translation=T_seen.translation + velocity * (meeting - seen_at))
+        scene = ctx.scene().with_object_pose(item, T_then)
+        stages: list[Stage] = [
+            ChooseGrasp(item, gripper, t.near, t.approach_distance),
+            Connect("move to meet it", gripper.arm_group, t.free, target="pre_grasp"),
+            MoveAlong(item, gripper, velocity, s),
+        ]
+        planning = Planning(t, ctx.seed, ctx.cancel)
+        draft = search(stages, Draft(scene), planning)
+        if draft is None:
+            code = ErrorCode.PREEMPTED if ctx.cancel.is_set() else ErrorCode.PLANNING_FAILED
+            return Outcome(code, f"pick {item} on the way: {planning.rejections.summary()}")
+        steps = draft.steps
+        way = sum(step.trajectory.duration for step in steps if hasattr(step, "trajectory"))
+        needed = way + s.blend / 2 + s.spare + t.gripper_timeout / 3
+        if lead >= needed:
+            break
+        lead = needed + 0.2
+    else:
+        return Outcome(ErrorCode.PLANNING_FAILED, f"{item} is past before the hand is there")
+    along: _Along = draft.data["along"]
+    height = float(T_seen.translation[2])
+    outcome = perform_all(ctx, steps)
+    if not outcome.ok:
+        return outcome
+    ctx.advance(meeting - s.blend / 2 - ctx.driver.now)
+    outcome = along.perform(ctx)
+    if outcome.ok:
+        outcome = CheckGrasp(item, gripper, height, t.lift_distance).perform(ctx)
+    speed = float(np.linalg.norm(velocity))
+    return replace(outcome, evidence={**outcome.evidence, "speed": speed})
+
+
+def _speed(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
+    """Velocity (3,) [m/s], when it was seen last [s] and T_world_object then."""
+    before, began = ctx.driver.object_poses()[item], ctx.driver.now
+    ctx.advance(s.watch)
+    T, now = ctx.driver.object_poses()[item], ctx.driver.now
+    velocity = (T.translation - before.translation) / max(now - began, 1e-6)
+    velocity[2] = 0.0  # a belt is level; what is left of a fall would count for seconds
+    if np.linalg.norm(velocity) < s.slowest:
+        raise InputError(f"{item!r} does not move", cure="pick it as any other object")
+    return velocity, now, T
+
+
+@dataclass(frozen=True, eq=False)
+class _Along:
+    """The motion with the object: down, close, up, all at its speed."""
+
+    item: str
+    gripper: Gripper
+    trajectory: JointTrajectory
+    close_at: float  # [s] on the trajectory
+    force: float  # [N] per finger
+    name: str = "along with it"
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        report = StageReport(self.name, "cartesian")
+        return staged(ctx, report, lambda: self._move(ctx))
+
+    def _move(self, ctx: TaskContext) -> Outcome:
+        ctx.announce(self.trajectory)
+        closing = False
+
+        def progress(done: float) -> None:
+            nonlocal closing
+            if not closing and done * self.trajectory.duration >= self.close_at:
+                closing = True
+                ctx.driver.command_gripper(self.gripper.name, 0.0, self.force)
+            ctx.observe()
+
+        result = execute(ctx.driver, self.trajectory, ctx.settings.execution, ctx.cancel, progress=progress)
+        if not result.ok:
+            return result
+        reading = ctx.driver.gripper(self.gripper.name)
+        if reading.held != self.item:
+            return Outcome(ErrorCode.CONTROL_FAILED, f"{self.item} is not between the fingers")
+        T = ctx.T_tcp_object(self.item, self.gripper)
+        ctx.holding[self.item] = Holding(self.item, self.gripper, T)
+        ctx.emit("grasp", f"holds {self.item} with {reading.force_per_finger:.0f} N per finger")
+        return Watch(self.item).perform(ctx)
+
+
+@dataclass(frozen=True, eq=False)
+class MoveAlong:
+    """From the pre-grasp down to a moving object, along with it, and up: joint positions for all of it."""
+
+    item: str
+    gripper: Gripper
+    velocity: Array  # (3,) [m/s]
+    settings: MovingSettings
+    name: str = "along"
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        s, t, gripper = self.settings, planning.settings, self.gripper
+        grasp: Grasp = draft.data["grasp"]
+        scene = draft.scene.with_state(finger_state(gripper, grasp.opening))
+        start = scene.frame_pose(gripper.tcp_link)
+        at_grasp = scene.object(self.item).T_world_object @ grasp.T_object_tcp
+        down = at_grasp.translation - start.translation
+        ends = np.cumsum([s.blend, s.approach, s.close, s.lift, s.blend])
+        times = np.arange(0.0, ends[-1] + STEP / 2, STEP)
+        moved = _carried(times, s.blend, float(ends[-1]))[:, None] * self.velocity
+        depth = _smooth((times - ends[0]) / s.approach)[:, None] * down
+        up = _smooth((times - ends[2]) / s.lift)[:, None] * np.array([0.0, 0.0, t.lift_distance])
+        ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
+        columns = scene.model.columns(ik.joint_names)
+        q, path = np.array(scene.positions), np.empty((len(times), len(ik.joint_names)))
+        for k, offset in enumerate(moved + depth + up):
+            wanted = replace(start, translation=start.translation + offset)
+            found = min(
+                ik.solutions(wanted, q), key=lambda x: float(np.abs(x - q[columns]).max()), default=None
+            )
+            if found is None or np.abs(found - q[columns]).max() > JUMP:
+                planning.reject(self.name, grasp.name, f"out of reach {times[k]:.1f} s after the meeting")
+                return
+            path[k], q[columns] = found, found
+        speed = np.asarray(np.gradient(path, STEP, axis=0))
+        speed[[0, -1]] = 0.0
+        limits = scene.model.limits(ik.joint_names, "velocity")
+        if np.any(np.abs(speed) > limits):
+            planning.reject(self.name, grasp.name, "too fast for the joints")
+            return
+        trajectory = JointTrajectory(ik.joint_names, times, path, speed)
+        bare = scene.without_object(self.item).with_padding(0.0)  # as close to the belt as the grasp is
+        if trouble := _touches(bare, trajectory):
+            planning.reject(self.name, grasp.name, f"in collision: {trouble}")
+            return
+        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force)
+        yield draft.then(along=along)
+
+
+STEP = 0.02  # [s] between points of the way along
+JUMP = 0.15  # [rad] between them at most
+
+
+def _smooth(u: Array) -> Array:
+    """From 0 to 1 at rest at both ends (quintic)."""
+    u = np.clip(u, 0.0, 1.0)
+    return u**3 * (10 - 15 * u + 6 * u**2)
+
+
+def _carried(times: Array, blend: float, end: float) -> Array:
+    """Seconds' worth of the belt's way: its speed is taken on in `blend` [s] and left in the last `blend`."""
+
+    def ramp(u: Array) -> Array:  # the integral of _smooth
+        u = np.clip(u, 0.0, 1.0)
+        return u**4 * (2.5 - 3 * u + u**2)
+
+    rising = blend * ramp(times / blend) + np.maximum(times - blend, 0.0)
+    late = times - (end - blend)
+    return rising - blend * ramp(late / blend)
+
+
+def _touches(scene: PlanningScene, trajectory: JointTrajectory) -> str:
+    """What the motion would touch; empty where it is proven free."""
+    _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
+    proof = KernelChecker(scene, trajectory.joint_names).certify(points, room)
+    return "" if proof.free else "it cannot be proven" if proof.contact is None else proof.contact.describe()
