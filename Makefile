@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop lint format clean FORCE
+.PHONY: help demo test check fuzz bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop test-realtime lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -30,10 +30,10 @@ demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
 
 test: lint ## set up, then lint and run all tests but the interop ones
-	$(PY) -m pytest -n $(JOBS) -m "not interop"
+	$(PY) -m pytest -n $(JOBS) -m "not interop and not realtime"
 
 check: $(VENV)/.stamp ## set up, then run the quick tests
-	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop"
+	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop and not realtime"
 
 fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at the ROS-TCP server (FRAMES=, SEED=)
 	$(PY) -m tests.ros.fuzz_tcp $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
@@ -46,6 +46,9 @@ test-interop: $(VENV)/.stamp ## set up, then test against other programs: Debian
 	  && echo "Installing Debian's ROS 1 ..." && apt-get update -q && apt-get install -qy --no-install-recommends $(ROS); } \
 	  || echo "Debian's ROS 1 cannot be installed from here; its tests are skipped. Cure: apt-get install $(ROS)"
 	$(PY) -m pytest -m interop -rs
+
+test-realtime: $(VENV)/.stamp ## set up, then test two emulated arms moved as one; nothing else should run meanwhile
+	$(PY) -m pytest -m realtime
 
 lint: $(VENV)/.stamp ## style, types and the layers of the rooms
 	$(BIN)/ruff check .

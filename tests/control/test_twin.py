@@ -1,4 +1,4 @@
-"""The twin: what it refuses, what its bands learn and find. Over real connections: benchmarks/twin_guard.py."""
+"""The twin: what it refuses, what its bands learn and find. Over connections: benchmarks/twin_guard.py."""
 
 from __future__ import annotations
 

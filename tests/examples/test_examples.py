@@ -298,6 +298,7 @@ def test_22_real_arm_over_the_wire(printed):
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_23_two_arms_over_the_wire(printed):
     for _ in range(3):  # a computer that stands still for 100 ms parts the hands
         with in_real_time():

@@ -10,7 +10,7 @@ from armcell.cell import load, run_task, with_values
 from armcell.core import SE3
 from armcell.planning import warm_up
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 TRIES = 3  # a computer that stands still for 100 ms, as busy virtual ones do, parts the hands
