@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 
 import pytest
 from tests.cli.helpers import call, cell_file, finished, start
@@ -151,3 +152,10 @@ def test_a_reader_that_goes_away_is_no_error():
     os.close(write)
     _, err = process.communicate(timeout=60)
     assert "Traceback" not in err and "internal error" not in err
+
+
+def test_every_command_stands_under_a_heading(capsys):
+    said = call(capsys, "--help").out
+    headings = [line for line in said.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert len(headings) >= 6 and "Commands:" not in headings  # where those without one would stand
+    assert all(re.search(rf"^  {name} ", said, re.M) for name in (*COMMANDS, "topic", "twin", "bench"))

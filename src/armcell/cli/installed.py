@@ -12,6 +12,4 @@ EXTRAS = {
     "ik": ("eaik",),
     "decompose": ("coacd",),
     "ros2": ("cyclonedds",),
-    "campaign": ("ray", "duckdb"),
-    "trees": ("py_trees",),
 }

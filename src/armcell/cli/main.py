@@ -35,6 +35,7 @@ from armcell.cli import (
     view,
 )
 from armcell.cli.console import err
+from armcell.cli.grouped import Grouped
 from armcell.core import ArmcellError
 
 EXAMPLES = """
@@ -77,6 +78,7 @@ Examples:
 
 app = typer.Typer(
     name="armcell",
+    cls=Grouped,
     help="A robot work cell: plans that are proven not to touch, grasps that hold by physics.",
     epilog=EXAMPLES,
     no_args_is_help=True,
@@ -84,35 +86,37 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-app.command("run")(run.run)
-app.command("campaign", epilog=campaign.EXAMPLES)(campaign.campaign)
-app.command("replay", epilog=replay.REPLAY_EXAMPLES)(replay.replay)
-app.command("diff", epilog=replay.DIFF_EXAMPLES)(replay.diff)
-app.command("gate", epilog=gate.EXAMPLES)(gate.gate)
-app.command("lint")(script.lint)
-app.command("check")(check.check)
-app.command("setup", epilog=setup.EXAMPLES)(setup.setup)
-app.command("explain")(explain.explain)
-app.command("plan")(plan.plan)
-app.command("view", epilog=view.EXAMPLES)(view.view)
-app.command("ik")(ik.ik)
-app.command("fk")(ik.fk)
-app.command("check-state")(check_state.check_state)
-app.command("look", epilog=look.EXAMPLES)(look.look)
-app.command("step-response")(step_response.step_response)
-app.command("doctor")(doctor.doctor)
-app.command("cells")(check.cells)
-app.add_typer(bench.app, name="bench")
-app.add_typer(msg.app, name="msg")
-app.add_typer(export.app, name="export")
-app.command("serve")(serve.serve)
-app.command("sim")(serve.sim)
-app.command("ur-controller", epilog=ur_controller.EXAMPLES)(ur_controller.ur_controller)
-app.command("bringup")(bringup.bringup)
-app.command("twin")(twin.twin)
-app.command("ur-dashboard")(ur_controller.ur_dashboard)
-app.add_typer(topic.app, name="topic")
-app.add_typer(service.app, name="service")
+RUN, PLAN, CELLS = "Run a task, and prove it", "Plan and explain", "Cells and robots"
+WIRES, REAL, MEASURE = "Unity, ROS 1 and ROS 2", "Real arms", "Measure"
+app.command("run", rich_help_panel=RUN)(run.run)
+app.command("campaign", epilog=campaign.EXAMPLES, rich_help_panel=RUN)(campaign.campaign)
+app.command("gate", epilog=gate.EXAMPLES, rich_help_panel=RUN)(gate.gate)
+app.command("replay", epilog=replay.REPLAY_EXAMPLES, rich_help_panel=RUN)(replay.replay)
+app.command("diff", epilog=replay.DIFF_EXAMPLES, rich_help_panel=RUN)(replay.diff)
+app.command("lint", rich_help_panel=RUN)(script.lint)
+app.command("plan", rich_help_panel=PLAN)(plan.plan)
+app.command("view", epilog=view.EXAMPLES, rich_help_panel=PLAN)(view.view)
+app.command("explain", rich_help_panel=PLAN)(explain.explain)
+app.command("ik", rich_help_panel=PLAN)(ik.ik)
+app.command("fk", rich_help_panel=PLAN)(ik.fk)
+app.command("check-state", rich_help_panel=PLAN)(check_state.check_state)
+app.command("look", epilog=look.EXAMPLES, rich_help_panel=PLAN)(look.look)
+app.command("cells", rich_help_panel=CELLS)(check.cells)
+app.command("setup", epilog=setup.EXAMPLES, rich_help_panel=CELLS)(setup.setup)
+app.command("check", rich_help_panel=CELLS)(check.check)
+app.command("doctor", rich_help_panel=CELLS)(doctor.doctor)
+app.command("step-response", rich_help_panel=CELLS)(step_response.step_response)
+app.command("serve", rich_help_panel=WIRES)(serve.serve)
+app.command("sim", rich_help_panel=WIRES)(serve.sim)
+app.add_typer(topic.app, name="topic", rich_help_panel=WIRES)
+app.add_typer(service.app, name="service", rich_help_panel=WIRES)
+app.add_typer(msg.app, name="msg", rich_help_panel=WIRES)
+app.add_typer(export.app, name="export", rich_help_panel=WIRES)
+app.command("bringup", rich_help_panel=REAL)(bringup.bringup)
+app.command("twin", rich_help_panel=REAL)(twin.twin)
+app.command("ur-dashboard", rich_help_panel=REAL)(ur_controller.ur_dashboard)
+app.command("ur-controller", epilog=ur_controller.EXAMPLES, rich_help_panel=REAL)(ur_controller.ur_controller)
+app.add_typer(bench.app, name="bench", rich_help_panel=MEASURE)
 
 
 @app.callback(invoke_without_command=True)
