@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -18,6 +19,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 KEPT_DAYS = 30
+COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?njit", re.MULTILINE)
+"""Of sources that hold compiled code; a file that only speaks of numba may change without compiling anew."""
 
 
 def cache_root() -> Path:
@@ -33,7 +36,7 @@ def source_hash() -> str:
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         source = file.read_bytes()
-        if b"numba" in source or b"njit" in source:
+        if COMPILES.search(source):
             digest.update(source)
     for package in ("numba", "llvmlite", "numpy"):
         try:

@@ -79,6 +79,25 @@ def test_states_come_at_thirty_hertz_of_the_cells_clock(served):
     assert tuple(states.get(5).name) == node.live.model.joint_names
 
 
+@pytest.mark.slow
+def test_each_of_several_arms_has_its_own_joint_states():
+    bus = Bus()
+    node = CellNode(load("dual_ur10").connect("fake", None, time_scale=SCALE), bus)
+    thread = node.start()
+    try:
+        assert node.ready.wait(300)
+        whole = bus.subscribe("/joint_states", "sensor_msgs/JointState", queue_size=1).get(5)
+        at = dict(zip(whole.name, whole.position))
+        for arm in ("left", "right"):
+            mine = bus.subscribe(f"/{arm}_arm/joint_states", "sensor_msgs/JointState", queue_size=1).get(5)
+            assert len(mine.name) == 7 and all(name.startswith(f"{arm}_") for name in mine.name)
+            assert [at[name] for name in mine.name] == pytest.approx(list(mine.position), abs=1e-6)
+            assert len(mine.velocity) == 7
+    finally:
+        node.close()
+        thread.join(10)
+
+
 def test_the_transform_tree_leads_from_the_world_to_every_link_and_object(served):
     bus, node = served
     message = bus.subscribe("/tf", "tf2_msgs/TFMessage").get(5)
