@@ -25,7 +25,7 @@ def served():
     bus, before = Bus(), threading.active_count()
     node = CellNode(load("panda_pick").connect("fake", 0, time_scale=SCALE), bus)
     thread = node.start()
-    assert node.ready.wait(20)
+    assert node.ready.wait(120)
     yield bus, node
     node.close()
     thread.join(5)
@@ -223,7 +223,7 @@ def test_a_node_that_ends_leaves_the_bus():
     bus = Bus()
     node = CellNode(load("panda_pick").connect("fake", 0, time_scale=SCALE), bus)
     thread = node.start()
-    assert node.ready.wait(20) and len(bus.topics()) > 8
+    assert node.ready.wait(120) and len(bus.topics()) > 8
     node.close()
     thread.join(5)
     assert bus.topics() == []
@@ -234,7 +234,7 @@ def test_a_motion_that_was_put_during_the_proof_of_another_is_proven_beside_it()
     """Two threads, each with one arm's motion: neither may begin unproven beside the other."""
     node = CellNode(load("dual_ur10").connect("fake", None, time_scale=SCALE), Bus())
     thread = node.start()
-    assert node.ready.wait(20)
+    assert node.ready.wait(120)
 
     def swing(side):
         names = list(node.live.model.group(f"{side}_arm").joint_names)
@@ -278,7 +278,7 @@ def test_unity_moves_the_arm_in_physics_over_tcp():
     bus = Bus()
     node = CellNode(load("panda_pick").connect("sim", 0, time_scale=1.0), bus)
     thread = node.start()
-    assert node.ready.wait(60)
+    assert node.ready.wait(120)
     try:
         with RosTcpServer(bus, ServerSettings(port=0)) as server, UnityLike(server.address) as unity:
             unity.register("__subscribe", "joint_states", "sensor_msgs/JointState")
