@@ -5,7 +5,7 @@ python examples/17_clear_a_bin.py
 
 import armcell
 from armcell.core import Event
-from armcell.tasks.clearing import ClearSettings
+from armcell.tasks import ClearSettings
 
 # 1. Twenty mixed things, dropped by physics. The planner knows none of them.
 cell = armcell.load("bin_clearing")

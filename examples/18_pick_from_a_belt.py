@@ -5,13 +5,26 @@ python examples/18_pick_from_a_belt.py
 
 import armcell
 
-with armcell.load("conveyor_pick").connect("sim", seed=2) as cell:
-    cell.arm.hold(1.5)  # until the box is near enough to be met
-    outcome = cell.arm.pick_moving("box_1")  # its speed is seen, the meeting planned, the hand moves along
+# The cell file gives a fixed object a surface that moves (`belt:`): what lies on it is carried by friction.
+conveyor = armcell.load("conveyor_pick")
+print("movable:", ", ".join(n for n, o in conveyor.scene().objects.items() if o.movable))
+
+with conveyor.connect("sim", seed=2) as cell:
+    # 1. Wait until the first is near enough to be met.
+    cell.arm.hold(1.5)
+
+    # 2. Its speed is seen, the meeting planned, the hand moves along, closes and lifts.
+    outcome = cell.arm.pick_moving("box_1")
     print("picked:", outcome.ok, outcome.message)
     print(f"it moves at {outcome.evidence.get('speed', 0) * 1000:.0f} mm/s")
     print("in the hand:", cell.driver.gripper("gripper").held)
-    print("placed:", bool(cell.arm.place("box_1", on="tray")))
+
+    # 3. The belt runs on; from here on it is an object like any other.
+    placed = cell.arm.place("box_1", on="tray")
+    print("placed:", bool(placed), placed.message)
+
+    # What each stage took, in the cell's time.
     for report in cell.reports:
         print(f"  {report.name:16s} {report.motion_time_s:5.2f} s")
-    print("unwanted contacts:", len(cell.driver.unwanted_contacts()), "welds:", len(cell.driver.welds()))
+    contacts, welds = cell.driver.unwanted_contacts(), cell.driver.welds()
+    print("unwanted contacts:", len(contacts), "welds:", len(welds))  # held by friction alone

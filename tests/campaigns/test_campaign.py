@@ -127,14 +127,14 @@ def test_a_worker_that_dies_or_hangs(quick, tmp_path, monkeypatch):
     (site / "sitecustomize.py").write_text(
         "import os, sys, time, threading\n"
         "if 'armcell.campaigns.worker' in ' '.join(sys.orig_argv):\n"
-        "    import builtins, json\n"
-        "    loads = json.loads\n"
-        "    def watched(text, *a, **k):\n"
-        "        data = loads(text, *a, **k)\n"
+        "    import queue\n"
+        "    get = queue.Queue.get\n"
+        "    def watched(*a, **k):\n"
+        "        data = get(*a, **k)\n"
         "        if isinstance(data, dict) and data.get('number') == 2: os._exit(7)\n"
         "        if isinstance(data, dict) and data.get('number') == 4: time.sleep(1000)\n"
         "        return data\n"
-        "    json.loads = watched\n"
+        "    queue.Queue.get = watched\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{site}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     rows = unbroken(CampaignSpec(quick, trials=6, trial_seconds=20.0), tmp_path)

@@ -170,7 +170,9 @@ def test_what_no_hand_fits_around_is_left_with_a_reason():
         outcome = live.clear("bin", **CALL)
         assert outcome.code is ErrorCode.FAILURE
         assert "given up" in outcome.message and "1 in bin" in outcome.message
-        assert outcome.evidence["left"] == 1 and outcome.evidence["picks"] == 0
+        e = outcome.evidence
+        assert e["left"] == 1 and e["put"] == e["dropped"] == 0 and e["missed"] == e["picks"]
+        assert not live.driver.unwanted_contacts()
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
     assert said.status == 0 and [r["name"] for r in found["rows"]] == ["block", "ring"]
     for row in found["rows"]:
         assert row["success"] and row["error_m"] < 0.01 and row["slip_m"] < 0.01
-        assert row["probability"] > 0.5 and 0 < row["generation_s"] < 1.0
+        assert row["probability"] > 0.5 and row["generation_s"] > 0
         assert row["random"]["success"] in (True, False)
     assert found["summary"]["first_attempt"] == {
         "successes": 2, "trials": 2, "share": 1.0, "low": pytest.approx(0.3424, abs=1e-4), "high": 1.0

@@ -281,12 +281,13 @@ def test_transforms(rospy, session):
     listener.waitForTransform("world", "panda_hand", rospy.Time(), rospy.Duration(5))
     xyz, quat = listener.lookupTransform("panda_link0", "panda_hand", rospy.Time(0))
     assert np.allclose(xyz, expected.translation) and np.isclose(abs(np.dot(quat, expected.quat_xyzw)), 1.0)
-    tf.TransformBroadcaster().sendTransform((0, 0, 1), (0, 0, 0, 1), rospy.Time.now(), "lamp", "world")
+    sender = tf.TransformBroadcaster()
     pose = PoseStamped()
     pose.header.frame_id, pose.pose.orientation.w = "lamp", 1.0
     end = time.monotonic() + 5
     while not buffer.can_transform("world", "lamp") and time.monotonic() < end:
-        time.sleep(0.01)
+        sender.sendTransform((0, 0, 1), (0, 0, 0, 1), rospy.Time.now(), "lamp", "world")
+        time.sleep(0.05)
     assert buffer.transform(pose, "world").pose.position.z == pytest.approx(1.0)
     import moveit_commander
 

@@ -1,6 +1,7 @@
 """The ROS-TCP client in Unity's place: at our server, and on the wire byte for byte."""
 
 import json
+import logging
 import socket
 import struct
 import time
@@ -125,6 +126,7 @@ def test_registrations_byte_for_byte_in_ros2_mode():
 
 @pytest.mark.slow
 def test_an_endpoint_older_than_the_handshake(caplog):
+    caplog.set_level(logging.WARNING, logger="armcell.ros.tcp.client")  # `armcell topic` silences it
     with socket.create_server(("127.0.0.1", 0)) as endpoint:
         bus = Bus()
         got = bus.subscribe("/b", TEXT)

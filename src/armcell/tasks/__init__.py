@@ -2,6 +2,7 @@
 
 from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.checked import TaskFailed, checked
+from armcell.tasks.clearing import ClearSettings
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.moving import MovingSettings, pick_moving
 from armcell.tasks.proof import NOISE, Proof, prove, varied
@@ -15,6 +16,7 @@ __all__ = [
     "NOISE",
     "CarrySettings",
     "Carrying",
+    "ClearSettings",
     "Draft",
     "Foresee",
     "Holding",
