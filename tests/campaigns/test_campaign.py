@@ -19,7 +19,7 @@ from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run
 from armcell.campaigns.store import TRIALS
 from armcell.core import InputError
 
-KILLS = int(os.environ.get("ARMCELL_KILLS", "4"))  # 20 were tried; each takes some seconds
+KILLS = int(os.environ.get("ARMCELL_KILLS", "3"))  # 20 were tried; each takes some seconds
 QUICK = """robot: panda
 start: {arm: home}
 objects:

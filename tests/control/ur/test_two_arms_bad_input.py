@@ -56,6 +56,7 @@ def test_one_arm_pushed_by_hand_stops_a_coupled_motion_before_it_begins():
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_a_protective_stop_in_a_coupled_motion_ends_it_for_both():
     hosts = free_hosts(2)
     with emulator(hosts=hosts), in_real_time(), two_arms(hosts) as driver:
@@ -77,6 +78,7 @@ def test_a_protective_stop_in_a_coupled_motion_ends_it_for_both():
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_bring_up_of_two_arms(tmp_path, capsys):
     hosts = free_hosts(2)
     text = (LIBRARY / "dual_ur10" / "cell.yaml").read_text()
