@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop test-realtime lint format clean FORCE
+.PHONY: help demo test check fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop test-realtime lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -35,13 +35,13 @@ test: lint ## set up, then lint and run all tests but the interop ones
 check: $(VENV)/.stamp ## set up, then run the quick tests
 	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop and not realtime"
 
-fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at the ROS-TCP server (FRAMES=, SEED=)
-	$(PY) -m tests.ros.fuzz_tcp $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
+fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at what the wires leave open (FRAMES=, SEED=)
+	$(PY) -m tests.ros.fuzz $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
 
-bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (SECONDS_=60)
-	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),60)
+bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (13 minutes; SECONDS_=600)
+	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),600)
 
-test-interop: $(VENV)/.stamp ## set up, then test against other programs: Debian's ROS 1 (installed where it can be), Mono, Chromium
+test-interop: $(VENV)/.stamp ## set up, then test against other programs: Debian's ROS 1 (installed where it can be), Mono, Chromium, Ray
 	@{ $(ROS_THERE); } 2>/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
 	  && echo "Installing Debian's ROS 1 ..." && apt-get update -q && apt-get install -qy --no-install-recommends $(ROS); } \
 	  || echo "Debian's ROS 1 cannot be installed from here; its tests are skipped. Cure: apt-get install $(ROS)"
@@ -71,6 +71,12 @@ bench-planning: $(VENV)/.stamp-bench ## set up, then measure planning beside oth
 
 bench-constraints: $(VENV)/.stamp ## set up, then measure planning with path constraints (RUNS=50)
 	$(PY) -m benchmarks.constraints --runs $(or $(RUNS),50)
+
+bench-campaign: $(VENV)/.stamp ## set up, then measure campaigns: rate, engine, Ray, kills, memory (RUNS=100, KILLS=20)
+	$(PY) -m benchmarks.campaign --trials $(or $(RUNS),100) --kills $(or $(KILLS),20) $(if $(JSON),--json $(JSON))
+
+bench: $(VENV)/.stamp-bench ## set up, then run all benchmarks (hours) and write docs/benchmarks.md; ONLY="campaign wires", SIZE=quick
+	$(PY) -m benchmarks $(if $(ONLY),--only $(ONLY)) $(if $(filter quick,$(SIZE)),--quick)
 
 bench-dual: $(VENV)/.stamp ## set up, then measure two UR10: planning, proofs, tasks in physics (RUNS=100, an hour)
 	$(BIN)/armcell bench dual

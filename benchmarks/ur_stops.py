@@ -26,7 +26,7 @@ from armcell.control import DriverOptions, drivers, execute
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.ur_controller.controller import TRACE
 from armcell.core import SE3, ArmcellError, InputError, JointTrajectory
-from armcell.model import Part, compose, load_robot
+from armcell.model import Part, RobotModel, compose, load_robot
 from armcell.scene import PlanningScene
 
 MOVE = np.array([0.8, -0.3, 0.3, 0.2, 0.3, 0.4])
@@ -72,19 +72,24 @@ def ask(host: str, *commands: str) -> None:
                 dashboard.ask(command)
 
 
-def two_arms(hosts: list[str], ports: list[int], model: str = "UR10", **settings):
-    """The driver of two arms (groups "left_arm", "right_arm"), not yet connected."""
+def pair() -> RobotModel:
+    """Two UR10, 1.5 m apart, as one model (groups "left_arm", "right_arm")."""
     robot = load_robot("ur10")
     parts = [
         Part(robot, f"{side}_", T_parent_root=SE3.from_xyz(0, y, 0))
         for side, y in (("left", 0.75), ("right", -0.75))
     ]
+    return compose("pair", parts)
+
+
+def two_arms(hosts: list[str], ports: list[int], model: str = "UR10", **settings):
+    """The driver of two arms (groups "left_arm", "right_arm"), not yet connected."""
     arms = {
         group: {"host": host, "model": model, "port": port}
         for group, host, port in zip(("left_arm", "right_arm"), hosts, ports, strict=True)
     }
     options = DriverOptions(extra={"real": {"arms": arms, **settings}})
-    return drivers["real"](PlanningScene.of(compose("pair", parts)), options)
+    return drivers["real"](PlanningScene.of(pair()), options)
 
 
 def swing(driver, names, distance, seconds: float, every: float = 0.02) -> JointTrajectory:
@@ -226,7 +231,7 @@ def periods(hosts: list[str], ports: list[int], model: str, seconds: float = 10.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--count", type=int, default=50, help="0: only how regular streaming is")
     parser.add_argument("--max-state-age", type=float, default=0.05)
     parser.add_argument("--watchdog", type=float, default=0.1)
     parser.add_argument("--json", type=Path)
@@ -240,8 +245,9 @@ def main() -> None:
         print(
             f"{model}: streamed every {p['median_ms']:.2f} ms, p99 {p['p99_ms']:.2f}, max {p['max_ms']:.1f}"
         )
-    found["stops"] = s = stops(hosts, ports, given.count, **limits)
-    print(json.dumps(s, indent=1))
+    if given.count:
+        found["stops"] = s = stops(hosts, ports, given.count, **limits)
+        print(json.dumps(s, indent=1))
     if given.json:
         given.json.write_text(json.dumps(found, indent=2) + "\n")
 

@@ -1,10 +1,11 @@
 """What the ROS-TCP wire costs: latency, losses, and the answer time of a service in Unity.
 
-    python benchmarks/wires.py --seconds 60 --json wires.json          (make bench-wires)
+    python benchmarks/wires.py --seconds 600 --beside 60 --json wires.json          (make bench-wires)
 
 The server runs in this process, its clients in processes of their own, all over loopback. Times are the
 wall clock's (a wire's latency is nothing else), taken when `publish` is called and when a client's
-`recv` has returned the message's last byte.
+`recv` has returned the message's last byte; a loop is closed when what the client answers to a message of
+the first topic is on the bus. At the end each number stands beside the bar it has to pass.
 """
 
 from __future__ import annotations
@@ -29,16 +30,19 @@ from tests.ros.unity_like import UnityLike
 from armcell.ros import Bus, schema
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 from armcell.ros.tcp.frames import FrameReader
+from armcell.ros.tcp.outbox import Caps
 
 RATE = 30.0  # [Hz]
 TOPICS = 100
 STATE = "sensor_msgs/JointState"
 IMAGE = "sensor_msgs/Image"
+STAMP = "std_msgs/Time"
 
 
 def reader(address, topics, types, seconds, results):
-    """A client that notes (topic, seq, latency) of everything it gets."""
+    """A client that notes (topic, seq, latency) of everything it gets, and answers the first topic."""
     unity = UnityLike(address, poll=0)
+    unity.register("__publish", "/answer", STAMP)
     for topic, type_name in zip(topics, types):
         unity.register("__subscribe", topic, type_name)
     got = {topic: [] for topic in topics}
@@ -57,6 +61,8 @@ def reader(address, topics, types, seconds, results):
             if frame.destination in got:
                 seq, sec, nanosec = struct.unpack_from("<III", frame.body)
                 got[frame.destination].append((seq, now - sec * 10**9 - nanosec))
+                if frame.destination == topics[0]:
+                    unity.message("/answer", struct.pack("<II", sec, nanosec))
     results.put(got)
 
 
@@ -95,6 +101,8 @@ def run(seconds, images, with_stalled):
         for process in processes:
             process.start()
         publishers = [bus.advertise(t, k) for t, k in zip(topics, types)]
+        loops = []
+        bus.attach("/answer", STAMP, lambda m: loops.append(time.monotonic_ns() - m.data.to_nsec()))
         while any(p.subscribers < len(processes) for p in publishers):
             time.sleep(0.01)
         names = [f"joint_{i}" for i in range(14)]
@@ -114,6 +122,7 @@ def run(seconds, images, with_stalled):
         cpu = (time.process_time() - cpu) / seconds
         grown = resident_mib() - resident
         dropped = sorted(c.dropped for c in server.clients())
+        waiting = max(c.waiting_bytes for c in server.clients()) / 2**20
         got = results.get(timeout=60)
         for process in processes:
             process.join(timeout=30)
@@ -126,8 +135,11 @@ def run(seconds, images, with_stalled):
         "latency_median_ms": quantile(states, 0.5),
         "latency_p99_ms": quantile(states, 0.99),
         "latency_max_ms": max(states) / 1e6,
+        "loop_median_ms": quantile(loops, 0.5),
+        "loop_p99_ms": quantile(loops, 0.99),
         "server_cpu": round(cpu, 3),
         "resident_growth_mib": round(grown, 1),
+        "waiting_mib": round(waiting, 1),  # at the client that is furthest behind
         "dropped_by_client": dropped,
     }
     if images:
@@ -171,20 +183,50 @@ def resident_mib():
     return pages * resource.getpagesize() / 2**20
 
 
+def bars(report):
+    """(what, measured, at most) of every number that issue 7 asks for."""
+    alone, images = report["states"], report["states and RGB-D"]
+    stalled = report["beside a stalled client"]
+    cap = (
+        2 * Caps().topic_bytes + TOPICS * ServerSettings().queue * 1024
+    ) / 2**20  # two images, states of < 1 kB
+    delays = [
+        (f"{name}, {part}", round(run[part] - alone[part], 3), 5.0)
+        for name, run in (("delayed by RGB-D", images), ("delayed by a stalled client", stalled))
+        for part in ("latency_median_ms", "latency_p99_ms")
+    ]
+    return [
+        ("lost in {:.0f} s [messages]".format(alone["seconds"]), alone["lost"], 0),
+        ("latency, median [ms]", alone["latency_median_ms"], 1.0),
+        ("latency, 99 % [ms]", alone["latency_p99_ms"], 5.0),
+        *delays,
+        ("lost beside RGB-D [messages]", images["lost"], 0),
+        ("lost beside a stalled client [messages]", stalled["lost"], 0),
+        ("waits for the stalled client [MiB]", stalled["waiting_mib"], cap),
+        ("memory grown beside it [MiB]", stalled["resident_growth_mib"], cap),
+        ("service in Unity, median [ms]", report["service in Unity"]["median_ms"], 12.0),
+    ]
+
+
 def main():
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--seconds", type=float, default=60.0)
+    arguments.add_argument("--seconds", type=float, default=600.0, help="of the states alone")
+    arguments.add_argument("--beside", type=float, default=60.0, help="beside images, and a stalled client")
     arguments.add_argument("--json", type=Path)
     given = arguments.parse_args()
     load = os.getloadavg()[0]
     report = {"load_before": load, "cpus": os.cpu_count(), "python": sys.version.split()[0]}
-    for name, images, with_stalled in (
-        ("states", False, False), ("states and RGB-D", True, False), ("beside a stalled client", True, True)
+    for name, seconds, images, with_stalled in (
+        ("states", given.seconds, False, False), ("states and RGB-D", given.beside, True, False),
+        ("beside a stalled client", given.beside, True, True),
     ):  # fmt: skip
-        report[name] = run(given.seconds, images, with_stalled)
+        report[name] = run(seconds, images, with_stalled)
         print(name, json.dumps(report[name]), flush=True)
     report["service in Unity"] = unity_service(200)
     print("service in Unity", json.dumps(report["service in Unity"]), flush=True)
+    print(f"load before {load:.1f}, after {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    for what, measured, most in bars(report):
+        print(f"{what:55} {measured:10.3f}  at most {most:g}{'' if measured <= most else '  MISSED'}")
     if given.json:
         given.json.write_text(json.dumps(report, indent=2) + "\n")
 

@@ -1,9 +1,10 @@
-"""Change a scene in one go, name frames on objects, hold things by contact, save and load, reuse plans.
+"""Change a scene in one go, also while an arm moves; frames on objects, holding by contact, reused plans.
 
 python examples/10_scene_services.py
 """
 
 import tempfile
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -73,3 +74,14 @@ box = CollisionObject.single("box", Box(0.2, 0.2, 0.3))
 moving = MovingObject(box, np.array([-2.0, 1.0, 4.0]), ways)
 result = plan_among_moving(here, request, [moving])
 print(f"\nwith a moving box: {result.evidence['moving']}, done after {result.trajectory.duration:.1f} s")
+
+# A live cell's scene can be changed at any time, from any thread: what comes across a motion stops it.
+rod = CollisionObject.single("rod", Box(0.06, 0.06, 0.5), SE3.from_xyz(0.55, 0.1, 0.6))
+left, right = ([turn, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8] for turn in (1.2, -0.6))
+with armcell.load("panda_pick").connect("fake", time_scale=1.0) as live:
+    live.arm.move_to(left)
+    threading.Timer(0.5, lambda: live.change_scene(lambda now: now.with_object(rod))).start()
+    outcome = live.arm.move_to(right)
+    print(f"\n{outcome.code.name}: {outcome.message}")
+    print("and around it:", live.arm.move_to(right).code.name)
+    live.change_scene(lambda now: now.without_object("rod"))

@@ -46,14 +46,13 @@ class Comes:
 
 with cell.connect() as live:
     # The planner does not know of the post: it is in physics, and in what the camera sees.
-    live.ctx.change_scene(cell.scene().without_object("post"))
+    live.change_scene(lambda scene: scene.without_object("post"))
     watch = live.watch("eye", rate=15)  # robot, held objects and the table are taken out of the map
     print("to the left:", live.arm.move_to(LEFT).code.name, f"({len(watch.updates)} pictures so far)")
     live.ctx.observers.append(Comes(live.driver.world))
     print("to the right:", live.arm.move_to(RIGHT).code.name)
     print("why:", watch.stopped)
     for attempt in range(4):  # a side of it may come into view only on the way
-        watch.resume()
         live.ctx.advance(0.4)
         if live.arm.move_to(RIGHT):
             print(f"around it: arrived, attempt {attempt + 1}")

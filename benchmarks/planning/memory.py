@@ -45,12 +45,12 @@ def main() -> dict[str, Any]:
     from armcell.cli import bench_dual, bench_plans
     from armcell.collision.kernel.checker import KernelChecker
     from armcell.collision.kernel.cloud_part import cloud_of
-    from armcell.core import PointCloud
+    from armcell.core import PlanRequest, PointCloud
     from armcell.planning import warm_up
     from armcell.scene import CollisionObject
 
     warm_up()  # compiled and covers fitted, in case this is the first time
-    tasks = list(bench_dual._tasks(TASKS, 0))
+    tasks = list(bench_dual._tasks(TASKS, 0, PlanRequest.arm_clearance))
     scene, points = tasks[0].scene, world_points(tasks[0].scene, POINTS)
     for name in tuple(scene.objects):
         scene = scene.without_object(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from armcell.cell import Cell, run_task
 from armcell.cell.schema import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
+from armcell.tasks.clearing import clear_bin
 
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 
@@ -171,8 +173,45 @@ def test_what_no_hand_fits_around_is_left_with_a_reason():
         assert outcome.code is ErrorCode.FAILURE
         assert "given up" in outcome.message and "1 in bin" in outcome.message
         e = outcome.evidence
-        assert e["left"] == 1 and e["put"] == e["dropped"] == 0 and e["missed"] == e["picks"]
+        assert e["left"] == 1 and e["put"] == e["dropped"] == e["picks"] == 0
         assert not live.driver.unwanted_contacts()
+
+
+@pytest.mark.slow
+def test_a_full_tray_ends_it_and_what_was_held_is_laid_back():
+    data = with_things(box_1=(0.70, -0.32, 0.2195)).spec.model_dump(exclude_unset=True)
+    data["objects"]["full"] = {"box": (0.40, 0.44, 0.12), "pose": (0.70, 0.32, 0.2825)}
+    with Cell("full", whole().file, validated(data, whole().file)).connect("sim", seed=0) as live:
+        was = live.driver.world.object_pose("box_1")
+        outcome = live.clear("bin", **CALL)
+        assert outcome.code is ErrorCode.FAILURE
+        assert "full" in outcome.message and "100 mm are allowed" in outcome.message
+        e = outcome.evidence
+        assert [e[k] for k in ("picks", "put", "cleared", "left")] == [1, 0, 0, 1]
+        assert was.distance_to(live.driver.world.object_pose("box_1"))[0] < 0.03
+        assert not live.driver.unwanted_contacts()
+
+
+def test_pictures_without_any_depth_end_it_before_anything_moves():
+    with two_things().connect("sim", seed=0) as live:
+        eye = live.cameras["above_bin"].image(rgb=False)
+        blind = replace(eye, depth=np.full_like(eye.depth, np.nan))
+        colour = replace(eye, depth=None)
+        for image, says in ((blind, "no pixel has a depth"), (colour, "has no depth")):
+            outcome = clear_bin(
+                live.ctx, live.model.gripper(), "bin", "tray", "work_table", lambda i=image: i, lambda: eye
+            )
+            assert outcome.code is ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA and says in outcome.message
+            assert outcome.evidence["picks"] == 0 and set(names(live)) == {"look in bin"}
+
+
+def test_what_lies_where_no_camera_looks_is_told():
+    """As physics knows; the task itself sees an empty bin."""
+    with with_things(bolt_2=(0.27, 1.40, 0.002)).connect("sim", seed=0) as live:
+        outcome = live.clear("bin", **CALL)
+        assert outcome.code is ErrorCode.FAILURE
+        assert "1 of 1 things" in outcome.message and "bolt_2 at (0.27, 1.40" in outcome.message
+        assert [outcome.evidence[k] for k in ("cleared", "left", "beside")] == [0, 0, 1]
 
 
 @pytest.mark.slow

@@ -30,9 +30,9 @@ def cell(tmp_path_factory):
     return load(folder)
 
 
-def without_post(cell, live) -> None:
+def without_post(live) -> None:
     """The post stays in physics, the planner does not know of it."""
-    live.ctx.change_scene(cell.scene().without_object("post"))
+    live.change_scene(lambda scene: scene.without_object("post"))
 
 
 def test_pictures_come_at_the_rate_and_a_frozen_camera_gives_the_last(cell):
@@ -61,7 +61,7 @@ def test_the_fake_robot_has_cameras_too(cell):
 @pytest.mark.slow
 def test_the_octomap_follows_and_a_motion_stops_before_what_comes_across(cell):
     with cell.connect() as live:
-        without_post(cell, live)
+        without_post(live)
         live.driver.world.set_object_pose("post", SE3.from_xyz(3, 3, 0.35))
         watch = live.watch(settings=MapSettings(), rate=15)
         assert live.arm.move_to(LEFT)
@@ -85,13 +85,13 @@ def test_the_octomap_follows_and_a_motion_stops_before_what_comes_across(cell):
 
         live.ctx.observers.append(Comes())
         outcome = live.arm.move_to(RIGHT)
-        assert outcome.code is ErrorCode.PREEMPTED
+        assert outcome.code is ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
+        assert outcome.evidence["object"] == OCTOMAP
         assert "sees something across the path" in watch.stopped and "<octomap>" in watch.stopped
         assert any(e.kind == "stop" for e in live.ctx.events)
         touched = [c for c in live.driver.unwanted_contacts() if "post" in (c.body_a, c.body_b)]
         assert not [c for c in touched if "table" not in (c.body_a, c.body_b)]
         for _ in range(4):  # what comes into view from the side may stop it once more
-            watch.resume()
             live.ctx.advance(0.4)
             if arrived := live.arm.move_to(RIGHT):
                 break
@@ -104,7 +104,7 @@ def test_a_picture_that_is_looked_at_twice_puts_no_robot_into_the_map(cell, tmp_
     """A camera slower than the watch: the robot has moved on since its newest picture was taken."""
     (tmp_path / "cell.yaml").write_text(CELL.replace("noise: stereo", "rate: 4"))
     with load(tmp_path).connect() as live:
-        without_post(cell, live)
+        without_post(live)
         live.driver.world.set_object_pose("post", SE3.from_xyz(3, 3, 0.35))
         watch = live.watch(settings=MapSettings(), rate=20)
         assert live.arm.move_to(LEFT) and live.arm.move_to(RIGHT), watch.stopped
@@ -124,7 +124,7 @@ def test_a_look_that_failed_is_told_where_nothing_is_looked_for(tmp_path):
 
 def test_a_frozen_camera_is_told_once(cell):
     with cell.connect() as live:
-        without_post(cell, live)
+        without_post(live)
         watch = live.watch()
         watch.update()
         live.camera().frozen = True

@@ -69,3 +69,9 @@ def test_as_text():
         with pytest.raises(InputError):
             parsed(wrong)
     assert issubclass(UnknownNameError, InputError)
+
+
+def test_the_robot_is_loaded_anew_only_where_it_is_another():
+    cell = load("panda_pick")
+    assert with_values(cell, {"objects.cube.mass": 0.3}).model is cell.model
+    assert with_values(cell, {"robot.model": "ur10_gripper", "start": {}}).model.name != cell.model.name

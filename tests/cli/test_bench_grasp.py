@@ -7,7 +7,12 @@ import pytest
 import trimesh
 from tests.cli.helpers import call, read_json
 
-from armcell.cell.grasp_trials import Row, summary
+from armcell.cell.grasp_trials import Row, objects_of, summary
+from armcell.core import InputError
+from armcell.model import load_robot
+from armcell.scene import PlanningScene
+from armcell.scene.objects import DEFAULT_DENSITY
+from armcell.sim import SimWorld
 
 
 @pytest.mark.slow
@@ -27,6 +32,7 @@ def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
         "successes": 2, "trials": 2, "share": 1.0, "low": pytest.approx(0.3424, abs=1e-4), "high": 1.0
     }  # fmt: skip
     assert "first attempt: 100.0 % (2 of 2" in said.words
+    assert "with recovery: 100.0 % (2 of 2" in said.words
 
 
 def test_the_summary_counts_what_cannot_be_gripped_apart():
@@ -40,6 +46,31 @@ def test_the_summary_counts_what_cannot_be_gripped_apart():
     assert found["first_attempt"]["share"] == 0.5 and found["with_recovery"]["share"] == 1.0
     assert found["brier_proof"] == pytest.approx(np.mean([0.1**2, 0.2**2]))
     assert found["brier_base_rate"] == pytest.approx(1.0)  # each is predicted by the other
+    assert "with_recovery" not in summary(rows, recovery=False)
+
+
+def test_an_object_without_inertia_weighs_what_its_solid_does(tmp_path):
+    trimesh.creation.box((0.04, 0.04, 0.04)).export(tmp_path / "cube.stl")
+    mesh = '<geometry><mesh filename="cube.stl"/></geometry>'
+    text = f'<robot name="r"><link name="a"><collision>{mesh}</collision></link></robot>'
+    (tmp_path / "cube.urdf").write_text(text)
+    ((_, item, _),) = objects_of(tmp_path, load_robot("panda").gripper(), 1)
+    mass = DEFAULT_DENSITY * 0.04**3
+    assert item.mass_kg == pytest.approx(mass)
+    model = SimWorld(PlanningScene.of(load_robot("panda"), objects=[item])).mj_model
+    body = model.body("cube")
+    assert float(body.mass[0]) == pytest.approx(mass, rel=1e-3)
+    np.testing.assert_allclose(body.inertia, mass * 0.04**2 / 6, rtol=1e-2)
+
+
+def test_the_first_files_are_left_out(tmp_path):
+    for name in "abc":
+        trimesh.creation.box((0.05, 0.04, 0.03)).export(tmp_path / f"{name}.stl")
+    gripper = load_robot("panda").gripper()
+    assert [name for name, _, _ in objects_of(tmp_path, gripper, 1, skip=1)] == ["b"]
+    assert [name for name, _, _ in objects_of(tmp_path, gripper, 9, skip=1)] == ["b", "c"]
+    with pytest.raises(InputError, match="has 3 files, 3 are to be skipped"):
+        list(objects_of(tmp_path, gripper, 1, skip=3))
 
 
 @pytest.mark.parametrize(

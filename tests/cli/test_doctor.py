@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import tomllib
 from contextlib import ExitStack
@@ -29,7 +30,7 @@ def test_the_lists_are_those_of_the_project():
     project = tomllib.loads(PROJECT.read_text())["project"]
 
     def names(requirements):
-        return {r.split(">")[0].split("[")[0].split("<")[0].strip() for r in requirements}
+        return {re.split(r"[><=\[;]", r)[0].strip() for r in requirements}
 
     assert set(NEEDED) == names(project["dependencies"])
     users = {k: v for k, v in project["optional-dependencies"].items() if k not in ("dev", "docs")}
@@ -136,6 +137,26 @@ def test_a_drive_that_is_too_weak(capsys, tmp_path, hinge, mass, verdict, share)
     """20 Nm hold m * 9.81 * 0.5 m: 2 kg take 49 % of them, 6 kg 147 %."""
     found = lines(capsys, tmp_path, hinge(mass))
     assert found["gains"]["verdict"] == verdict and share in found["gains"]["found"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("physics", "check", "verdict", "words"),
+    [
+        ("{}", "physics step", "ok", "2 ms: hinge is off by"),
+        ("{timestep: 0.05, arm_kp: 20000, arm_kv: 2000}", "physics step", "no", "50 ms is too coarse: hinge"),
+        ("{arm_kv: 100000}", "drives", "no", "with a finer step as well: look at the gains"),
+    ],
+)
+def test_step_and_drives_are_told_apart(capsys, tmp_path, hinge, physics, check, verdict, words):
+    file = hinge(2.0)
+    file.write_text(file.read_text() + f"physics: {physics}\n")
+    found = lines(capsys, tmp_path, file)
+    assert found[check]["verdict"] == verdict and words in found[check]["found"]
+    if "too coarse" in words:  # the cure that is named cures
+        finer = found[check]["found"].rpartition("timestep: ")[2].partition("`")[0]
+        file.write_text(file.read_text().replace("timestep: 0.05", f"timestep: {finer}"))
+        assert lines(capsys, tmp_path, file)[check]["verdict"] == "ok"
 
 
 def test_a_mesh_that_is_missing(capsys, tmp_path, hinge):

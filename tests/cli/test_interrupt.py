@@ -14,7 +14,7 @@ from tests.cli.helpers import cell_file, finished, start
 
 import armcell
 
-AT_ONCE = 8.0  # [s]
+AT_ONCE = 20.0  # [s]
 
 # A ring around the flange, narrower than the hand: there is no way to the cube, planning goes on.
 PRISON = """

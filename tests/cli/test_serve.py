@@ -110,9 +110,8 @@ def test_mistakes_are_one_line(capsys, arguments, reason):
     assert reason in said.err and len(said.err.splitlines()) == 1
 
 
-def test_a_port_in_use_is_said_before_anything_is_loaded(capsys):
+def test_a_port_in_use_is_said_before_anything_is_loaded(capsys, monkeypatch):
+    monkeypatch.delattr("armcell.cli.serve._run")
     with socket.create_server(("127.0.0.1", 0)) as other:
-        began = time.monotonic()
         said = call(capsys, "serve", "panda_pick", "--unity", "--port", other.getsockname()[1])
     assert said.status == 1 and "Address already in use" in said.err
-    assert time.monotonic() - began < 5

@@ -91,9 +91,8 @@ def test_contacts_and_distances_agree(robot):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("seed", range(1, 3))
-def test_contacts_and_distances_agree_at_length(robot, seed):
-    touched, free = check_agreement(robot, scenes=20, poses=25, seed=seed)
+def test_contacts_and_distances_agree_at_length(robot):
+    touched, free = check_agreement(robot, scenes=20, poses=25, seed=1)
     assert touched > 50 and free > 50
 
 

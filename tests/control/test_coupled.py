@@ -7,9 +7,14 @@ import pytest
 
 import armcell
 from armcell.collision.arms import merged
+from armcell.control import DriverOptions
 from armcell.control.admittance import Admittance, AdmittanceSettings
 from armcell.control.coupled import RAMP, execute_coupled
-from armcell.core import ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.control.drivers.sim import SimDriver
+from armcell.control.following import SentClock
+from armcell.control.twin import Stage
+from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.scene import CollisionObject
 from armcell.timing import synchronized
 
 
@@ -106,6 +111,65 @@ def test_a_start_elsewhere_moves_nothing(cell, motion):
         result = execute_coupled(live.driver, shifted)
         assert result.code is ErrorCode.CONTROL_FAILED and "plan again" in result.message
         assert live.driver.now == 0.0
+
+
+class Rehearsed(SimDriver):
+    """In physics, yet with a twin, in whose cell something else may stand."""
+
+    def __init__(self, cell, *things):
+        super().__init__(cell.scene(), DriverOptions(physics=cell.physics))
+        scene = cell.scene()
+        for thing in things:
+            scene = scene.with_object(thing)
+        self.stage, self.told, self.ended = Stage(scene, cell.physics), [], []
+
+    def rehearse(self, trajectory):
+        outcome = self.stage.play(trajectory, self.joint_state(), {}, {}).outcome
+        return None if outcome.ok else outcome
+
+    def watch(self, trajectory, forced):
+        self.forced = forced
+        return self
+
+    def sent(self, clock, off):
+        self.told.append((clock, off))
+
+    def look(self):
+        pass
+
+    def end(self, how):
+        self.ended.append(how)
+
+
+def test_a_coupled_motion_is_rehearsed_and_told_of_point_by_point(cell, motion):
+    def correct(clock, q, v):
+        return q + 1e-3, v
+
+    with Rehearsed(cell) as driver:
+        assert execute_coupled(driver, motion, correct).ok
+        assert driver.forced and driver.ended == ["done"]
+        clocks = [clock for clock, _ in driver.told]
+        assert clocks[0] > 0.0 and clocks[-1] == motion.duration and (np.diff(clocks) >= 0).all()
+        np.testing.assert_allclose([off for _, off in driver.told], 1e-3)
+    tip = cell.scene().with_state(motion.end).frame_pose("left_gripper_tcp").translation
+    wall = CollisionObject.single("wall", Box(0.1, 0.1, 0.1), SE3.from_xyz(*tip))
+    with Rehearsed(cell, wall) as driver:
+        before = driver.joint_state().positions
+        refused = execute_coupled(driver, motion)
+        assert refused.code is ErrorCode.CONTROL_FAILED and "wall touches" in refused.message
+        assert driver.told == []  # nothing was commanded
+        driver.advance(0.2)
+        np.testing.assert_allclose(driver.joint_state().positions, before, atol=1e-3)
+
+
+def test_where_robots_are_that_get_points_ahead_of_time():
+    clock = SentClock()
+    assert clock.at(5.0) == (0.0, None)
+    for k in range(3):
+        clock.sent(10.0 + k, 0.5 * k, np.full(2, k))
+    assert clock.at(9.0)[0] == 0.0 and clock.at(99.0)[0] == 1.0
+    between, off = clock.at(11.5)
+    assert between == pytest.approx(0.75) and off is not None and off.tolist() == [2, 2]
 
 
 # --- admittance ---

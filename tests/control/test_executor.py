@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.control.helpers import ARM, ROBOT, Faulty, StuckJoint, alone, make, motion, scene, swing
 
-from armcell.control import ExecutionSettings, drivers, execute
+from armcell.control import ExecutionSettings, drivers, execute, playing
 from armcell.core import ErrorCode, JointTrajectory, UnknownNameError
 
 
@@ -49,6 +49,29 @@ def test_reaches_the_goal(driver):
     assert trajectory.duration <= result.duration < trajectory.duration + 0.5
     assert result.finished == driver.now
     assert fractions == sorted(fractions) and fractions[0] > 0 and fractions[-1] == pytest.approx(1.0)
+
+
+def test_what_nobody_watches_is_the_same_motion_bit_for_bit():
+    """Where no progress is asked for, the simulated robot plays many periods at once."""
+    ends = []
+    for progress in (None, lambda fraction: None):
+        with make("sim", alone()) as driver:
+            result = execute(driver, swing(), progress=progress)
+            state = driver.joint_state()
+            ends.append((result, state.positions, state.velocities))
+    (a, *bits_a), (b, *bits_b) = ends
+    assert a.ok and (a.finished, a.max_tracking_error) == (b.finished, b.max_tracking_error)
+    for x, y in zip(bits_a, bits_b, strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_a_blocked_joint_is_noticed_where_nobody_watches():
+    with make("sim", alone()) as driver:
+        driver.world.block(ARM[0])
+        result = execute(driver, swing(0.8))
+        assert result.code is ErrorCode.CONTROL_FAILED and result.evidence["joint"] == ARM[0]
+        assert 0.1 < result.evidence["error"] < 0.11  # at the first period past the tolerance
+        assert_rests(driver)
 
 
 def test_joints_it_does_not_name_stay(driver):
@@ -157,6 +180,49 @@ def test_cancel_from_another_thread_stops(driver):
     assert result.code is ErrorCode.PREEMPTED
     assert "cancelled" in result.message
     assert_rests(driver, 0.1)
+
+
+class Recorder(Faulty):
+    """Notes the speeds it is told."""
+
+    def __init__(self, driver):
+        super().__init__(driver)
+        self.told = []
+
+    def command(self, joint_names, positions, velocities):
+        self.told.append(np.array(velocities, float))
+        return self._driver.command(joint_names, positions, velocities)
+
+
+@pytest.mark.parametrize("shape", ["at rest", "linear", "cubic"])
+def test_a_motion_begins_with_the_speed_that_the_arm_has(shape):
+    """The difference fades within the blend time; an arm at rest gets the trajectory as it is."""
+    with make("sim", alone()) as inner:
+        driver, first = Recorder(inner), swing(1.0)
+        if shape != "at rest":
+            steps = playing(driver, first)
+            while inner.now < 0.5 * first.duration:
+                next(steps)
+                inner.advance(inner.period)
+        state = inner.joint_state().reindexed(ARM)
+        speed = np.abs(state.velocities).max()
+        assert speed > 0.5 or shape == "at rest"
+        q = np.array([state.positions, state.positions + 0.3 * np.sign(state.velocities)])
+        still = None if shape == "linear" else np.zeros((2, len(ARM)))
+        second = JointTrajectory(ARM, np.array([0.0, 1.0]), q, still)
+        driver.told.clear()
+        result = execute(driver, second)
+        assert result.ok, result.message
+        told = np.array(driver.told)
+        plain = np.array([second.sample(inner.period * (i + 1))[1] for i in range(len(told))])
+        after = round(ExecutionSettings().blend_time / inner.period)
+        if shape == "at rest":
+            np.testing.assert_allclose(told, plain)
+        else:
+            assert np.abs(told[0] - state.velocities).max() < 0.02 * speed
+            assert np.abs(plain[0] - state.velocities).max() > 0.5 * speed  # without it: a jump
+            assert np.abs(np.diff(told[:after], axis=0)).max() < 0.1 * speed
+        np.testing.assert_allclose(told[after:], plain[after:], atol=1e-9)
 
 
 def test_cancelled_before_it_began_does_not_move(driver):

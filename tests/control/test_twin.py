@@ -24,10 +24,10 @@ HOME = MODEL.named_state("arm", "home")
 GAIN, FRICTION, LAG = 0.1, 0.3, -0.008
 
 
-def turn(angle: float, seconds: float = 1.0) -> JointTrajectory:
-    """The base joint by an angle [rad] from home, at rest at both ends."""
+def turn(angle: float, seconds: float = 1.0, joints=np.eye(6)[0]) -> JointTrajectory:
+    """The base joint by an angle [rad] from home, or `joints` by shares of it; at rest at both ends."""
     t = np.linspace(0.0, seconds, 50)
-    w, d = np.pi / seconds, angle * np.eye(6)[0]
+    w, d = np.pi / seconds, angle * joints
     q0 = HOME.reindexed(ARM).positions
     shape = ((1 - np.cos(w * t)) / 2, w / 2 * np.sin(w * t), w * w / 2 * np.cos(w * t))
     q, v, a = (s[:, None] * d for s in shape)
@@ -149,8 +149,14 @@ class Followed:
 class Robot:
     name, joint_names = "arm", ARM
 
-    def __init__(self):
-        self.sliders, self.seen, self.scaling = [], None, 1.0
+    def __init__(self, ramp):
+        self.sliders, self.seen, self.ramp, self.now = [], None, ramp, 1.0
+
+    @property
+    def scaling(self):
+        if self.sliders:
+            self.now = max(self.now - self.ramp, self.sliders[-1])
+        return self.now
 
     @property
     def state(self):
@@ -162,16 +168,19 @@ class Robot:
         self.sliders.append(fraction)
 
 
-def driven(bands, twin, fault=lambda seen: seen, begin=0.7):
-    """(seconds until slowed, until stopped, robot, notes); the fault begins in the middle."""
-    notes, trips, robot, motion = [], [], Robot(), Followed()
+def driven(bands, twin, fault=lambda seen: seen, begin=0.7, ramp=0.0, arm=None):
+    """(seconds until slowed, until stopped, robot, notes); the fault begins in the middle.
+
+    With `ramp`, a slider takes the speed down by that much at each look. With `arm`, the robot does that.
+    """
+    notes, trips, robot, motion = [], [], Robot(ramp), Followed()
     guard = TwinGuard(SimpleNamespace(play=lambda *_: twin), TwinBands({"arm": bands}, {}),
                       lambda arm, kind, text: notes.append((motion.t, kind, text)))  # fmt: skip
     trajectory = turn(0.1)
     assert guard.rehearse(trajectory, HOME, {}, {}) is None
     guard.trips = {"arm": lambda: robot.seen.trip}
     following = guard.watching(motion, trajectory, [robot], lambda f: trips.append((motion.t, f)))
-    for seen in watched(twin, np.random.default_rng(5), lambda s: fault(s) if s.clock >= begin else s):
+    for seen in watched(arm or twin, np.random.default_rng(5), lambda s: fault(s) if s.clock >= begin else s):
         motion.t, robot.seen = seen.clock, seen
         following.clock()
         if trips:
@@ -202,15 +211,92 @@ FAULTS = {
 }
 
 
+@pytest.mark.parametrize("ramp", [0.0, 0.01])
 @pytest.mark.parametrize("name", FAULTS)
-def test_each_fault_slows_and_stops(bands, twins, name):
+def test_each_fault_slows_and_stops(bands, twins, name, ramp):
     STUCK.clear()
     fault, said, cure = FAULTS[name]
-    slowed, stopped, trip, robot, _ = driven(bands, twins[3], fault)
+    slowed, stopped, trip, robot, _ = driven(bands, twins[3], fault, ramp=ramp)
     assert slowed is not None and stopped is not None and 0 <= slowed <= stopped < 0.45
     assert isinstance(trip, Fault) and trip.kind == "twin deviation"
     assert said in trip.text and cure in trip.cure
     assert robot.sliders == [SLOW, 0.8]  # and back, once it is stopped
+
+
+ALL = np.array([1.0, 0.5, -0.6, 0.8, 0.7, 1.0])  # joints that move together, so that all currents are learned
+
+
+@pytest.fixture(scope="module")
+def swings():
+    bare, scene = stage()
+    return [bare.play(turn(a, 1.5, ALL), scene.state, {}, {}) for a in (0.6, -0.4, 0.4, 0.8)]
+
+
+@pytest.fixture(scope="module")
+def swing_bands(swings):
+    rng = np.random.default_rng(0)
+    return learned([(twin, range(6), watched(twin, rng)) for twin in swings])
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    """The last of `swings` with 2 kg on the last link, in physics."""
+    hung, scene = stage()
+    hung.play(turn(0.1), scene.state, {}, {})  # makes its world
+    hung._world.add_load("wrist_3_link", 2.0)
+    return hung.play(turn(0.8, 1.5, ALL), scene.state, {}, {})
+
+
+def test_what_a_kilogram_adds_is_what_physics_says(swings, loaded):
+    bare = swings[3]
+    assert bare.outcome.ok and loaded.outcome.ok
+    for t in (0.4, 0.75, 1.1):
+        kilo = bare.efforts_at(t, 1.0)[1]
+        np.testing.assert_allclose(2.0 * kilo, loaded.at(t)[2] - bare.at(t)[2], atol=1.5)
+        assert abs(kilo[1]) > 4.0
+    assert np.abs(bare.demand.inertia[:, 0]).max() > 0.5  # the base feels no weight, but the acceleration
+    # Statics: the upper arm turns about its own y axis, which is level.
+    at = PlanningScene.of(MODEL).with_state(HOME)
+    upper, last = at.frame_pose("upper_arm_link"), at.frame_pose("wrist_3_link").translation
+    lever = np.cross(upper.rotation.matrix[:, 1], last - upper.translation)
+    assert abs(bare.demand.weight[0, 1]) == pytest.approx(9.81 * abs(lever[2]), rel=1e-3)
+
+
+def test_efforts_of_a_slowed_arm_are_what_physics_says(swings):
+    fast = swings[3]
+    bare, scene = stage()
+    slow = bare.play(turn(0.8, 3.0, ALL), scene.state, {}, {})
+    times = np.linspace(0.3, 1.2, 19)
+    truth = np.array([slow.at(2.0 * t)[2] for t in times])
+    naive = np.abs([fast.at(t)[2] for t in times] - truth).max(axis=0)
+    reckoned = np.abs([fast.efforts_at(t, 0.5)[0] for t in times] - truth).max(axis=0)
+    assert naive[0] > 5.0 and naive[1] > 1.5  # where the arm's own mass is accelerated
+    assert (reckoned[:2] < 0.7 * naive[:2]).all() and (reckoned < naive + 0.5).all()
+
+
+def test_a_payload_is_told_in_kilograms(swing_bands, swings, loaded):
+    slowed, stopped, trip, _, notes = driven(swing_bands, swings[3], begin=0.0, arm=loaded)
+    assert slowed < 0.5 and stopped < 0.6 and "payload" in trip.cure
+    assert "kg more than its model says" in trip.text
+    load = float(notes[-1][2].split("load ")[1].split()[0])
+    assert load == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("scaling", [1.0, 0.5])
+def test_loads_have_signs_and_touches_are_none(swing_bands, swings, scaling):
+    def load(off) -> float:
+        currents, twin = deque(maxlen=SMOOTHED), swings[3]
+        for t in np.arange(0.3, 0.6, 0.01):
+            q, v, _ = twin.at(t - LAG * scaling)
+            effort, kilo = twin.efforts_at(t - LAG * scaling, scaling)
+            current = GAIN * effort + FRICTION * np.tanh(v * scaling / 0.02) + off(GAIN * kilo)
+            seen = Seen(t, scaling, q, v * scaling, current, 0.004)
+            found = swing_bands.deviations(seen, twin, range(6), currents)
+        return float(found["load"][0] * swing_bands.load)
+
+    told = [load(lambda kilo, mass=mass: mass * kilo) for mass in (-2.0, 2.0)]
+    assert told[0] == pytest.approx(-2.0, abs=0.4) and told[1] == pytest.approx(2.0, abs=0.4)
+    assert load(lambda kilo: np.eye(6)[3] * 1.5) == 0.0  # at a wrist alone: no mass does that
 
 
 def test_clean_motions_are_left_alone_and_a_moment_is_no_stop(bands, twins):
@@ -228,6 +314,17 @@ def test_clean_motions_are_left_alone_and_a_moment_is_no_stop(bands, twins):
         slowed, stopped, _, robot, _ = driven(bands, twins[0], moment)
         assert stopped is None and (slowed is not None) == slows
         assert robot.sliders == ([SLOW, 0.8] if slows else [])  # the slider is put back at the end
+
+
+def test_a_clock_that_may_be_wrong_hides_no_offset(bands, twins):
+    """A motion whose points are sent: 15 ms off is forgiven, 2 degrees of a joint that turns are not."""
+    twin, t = twins[3], 0.75
+    q, v, effort = twin.at(t + 0.015 - LAG)
+    assert abs(v[0]) * 0.015 > 2 * bands.position[0]
+    for offset, late, outside in ((0.0, 0.0, True), (0.0, 0.02, False), (np.deg2rad(2.0), 0.02, True)):
+        seen = Seen(t, 1.0, q + np.r_[0, offset, 0, 0, 0, 0], v, GAIN * effort, 0.004, True, late)
+        found = bands.deviations(seen, twin, range(6), deque(maxlen=SMOOTHED))
+        assert (found["position"].max() > 1.0) == outside
 
 
 def test_refused_is_told_and_nothing_of_before_is_compared(bands, twins):

@@ -99,3 +99,15 @@ def test_trajectory_checks_every_array(label):
 def test_trajectory_refuses_times_that_are_not_finite():
     with pytest.raises(InputError, match="times"):
         JointTrajectory(("a",), [0.0, np.nan], np.zeros((2, 1)))
+
+
+def test_a_trajectory_in_another_order_or_of_fewer_joints_moves_them_as_before():
+    whole = JointTrajectory(
+        ("a", "b", "c"), np.array([0.0, 1.0]), np.array([[0.0, 1.0, 2.0], [3.0, 5.0, 8.0]]), np.ones((2, 3))
+    )
+    part = whole.reindexed(("c", "a"))
+    for mine, all_of_them in zip(part.sample(0.4), whole.sample(0.4), strict=True):
+        np.testing.assert_allclose(mine, all_of_them[[2, 0]])
+    assert part.accelerations is None and whole.reindexed(whole.joint_names) is whole
+    with pytest.raises(UnknownNameError):
+        whole.reindexed(("a", "x"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
-from armcell.core import InputError, JointTrajectory
+from armcell.core import InputError, JointTrajectory, Playback
 
 NAMES = ("a", "b", "c")
 KINDS = ("linear", "cubic", "quintic")
@@ -42,6 +42,28 @@ def test_agrees_with_scipy(kind, seed):
         np.testing.assert_allclose(mine, reference(t, order)(at), atol=1e-8)
     if kind == "linear":
         assert all(not s[2].any() for s in samples)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_playback_agrees_with_scipy_and_holds_both_ends(kind, seed):
+    t = trajectory(kind, seed=seed)
+    playback = Playback(t)
+    at = np.random.default_rng(seed).uniform(0.0, t.duration, 200)
+    for order in range(2):
+        mine = np.array([playback.at(float(s))[order] for s in at])
+        np.testing.assert_allclose(mine, reference(t, order)(at), atol=1e-8)
+    for time, end in ((-1.0, 0), (0.0, 0), (t.duration, -1), (t.duration + 1.0, -1)):
+        q, v = playback.at(time)
+        np.testing.assert_array_equal(q, t.positions[end])
+        assert not v.any()
+
+
+def test_playback_of_one_point_and_of_none():
+    q, v = Playback(JointTrajectory(NAMES, np.zeros(1), np.ones((1, 3)))).at(0.5)
+    assert q.tolist() == [1.0, 1.0, 1.0] and not v.any()
+    with pytest.raises(InputError, match="empty"):
+        Playback(JointTrajectory(NAMES, np.zeros(0), np.zeros((0, 3))))
 
 
 @pytest.mark.parametrize("kind", KINDS)

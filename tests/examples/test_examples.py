@@ -142,6 +142,7 @@ def test_10_scene_services(printed):
     assert "saved and loaded: table mug" in said
     assert re.search(r"first: planned\nagain: hit\nwith a post in the way: repaired", said)
     assert re.search(r"moving box: (waits|around), done", said)
+    assert "ENVIRONMENT_CHANGE: 'rod' has come across" in said and "around it: SUCCESS" in said
 
 
 @pytest.mark.slow
@@ -280,7 +281,7 @@ def test_15_find_and_pick_by_camera(printed):
 @pytest.mark.slow
 def test_16_live_octomap(printed):
     said = printed("16_live_octomap.py")
-    assert "to the left: SUCCESS" in said and "to the right: PREEMPTED" in said
+    assert "to the left: SUCCESS" in said and "to the right: MOTION_PLAN_INVALIDATED" in said
     assert "sees something across the path" in said and "around it: arrived" in said
     assert number(r"contacts of the robot: (\d+)", said) == 0
     left, of = number(r"gone: (\d+) of", said), number(r"gone: \d+ of its (\d+)", said)
@@ -436,3 +437,33 @@ def test_18_pick_from_a_belt(printed):
     assert number(r"moves at ([\d.]+) mm/s", text) == 100
     assert "in the hand: box_1" in text and "placed: True" in text
     assert "unwanted contacts: 0 welds: 0" in text
+
+
+@pytest.mark.slow
+def test_36_tasks_of_stages(printed):
+    text = printed("36_tasks_of_stages.py")
+    assert "checked: in 'place': stage 'placement' (ChoosePlacement) lacks 'cube in a hand'" in text
+    for name in ("duration", "path_length", "both"):
+        found = [float(c) for c in re.search(rf"by {name}: (.*)", text).group(1).split(", ")]
+        assert len(found) == 4 and found == sorted(found)
+    assert "performed: SUCCESS - the last step: Together" in text
+    assert re.search(r"\n  2 m +1 +0 +1 .*out of reach", text)
+    assert "SUCCESS 4 parts, 3 by plans made ahead {}" in text
+
+
+@pytest.mark.slow
+def test_37_behaviour_tree(printed):
+    pytest.importorskip("py_trees", reason="py_trees is not installed (pip install 'armcell[trees]')")
+    text = printed("37_behaviour_tree.py")
+    assert re.search(r"SUCCESS after \d+ ticks", text) and "lifted 2 times" in text
+    assert "1 failure from 5" in text and "--> place cube on tray [o]" in text
+    assert "dot: digraph" in text and "FAILURE pick wall: object 'wall' is fixed" in text
+
+
+@pytest.mark.slow
+def test_38_laid_down_in_between(printed):
+    text = printed("38_laid_down_in_between.py")
+    assert "with one grasp: PLANNING_FAILED" in text
+    assert "SUCCESS laid down in between on: table" in text and "points down" in text
+    assert float(re.search(r"([\d.]+) mm from", text).group(1)) < 10
+    assert int(re.search(r"grasps: (\d+)", text).group(1)) >= 2

@@ -90,6 +90,13 @@ def test_what_does_not_fit_gives_nothing(box):
     assert grasps_from_above(seen, labels, 0.0, HAND, 20.0) == []
 
 
+@pytest.mark.parametrize("yaw_deg", range(0, 90, 5))
+def test_a_plate_wider_than_the_hand_is_not_held_by_its_corners_either(yaw_deg):
+    seen, labels = with_boxes((0.25, 0.25, 0.16, 0.15, np.deg2rad(yaw_deg), 0.03))
+    for settings in (AboveSettings(), AboveSettings(room=0.0045, turns=32, least_touch=0.15)):
+        assert grasps_from_above(seen, labels, 0.0, HAND, 20.0, settings) == []
+
+
 def test_the_upper_of_two_comes_first():
     seen, labels = with_boxes((0.15, 0.25, 0.05, 0.04, 0.0, 0.04), (0.35, 0.25, 0.05, 0.04, 0.0, 0.10))
     assert grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0].piece == 1

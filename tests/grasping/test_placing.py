@@ -115,11 +115,11 @@ def test_the_surface_is_on_top_however_the_box_lies(flip):
 @pytest.mark.parametrize(
     "support",
     [
-        CollisionObject.single("thing", Box(0.4, 0.4, 0.1), SE3.from_xyz_rpy((0, 0, 0), (0.2, 0, 0))),
+        CollisionObject.single("thing", Box(0.4, 0.4, 0.1), SE3.from_xyz_rpy((0, 0, 0), (0.6, 0, 0))),
         CollisionObject.single("thing", Cylinder(0.2, 0.4), SE3.from_xyz_rpy((0, 0, 0), (np.pi / 2, 0, 0))),
         CollisionObject.single("thing", Sphere(0.3)),
     ],
-    ids=["tilted box", "lying cylinder", "ball"],
+    ids=["steep box", "lying cylinder", "ball"],
 )
 def test_no_flat_top(support):
     with pytest.raises(InputError, match=r"'thing' has no flat surface on top"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -285,24 +284,3 @@ def test_solutions_forbidden_by_limits_are_counted():
     assert "outside limits (j3:" in result.message and "the closest is" in result.message
     assert "j3" in result.evidence["joints_at_limit"]
     assert pose_of(ik, result.positions, q).isclose(result.evidence["closest_pose"], 1e-9, 1e-9)
-
-
-def test_all_branches_within_15_us():
-    """The bar of the project; measured 2 us through the compiled function."""
-    from armcell.kinematics.ik.chain import goal_in_base
-    from armcell.kinematics.ik.ur import ur_branches
-
-    ik = AnalyticIK(load_robot("ur10"), "arm")
-    chain, geometry = ik.prepared.chain, ik.prepared.geometry
-    rng, goal, out = np.random.default_rng(10), np.empty(12), np.empty((8, 6))
-    reference, times = np.zeros(6), []
-    for _ in range(300):
-        T = ik.tree.link_pose(random_positions(ik.model, rng), ik.tip_link).matrix
-        runs = []
-        for _ in range(3):
-            began = time.perf_counter()
-            goal_in_base(chain.inverse_base, T, goal)
-            ur_branches(geometry, goal, reference, out)
-            runs.append(time.perf_counter() - began)
-        times.append(min(runs))
-    assert np.median(times) <= 15e-6

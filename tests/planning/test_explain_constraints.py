@@ -44,7 +44,7 @@ def level(tolerance: float, rotation: SO3 = DOWN) -> Constraints:
 
 def explained(scene, asked, code: ErrorCode) -> Explanation:
     """Of the right code; each suggestion that was kept makes the changed request succeed."""
-    e = explain(scene, asked)
+    e = explain(scene, asked, 60.0)
     assert e.code is code, e.text()
     assert e.suggestions, e.text()
     for suggestion in e.suggestions:

@@ -62,7 +62,7 @@ def all_explained() -> dict[str, Explained]:
     found = {}
     for name, case in REQUESTS.items():
         scene, asked = case.make()
-        found[name] = Explained(case, scene, asked, explain(scene, asked))
+        found[name] = Explained(case, scene, asked, explain(scene, asked, 60.0))
     return found
 
 
@@ -206,7 +206,7 @@ def test_without_time_nothing_is_tried_but_everything_seen_is_told():
 def test_ik_that_fails_explains_itself():
     result = solve_ik(panda_wall(), "arm", down(0.55, 0.0, 0.2))
     assert result.code is ErrorCode.NO_IK_SOLUTION
-    e = result.explain()
+    e = result.explain(60.0)
     assert e.code is ErrorCode.NO_IK_SOLUTION and "wall" in e.text() and e.suggestions[0].works
     assert solve_ik(panda_wall(), "arm", down(0.5, 0.25, 0.3)).ok
 
@@ -307,7 +307,7 @@ def test_a_motion_that_is_not_begun_explains_itself():
     result = plan(scene, request(NamedGoal("extended"), start=JointState(("panda_joint1",), [0.2])))
     with drivers["fake"](scene, DriverOptions()) as driver:
         refused = execute(driver, result.trajectory)
-    e = refused.explain()
+    e = refused.explain(60.0)
     assert e.code is ErrorCode.CONTROL_FAILED and e.data["joints"] == ["panda_joint1"]
     scene, asked = e.suggestions[0].apply(scene, request(NamedGoal("extended")))
     with drivers["fake"](scene, DriverOptions()) as driver:
@@ -327,7 +327,7 @@ def test_a_suggestion_as_data():
 def test_a_typo_is_mended_even_where_that_is_not_enough():
     """The group does not exist, and the pose is out of reach besides."""
     scene, asked = panda(), replace(request(PoseGoal(down(2.0, 0.0, 0.3))), group="amr")
-    e = explain(scene, asked)
+    e = explain(scene, asked, 60.0)
     assert e.code is ErrorCode.INVALID_GROUP_NAME
     assert len(e.suggestions) == 1 and e.suggestions[0].works is False and "not enough alone" in e.text()
     assert explain(*e.suggestions[0].apply(scene, asked)).code is ErrorCode.NO_IK_SOLUTION

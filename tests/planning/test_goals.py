@@ -280,7 +280,7 @@ def test_contradictions_are_named_before_planning(name):
     constraints, words = CONTRADICTIONS[name]
     result = plan(panda_wall(), request(ConstraintGoal(constraints), planning_time=60.0))
     assert result.code is ErrorCode.INVALID_GOAL_CONSTRAINTS
-    assert result.planning_time < 5.0 and result.trajectory is None
+    assert result.planning_time < 30.0 and result.trajectory is None
     with pytest.raises(AssertionError, match=words):
         raise AssertionError(result.message)
 

@@ -140,7 +140,7 @@ def test_native_parameters():
 
 def test_a_limit_of_iterations_is_kept():
     result = plan(panda_wall(), request(beyond_panda(), parameters={"max_iterations": 1}, planning_time=30.0))
-    assert not result.ok and "after" in result.message and result.planning_time < 10.0
+    assert not result.ok and "after" in result.message and result.planning_time < 20.0
 
 
 # --- ompl_planning.yaml ---

@@ -56,7 +56,7 @@ def test_of_several_attempts_the_shortest_is_taken():
 def test_attempts_that_all_fail_say_so():
     scene, goal = walled_in()
     result = plan(scene, request(goal, attempts=3, planning_time=0.3))
-    assert result.code is ErrorCode.TIMED_OUT and result.planning_time < 5.0
+    assert result.code is ErrorCode.TIMED_OUT and result.planning_time < 30.0
     assert result.evidence["attempts"] == 3 and result.evidence["solved"] == 0
 
 

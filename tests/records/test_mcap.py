@@ -149,9 +149,10 @@ def test_trajectories_and_events_round_trip(recorded):
     assert events[-1]["data"] == {"force": 2.5, "at": [0, 1, 2]}
 
 
-def test_velocities_and_accelerations_of_a_trajectory_are_kept(scene, tmp_path):
+@pytest.mark.parametrize("in_memory", [np.ascontiguousarray, np.asfortranarray])
+def test_velocities_and_accelerations_of_a_trajectory_are_kept(scene, tmp_path, in_memory):
     with RunRecorder(tmp_path, scene) as recorder:
-        rows = np.arange(6.0).reshape(3, 2)
+        rows = in_memory(np.arange(6.0).reshape(3, 2))
         recorder.on_trajectory(
             2.5, JointTrajectory(("panda_joint1", "panda_joint2"), np.arange(3.0), rows, rows + 1, rows + 2)
         )

@@ -88,12 +88,12 @@ def test_joined_topics_come_through_one_queue_in_order():
 
 def test_a_slow_callback_does_not_hold_up_the_publisher():
     bus, go = Bus(), threading.Event()
-    bus.subscribe("chat", TEXT, lambda _: go.wait(5), queue_size=1)
+    bus.subscribe("chat", TEXT, lambda _: go.wait(60), queue_size=1)
     publisher = bus.advertise("chat", TEXT)
     start = time.monotonic()
     for _ in range(100):
         publisher.publish(text("x"))
-    assert time.monotonic() - start < 1.0
+    assert time.monotonic() - start < 30.0
     go.set()
 
 

@@ -67,6 +67,37 @@ def test_a_newer_motion_of_the_same_joints_takes_over(driver):
     assert first.outcome().code is ErrorCode.PREEMPTED and second.outcome().ok and other.outcome().ok
 
 
+def test_an_arm_that_gets_a_newer_motion_does_not_stop_in_between(scene):
+    """In physics, on the way to the same side: its speed never falls to that of an arm told to stop."""
+    with make("sim", scene) as driver:
+        conductor = Conductor(driver)
+        names = scene.model.group("left_arm").joint_names
+        q = driver.joint_state().reindexed(names).positions
+        way = JointTrajectory(
+            names, np.array([0.0, 1.0]), np.array([q, q + 0.6 * np.eye(len(q))[0]]), np.zeros((2, len(q)))
+        )
+        first = conductor.put(Work("left", names, lambda d, c: playing(d, way, cancel=c)))
+        turn_until(conductor, lambda: driver.now > 0.4)
+        joint = names[0]
+
+        def steps(d, cancel):
+            state = d.joint_state().reindexed(names)
+            far = state.positions + 0.6 * np.eye(len(state.joint_names))[0]
+            q, v = np.array([state.positions, far]), np.array([state.velocities, 0 * far])
+            return playing(d, JointTrajectory(state.joint_names, np.array([0.0, 1.0]), q, v), cancel=cancel)
+
+        before = driver.joint_state().reindexed([joint]).velocities[0]
+        second = conductor.put(Work("left", first.joints, steps))
+        speeds = []
+        for _ in range(20):
+            conductor.turn()
+            speeds.append(driver.joint_state().reindexed([joint]).velocities[0])
+        assert first.outcome().code is ErrorCode.PREEMPTED
+        assert before > 0.5 and min(speeds) > 0.8 * before
+        turn_until(conductor, lambda: second.is_over)
+        assert second.outcome().ok, second.outcome().message
+
+
 def test_what_does_not_give_way_is_waited_for(driver):
     conductor = Conductor(driver)
     first = work(driver, "left")

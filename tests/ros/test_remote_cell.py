@@ -113,7 +113,7 @@ def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint(
         assert running.outcome().code is ErrorCode.PREEMPTED
 
 
-def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late():
+def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late(caplog):
     with Simulator("panda_table") as sim:
         pose = sim.bus.advertise("/object_pose", "geometry_msgs/PoseStamped")
         T = SE3.from_xyz(0.5, -0.2, 0.1)
@@ -131,9 +131,8 @@ def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late():
     ) as sim:  # one that says nothing of objects: they are where the cell has them
         cube = sim.cell.scene().object("cube")
         assert cube.T_world_object.isclose(sim.scene.object("cube").T_world_object)
-        before = time.monotonic()
         sim.cell.scene()
-        assert time.monotonic() - before < 0.5  # waited for but once
+        assert caplog.text.count("no /object_pose of") == 1  # waited for but once
 
 
 def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):

@@ -5,7 +5,6 @@ import logging
 import struct
 
 import pytest
-from tests.ros.fuzz_tcp import fuzz
 from tests.ros.tcp_helpers import frame
 from tests.ros.unity_like import UnityLike
 
@@ -167,12 +166,3 @@ def test_a_reader_holds_no_more_than_it_received():
     assert len(reader._buffer) == 11
     with pytest.raises(FrameError):
         FrameReader(max_body=10).feed(frame(b"/a", b"x" * 11))
-
-
-@pytest.mark.slow
-def test_ten_thousand_fuzzed_frames():
-    report = fuzz(frames=10_000, seed=4)
-    assert report.frames >= 10_000
-    assert report.crashes == [] and report.connections > 10
-    assert report.bystander_messages > 0 and report.leaked_threads == 0
-    assert report.leaked_topics == []

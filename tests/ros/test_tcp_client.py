@@ -121,7 +121,7 @@ def test_registrations_byte_for_byte_in_ros2_mode():
                 assert receive(peer, len(message)) == message
                 start = time.monotonic()
                 assert receive(peer, 8) == bytes(8)
-                assert 0.5 < time.monotonic() - start < 3
+                assert 0.5 < time.monotonic() - start < 20
 
 
 @pytest.mark.slow

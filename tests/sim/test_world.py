@@ -141,6 +141,27 @@ def test_twist_is_the_rate_of_the_pose():
     assert (after.rotation @ before.rotation.inv()).log() / h == pytest.approx(twist[3:], abs=0.03)
 
 
+def test_the_monitor_counts_every_step_that_a_look_at_each_list_of_contacts_finds():
+    """It remembers lists of contacts it has looked at; here each list is read anew, by name."""
+    world = Grasping().world
+    world.set_gripper_target("hand", 0.0)
+    found: dict[frozenset[str], int] = {}
+    allow, forbid = world.monitor.allow, world.monitor.forbid
+    left, right = "panda_leftfinger", "panda_rightfinger"
+    changes = {150: (forbid, left), 200: (forbid, right), 250: (allow, left)}
+    for i in range(300):
+        if i in changes:
+            rule, finger = changes[i]
+            rule("cube", finger)
+        world.step()
+        allowed = world.monitor.allowed
+        pairs = {frozenset((c.body_a, c.body_b)) for c in world.contacts()}
+        for pair in pairs - allowed - {frozenset(("cube", "table"))}:  # neither is a link, nor watched
+            found[pair] = found.get(pair, 0) + 1
+    seen = {frozenset((c.body_a, c.body_b)): c.count for c in world.monitor.unwanted}
+    assert seen == found and len(found) == 2
+
+
 def test_the_monitor_sees_the_arm_hit_the_table():
     model = load_robot("panda")
     table = CollisionObject.single("table", Box(1.0, 1.0, 0.1), SE3.from_xyz(0.8, 0.0, -0.05))

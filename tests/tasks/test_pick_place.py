@@ -158,14 +158,22 @@ def walled() -> CollisionObject:
     return CollisionObject("cage", tuple(walls), SE3.from_xyz(at[0], at[1], 0.096))
 
 
+def solid() -> CollisionObject:
+    """A block that the cube is inside of."""
+    at = nominal().object("cube").T_world_object.translation
+    return CollisionObject.single("block", Box(0.15, 0.15, 0.15), SE3.from_xyz(at[0], at[1], 0.076))
+
+
 @pytest.mark.parametrize(
     ("scene", "reason"),
     [
         (with_cube(size=0.1), "100 mm wide, the gripper opens 80 mm"),
         (with_cube(at=(2.0, 0.0)), "out of reach"),
+        (with_cube(mass=40.0), "the gripper has 70 N"),
         (nominal().with_object(walled()), "touches cage"),
+        (nominal().with_object(solid()), "block"),
     ],
-    ids=["too wide", "too far", "caged"],
+    ids=["too wide", "too far", "too heavy", "caged", "inside another"],
 )
 def test_what_cannot_be_picked_says_why(scene, reason):
     with live("fake", scene) as cell:
@@ -177,6 +185,37 @@ def test_what_cannot_be_picked_says_why(scene, reason):
         assert any(reason in why for _, _, why in details)
         assert unmoved(cell)
         assert any(outcome.message == e.text for e in cell.ctx.events if e.kind == "error")
+
+
+def pit(half: float) -> CollisionObject:
+    """Four walls of 30 mm on the table around (-0.1, -0.3), so far [m] from it."""
+    walls = [(Box(0.01, 2 * half + 0.02, 0.03), SE3.from_xyz(s * (half + 0.005), 0, 0)) for s in (-1, 1)]
+    walls += [(Box(2 * half, 0.01, 0.03), SE3.from_xyz(0, s * (half + 0.005), 0)) for s in (-1, 1)]
+    table = nominal().object("table")
+    top = table.bounds()[1][2]
+    return CollisionObject("pit", tuple(walls), table.T_world_object @ SE3.from_xyz(-0.1, -0.3, top + 0.0155))
+
+
+@pytest.mark.parametrize(("half", "width"), [(0.07, 0.07), (0.048, 0.06), (0.044, 0.055)])
+def test_the_fingers_open_no_wider_than_there_is_room(half, width):
+    """By 20 mm, where that would touch by a half or a quarter of it."""
+    with live("fake", nominal().with_object(pit(half))) as cell:
+        assert cell.arm.pick("cube").ok
+        outcome = cell.arm.place("cube", on="table", at=(-0.1, -0.3))
+        assert outcome.ok, outcome.message
+        assert cell.driver.gripper("hand").width == pytest.approx(width, abs=1e-4)
+
+
+def test_a_full_tray_is_said_and_keeps_the_object():
+    T = nominal().object("tray").T_world_object
+    posts = [SE3.from_xyz(0.06 * i, 0.06 * j, 0.05) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    full = CollisionObject("full", tuple((Box(0.03, 0.03, 0.07), p) for p in posts), T)
+    with live("fake", nominal().with_object(full)) as cell:
+        assert cell.arm.pick("cube").ok
+        outcome = cell.arm.place("cube", on="tray")
+        assert outcome.code is ErrorCode.PLANNING_FAILED
+        assert "cube touches full" in outcome.message and "rejected (" in outcome.message
+        assert set(cell.ctx.holding) == {"cube"} == set(cell.scene().attached)
 
 
 def test_a_place_out_of_reach_keeps_the_object(cell):

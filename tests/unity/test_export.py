@@ -116,7 +116,7 @@ def test_the_scene_file(exported):
     assert gripper["topic"] == "/gripper_command" and gripper["max_force"] == 70.0
     drives = data["robot"]["drives"]
     assert drives["panda_joint1"]["force_limit"] == 87 and drives["panda_finger_joint2"]["force_limit"] == 70
-    assert drives["panda_joint1"] == {"stiffness": 5000, "damping": 500, "force_limit": 87}
+    assert drives["panda_joint1"] == {"stiffness": 5000, "damping": 250, "force_limit": 87}
     assert drives["panda_joint7"]["stiffness"] == 5000 * 12 / 50  # 12 Nm: gains in proportion
     assert ["panda_hand", "panda_leftfinger"] in data["robot"]["may_touch"]
     assert (export.package / "Messages" / "Moveit" / "msg" / "CollisionObjectMsg.cs").is_file()

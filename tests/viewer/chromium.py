@@ -45,9 +45,20 @@ def find_chromium() -> str | None:
 
 
 class Chromium:
-    """One browser with one page, of `size` (width, height) pixels; ends with its `with` block."""
+    """One browser with one page, of `size` (width, height) pixels; ends with its `with` block.
 
-    def __init__(self, binary: str, profile: Path, size: tuple[int, int], start_timeout: float = 60.0):
+    Args:
+        scale: of the pixels drawn for one of the page's; without a GPU a frame takes seconds.
+    """
+
+    def __init__(
+        self,
+        binary: str,
+        profile: Path,
+        size: tuple[int, int],
+        start_timeout: float = 60.0,
+        scale: float = 1.0,
+    ):
         self._profile = profile
         self._process = subprocess.Popen(
             [
@@ -66,7 +77,7 @@ class Chromium:
             self.call("Page.enable")
             self.call(
                 "Emulation.setDeviceMetricsOverride",
-                width=size[0], height=size[1], deviceScaleFactor=1, mobile=False,
+                width=size[0], height=size[1], deviceScaleFactor=scale, mobile=False,
             )  # fmt: skip
         except BaseException:
             self.close()

@@ -93,6 +93,7 @@ def keep(picture, name):
         Image.fromarray(picture).save(folder / f"{name}.png")
 
 
+@pytest.mark.interop  # more than a minute: Chromium draws in software
 def test_the_picture_shows_the_arm_at_its_pose_and_follows_it(tmp_path):
     floor = CollisionObject.single(
         "floor", Box(6, 6, 0.02), SE3.from_xyz(0, 0, -0.02), color=(0.05, 0.55, 0.2, 1.0)

@@ -10,7 +10,8 @@ import numpy as np
 
 from armcell.campaigns.distributions import Distribution
 from armcell.campaigns.gate import changed_parts
-from armcell.campaigns.pool import Pool
+from armcell.campaigns.pool import Pool, Workers
+from armcell.campaigns.processes import Processes, cores
 from armcell.campaigns.sampling import ROUND, Array, adaptive_draw, latin_hypercube_draw, random_draw
 from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
@@ -51,18 +52,26 @@ def resume(folder: str | Path) -> Store:
     return store
 
 
-def run(store: Store, workers: int, tell: Tell = lambda store, began: None) -> str:
+def run(
+    store: Store, workers: int = 0, tell: Tell = lambda store, began: None, ray: str | None = None
+) -> str:
     """Run what is missing of a campaign.
 
     Args:
+        workers: how many; 0: one per core.
         tell: called after every trial.
+        ray: run on a Ray cluster: its HOST:PORT, or "auto"; see `cluster.RayWorkers`.
     Returns:
         Why it stopped, in words.
+    Raises:
+        InputError: no worker comes up; a wrong address of a cluster, or one of another version.
+        MissingExtraError: Ray is not installed.
     """
     spec = store.spec
     warm_up()  # compiled once, before every worker does
     began, count = time.monotonic(), 0
-    with Pool(spec, workers) as pool:
+    with _workers(store, workers, ray) as found:
+        pool = Pool(spec, found)
         for first in range(0, spec.trials, ROUND if spec.sampling == "adaptive" else spec.trials):
             last = min(first + ROUND, spec.trials) if spec.sampling == "adaptive" else spec.trials
             for row in pool.run(_missing(store, first, last)):
@@ -74,6 +83,14 @@ def run(store: Store, workers: int, tell: Tell = lambda store, began: None) -> s
                 if _sure_enough(store):
                     return f"the interval is within {spec.half_width:.2%} to each side"
     return f"all {spec.trials} trials are done"
+
+
+def _workers(store: Store, count: int, ray: str | None) -> Workers:
+    if ray is None:
+        return Processes(store.spec, count or cores())
+    from armcell.campaigns.cluster import RayWorkers
+
+    return RayWorkers(store.spec, store.hashes, count, ray)
 
 
 def _sure_enough(store: Store) -> bool:

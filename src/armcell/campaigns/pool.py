@@ -1,125 +1,113 @@
-"""Worker processes on this machine. One that dies or hangs is replaced, and its trial given to another."""
+"""The engine: hands trials to workers one by one. One that dies is replaced, its trial given to another.
+
+It does not know what a worker is: a process here (`processes.py`) or an actor on a cluster (`cluster.py`).
+"""
 
 from __future__ import annotations
 
-import json
-import os
-import selectors
-import subprocess
-import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, failed
 from armcell.core import InputError
 
 TRIES = 3  # of a trial whose worker dies
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
 LIVES = 2000  # trials until a worker is replaced by a fresh one: whatever a library leaks ends with it
+PATIENCE = 600.0  # [s] until some worker is ready; compiling for the first time takes minutes
+GLANCE = 1.0  # [s] between two looks at what takes too long
+
+Answer = dict[str, Any]
+"""{"ready": true} once, when the cell is loaded, or {"cell": why not}; then a row per trial."""
 
 
-class _Worker:
-    def __init__(self, spec: CampaignSpec):
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "armcell.campaigns.worker"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
-        )  # fmt: skip
+class Worker(ABC):
+    """Runs one trial at a time; given as JSON-ready data, answered with `Answer`s through its `Workers`."""
+
+    def __init__(self) -> None:
         self.trial: Trial | None = None
         self.ready = False  # it has loaded the cell
         self.began = 0.0
         self.done = 0
-        self.rest = b""
-        self._send(spec.as_dict())
-
-    @property
-    def output(self) -> int:
-        assert self.process.stdout is not None
-        return self.process.stdout.fileno()
 
     def give(self, trial: Trial) -> None:
         self.trial, self.began = trial, time.monotonic()
-        self._send(asdict(trial))
+        self.send(asdict(trial))
 
-    def _send(self, data: dict[str, Any]) -> None:
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write(json.dumps(data).encode() + b"\n")
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            pass  # it is dead: its output ends, which is noticed there
-
-    def answers(self) -> list[dict[str, Any]] | None:
-        """What it has said since; None if it is dead."""
-        data = os.read(self.output, 1 << 16)
-        if not data:
-            return None
-        *lines, self.rest = (self.rest + data).split(b"\n")
-        return [json.loads(line) for line in lines]
-
-    def end(self) -> int:
-        self.process.kill()
-        status = self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout):
-            try:
-                if pipe is not None:
-                    pipe.close()
-            except BrokenPipeError:
-                pass
-        return status
+    @abstractmethod
+    def send(self, data: dict[str, Any]) -> None:
+        """A trial. One that is dead says so by its answers, not here."""
 
 
-class Pool:
-    """`workers` processes; use in a `with` block, at the end of which none is left."""
+W = TypeVar("W", bound=Worker)
 
-    def __init__(self, spec: CampaignSpec, workers: int):
-        self.spec = spec
-        self._selector = selectors.DefaultSelector()
-        self._workers: list[_Worker] = []
-        self.size = workers
-        self.died = 0
 
-    def __enter__(self) -> Pool:
-        for _ in range(self.size):
-            self._start()
-        return self
+class Workers(ABC, Generic[W]):
+    """Where workers come from. Used in a `with` block, at the end of which none is left.
 
-    def __exit__(self, *exc: object) -> None:
-        for worker in self._workers:
-            self._selector.unregister(worker.output)
-            worker.end()
-        self._workers.clear()
-        self._selector.close()
+    Attributes:
+        size: how many there shall be.
+        help: what to look at when none comes up.
+    """
 
-    def _start(self) -> _Worker:
-        worker = _Worker(self.spec)
-        self._workers.append(worker)
-        self._selector.register(worker.output, selectors.EVENT_READ, worker)
-        return worker
+    size: int
+    help: str
 
-    def _replace(self, worker: _Worker) -> int:
-        self._selector.unregister(worker.output)
-        self._workers.remove(worker)
-        status = worker.end()
-        self._start()
-        return status
+    @abstractmethod
+    def __enter__(self) -> Workers[W]: ...
 
-    def _died_at_start(self, status: int) -> None:
+    @abstractmethod
+    def __exit__(self, *exc: object) -> None: ...
+
+    @abstractmethod
+    def start(self) -> W:
+        """One more."""
+
+    @abstractmethod
+    def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
+        """What workers have said since; waits so long [s] for the first. None: it is dead."""
+
+    @abstractmethod
+    def end(self, worker: W) -> str:
+        """Make sure that it is gone. How it ended, in words: "with status 7"."""
+
+
+class Pool(Generic[W]):
+    """Trials for `workers`, which must have been entered."""
+
+    def __init__(self, spec: CampaignSpec, workers: Workers[W]):
+        self.spec, self._workers = spec, workers
+        self._all: list[W] = [workers.start() for _ in range(workers.size)]
+        self._some_ready = time.monotonic()
+        self.died = 0  # in a row, as they started
+
+    def _replace(self, worker: W) -> str:
+        self._all.remove(worker)
+        how = self._workers.end(worker)
+        self._all.append(self._workers.start())
+        return how
+
+    def _died_at_start(self, how: str) -> None:
         """
         Raises:
             InputError: too many in a row.
         """
         self.died += 1
-        if self.died >= TRIES * self.size:
-            raise InputError(
-                f"worker processes end with status {status} as they start",
-                cure=f"see what they say above; does `armcell check {self.spec.cell}` pass, is there memory "
-                f"for {self.size} of them (--workers 1)?",
-            )
+        if self.died >= TRIES * self._workers.size:
+            raise InputError(f"workers end {how} as they start", cure=self._workers.help)
+
+    def _look_for_ready_ones(self) -> None:
+        """
+        Raises:
+            InputError: for too long there is none.
+        """
+        if any(worker.ready for worker in self._all):
+            self._some_ready = time.monotonic()
+        elif time.monotonic() - self._some_ready > PATIENCE:
+            raise InputError(f"no worker is ready after {PATIENCE:g} s", cure=self._workers.help)
 
     def run(self, trials: Iterator[Trial]) -> Iterator[dict[str, Any]]:
         """The rows of trials as they finish, each trial's exactly once.
@@ -129,37 +117,36 @@ class Pool:
         """
         again: list[Trial] = []
         tries: dict[int, int] = {}
-        over = False
-        while True:
-            for worker in self._workers:
-                if worker.trial is None and not over:
-                    trial = again.pop() if again else next(trials, None)
-                    if trial is None:
-                        over = True
-                    else:
-                        worker.give(trial)
-            if all(worker.trial is None for worker in self._workers):
+        ahead = next(trials, None)
+
+        def give(worker: W) -> None:
+            nonlocal ahead
+            if not worker.ready or worker.trial is not None:
                 return
-            for key, _ in self._selector.select(timeout=1.0):
-                worker: _Worker = key.data
-                answers = worker.answers()
+            if again:
+                worker.give(again.pop())
+            elif ahead is not None:
+                worker.give(ahead)
+                ahead = next(trials, None)
+
+        while True:
+            for worker in self._all:
+                give(worker)
+            if ahead is None and not again and all(worker.trial is None for worker in self._all):
+                return
+            self._look_for_ready_ones()
+            for worker, answers in self._workers.heard(GLANCE):
                 if answers is None:
-                    trial, status = worker.trial, self._replace(worker)
+                    trial, how = worker.trial, self._replace(worker)
                     if not worker.ready:
-                        self._died_at_start(status)
-                        if trial is not None:
-                            again.append(trial)
-                            over = False
-                        continue
+                        self._died_at_start(how)
                     if trial is None:
                         continue
                     tries[trial.number] = tries.get(trial.number, 0) + 1
                     if tries[trial.number] < TRIES:
                         again.append(trial)
-                        over = False
                     else:
-                        text = f"its process ended {TRIES} times, at last with status {status}"
-                        yield failed(trial, "CRASHED", text)
+                        yield failed(trial, "CRASHED", f"its process ended {TRIES} times, at last {how}")
                     continue
                 for row in answers:
                     if "ready" in row:
@@ -171,10 +158,12 @@ class Pool:
                         )
                     worker.trial = None
                     worker.done += 1
+                    if worker.done >= LIVES:
+                        self._replace(worker)
+                    else:
+                        give(worker)  # first: it works on while the row is kept and told
                     yield row
-                if worker.done >= LIVES and worker.trial is None:
-                    self._replace(worker)
-            for worker in list(self._workers):
+            for worker in list(self._all):
                 late = time.monotonic() - worker.began
                 if worker.trial is not None and late > self.spec.trial_seconds:
                     trial = worker.trial

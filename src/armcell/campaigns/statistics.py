@@ -134,7 +134,7 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
                 continue
             higher = stats.mannwhitneyu(numbers[good], numbers[~good])
             other = stats.ks_2samp(numbers[good], numbers[~good])
-            p = min(1.0, 2 * min(float(higher.pvalue), float(other.pvalue)))  # two looks at one question
+            p = min(1.0, 2 * min(_p(higher), _p(other)))  # two looks at one question
             found.append((path, float(higher.statistic) / (good.sum() * (~good).sum()), p))
             continue
         kinds = sorted({repr(v) for v in values})
@@ -142,7 +142,7 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
             continue
         counts = Counter((repr(v), bool(g)) for v, g in zip(values, good, strict=True))
         table = [[counts[kind, True], counts[kind, False]] for kind in kinds]
-        found.append((path, None, float(stats.chi2_contingency(table).pvalue)))
+        found.append((path, None, _p(stats.chi2_contingency(table))))
     found.sort(key=lambda effect: effect[2])
     corrected, least = [], 0.0
     for i, (path, auc, p) in enumerate(found):  # Holm (1979), Scand. J. Stat. 6
@@ -187,7 +187,7 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
         difference + math.hypot(ub - b.value, a.value - la),
     )
     table = [[a.count, a.total - a.count], [b.count, b.total - b.count]]
-    return Comparison(a, b, difference, interval, float(stats.fisher_exact(table).pvalue))
+    return Comparison(a, b, difference, interval, _p(stats.fisher_exact(table)))
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
@@ -197,3 +197,8 @@ def summary(values: Sequence[float | None]) -> dict[str, float] | None:
         return None
     low, middle, p95, high = np.percentile(numbers, [0, 50, 95, 100])
     return {"least": float(low), "median": float(middle), "p95": float(p95), "most": float(high)}
+
+
+def _p(result: Any) -> float:
+    """The p-value of a test; Any, as scipy's results are classes made at run time."""
+    return float(result.pvalue)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.control import execute
 from armcell.control.drivers.ur import UrDriver
@@ -186,7 +187,9 @@ class BringUp:
 
     def _geometry(self, name: str) -> str:
         """The flange by the robot's own calibrated geometry, and by the cell's model, at the same joints."""
-        found, model = self._found[name], self.cell.model
+        found, model, applied = self._found[name], self.cell.model, self.settings.calibration == "apply"
+        if applied:
+            model = with_geometry(model, self.settings, {name: found})
         q = self._measured(name)
         group = model.group(name)
         state = self.cell.scene().positions.copy()
@@ -209,8 +212,11 @@ class BringUp:
                 f"the flange is {error * 1000:.0f} mm from where the cell's model has it",
                 cure="wrong robot model in the cell, or a joint's zero is off (pendant: joint calibration)",
             )
+        if applied:
+            return f"flange {error * 1000:.2f} mm from the model with the robot's own calibration"
         return (
-            f"flange {error * 1000:.1f} mm from the cell's nominal model (factory calibration explains some)"
+            f"flange {error * 1000:.1f} mm from the cell's nominal model (factory calibration explains some; "
+            "'real: {calibration: apply}' plans with it)"
         )
 
     def _measured(self, name: str) -> np.ndarray:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from armcell.cell.calibrating import as_the_robots_are
 from armcell.cell.cameras import camera_of, decal_of
+from armcell.cell.disturbing import disturbances_of
 from armcell.cell.dropping import dropped
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
@@ -17,6 +20,8 @@ from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
 from armcell.cell.twin import twin_guard
 from armcell.control import DriverOptions, drivers
+from armcell.control.disturbances import Disturbances
+from armcell.control.drivers.disturbed import DisturbedSim
 from armcell.control.drivers.ur import UrDriver
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
@@ -56,12 +61,13 @@ def load(cell: str | Path) -> Cell:
 class Cell:
     """A loaded cell. Immutable; a seed chooses one draw of what it randomises."""
 
-    def __init__(self, name: str, file: Path, spec: CellSpec):
+    def __init__(self, name: str, file: Path, spec: CellSpec, model: RobotModel | None = None):
         self.name, self.file, self.spec = name, file, spec
-        self.model: RobotModel = self._robot()
+        self.model: RobotModel = model or self._robot()
         self.settings: TaskSettings = self._settings(TaskSettings, spec.settings, "settings")
         self.physics: PhysicsSettings = self._settings(PhysicsSettings, spec.physics, "physics")
         self._check_names()
+        self.disturbances: Disturbances = disturbances_of(spec, self.model, self.file)
         self.scene()  # whatever is wrong with the objects is said now
         self.cameras = tuple(self._camera(n, c) for n, c in spec.cameras.items())
         self.decals = tuple(self._decal(n, m) for n, m in spec.markers.items())
@@ -200,12 +206,17 @@ class Cell:
             watch: compare real arms with their twin, where its bands were learned (`armcell twin`).
         Raises:
             UnknownNameError: no such mode.
+            InputError: with `calibration: apply`, what is wrong with the robots.
         """
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
+        if mode == "real" and self.spec.real:
+            scene = as_the_robots_are(scene, self.spec.real)
         options = DriverOptions(
             seed or 0, time_scale, self.physics, self.cameras, self.decals, extra={"real": self.spec.real}
         )
+        if mode == "sim" and self.disturbances:
+            factory = partial(DisturbedSim, disturbances=self.disturbances)
         driver, seen = factory(scene, options), None
         if isinstance(driver, UrDriver) and driver.settings.twin:
             driver.guard = twin_guard(self, scene, watch)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from armcell.cell.seeing import LiveCamera
-from armcell.core import CameraImage, InputError, Outcome
+from armcell.core import CameraImage, ErrorCode, InputError, Outcome
 from armcell.grasping import support_surface
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
@@ -15,12 +15,16 @@ from armcell.sim import SimWorld
 from armcell.tasks import TaskContext
 from armcell.tasks.clearing import ClearSettings, clear_bin
 
+LOST = -1.0  # [m] below this it falls, for ever
+
 
 def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
     eye: LiveCamera, eye_on_tray: LiveCamera, settings: ClearSettings = ClearSettings(),
 ) -> Outcome:  # fmt: skip
-    """Clear a bin; the evidence says by the simulator's truth how many are `cleared` and `left`.
+    """Clear a bin; the evidence says by the simulator's truth how many are `cleared`, `left` and `beside`.
+
+    In physics it is a FAILURE, too, when no camera sees anything more and something is not in the tray.
 
     Args:
         scene: with every object of the cell, also those that only cameras know.
@@ -51,7 +55,17 @@ def clear_with(
     in_tray, in_bin = (_inside(world, scene, name, things) for name in (tray, bin))
     truth = {"things": len(things), "cleared": len(in_tray), "left": len(in_bin)}
     truth["beside"] = len(things) - len(in_tray) - len(in_bin)
-    return replace(outcome, evidence={**outcome.evidence, **truth})
+    outcome = replace(outcome, evidence={**outcome.evidence, **truth})
+    if not outcome.ok or len(in_tray) == len(things):
+        return outcome
+    where = ", ".join(_where(world, name) for name in things if name not in in_tray)
+    text = f"the cameras see nothing more, yet {len(things) - len(in_tray)} of {len(things)} things"
+    return replace(outcome, code=ErrorCode.FAILURE, message=f"{text} are not in {tray!r}: {where}")
+
+
+def _where(world: SimWorld, name: str) -> str:
+    x, y, z = world.object_pose(name).translation
+    return f"{name} rolled off the floor" if z < LOST else f"{name} at ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def _inside(world: SimWorld, scene: PlanningScene, container: str, things: list[str]) -> list[str]:

@@ -70,6 +70,7 @@ class Row:
     candidates: int = 0
     generation_s: float = 0.0  # CPU
     proof_s: float = 0.0  # wall
+    cpu_s: float = 0.0  # of all of it, all threads
     random: dict[str, Any] = field(default_factory=dict)  # the trial with a random grasp
 
 
@@ -81,12 +82,15 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 
 
 def objects_of(
-    folder: Path, gripper: Gripper, count: int, scale: float = 1.0
+    folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject, float]]:
     """Objects of the mesh files of a folder, or of its URDFs where there are any, scaled to fit the gripper.
 
+    Args:
+        count: of the files, by name.
+        skip: so many of them first.
     Raises:
-        InputError: no such folder, or nothing in it.
+        InputError: no such folder, nothing in it, or all of it skipped.
     """
     if not folder.is_dir():
         raise InputError("is not a folder", file=folder)
@@ -97,8 +101,10 @@ def objects_of(
         raise InputError(
             "has no mesh and no URDF in it", file=folder, cure=f"put {', '.join(sorted(MESH_SUFFIXES))} there"
         )
+    if skip >= len(files):
+        raise InputError(f"has {len(files)} files, {skip} are to be skipped", file=folder)
     limit = SHARE * gripper.max_width
-    for file in files[:count]:
+    for file in files[skip : skip + count]:
         item = _of_urdf(file) if file.suffix == ".urdf" else mesh_object(file.stem, file, scale=scale)
         item = replace(item, material=Material(FRICTION))
         low, high = item.bounds()
@@ -139,10 +145,17 @@ class Bench:
         self.settings = TaskSettings(
             lift_distance=LIFT, lower_distance=0.06, retreat_distance=0.08, attempts=1,
             prove_grasps=options.candidates, proof_trials=options.proof_trials,
+            planning_budget=600.0,  # a trial is not to fail because the machine is busy
         )  # fmt: skip
 
     def run(self, name: str, item: CollisionObject, scale: float) -> Row:
         """Everything about one object: its grasps, the attempts, the predictions."""
+        began = time.process_time()
+        row = self._tried(name, item, scale)
+        row.cpu_s = time.process_time() - began
+        return row
+
+    def _tried(self, name: str, item: CollisionObject, scale: float) -> Row:
         item, hand = replace(item, name=OBJECT), hand_of(self.model, self.gripper)
         began = time.thread_time()
         grasp_candidates(item, hand)
@@ -252,8 +265,12 @@ class Bench:
 
 
 # --- what comes of it ---
-def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Shares with Wilson's intervals, times, and how well successes were predicted."""
+def summary(rows: Sequence[Row], recovery: bool = True) -> dict[str, Any]:
+    """Shares with Wilson's intervals, times, and how well successes were predicted.
+
+    Args:
+        recovery: whether those that failed were tried again.
+    """
     tried = [r for r in rows if r.graspable]
     first = sum(bool(r.success) for r in tried)
     after = sum(bool(r.success or r.recovered) for r in tried)
@@ -261,11 +278,12 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         "objects": len(rows),
         "graspable": len(tried),
         "first_attempt": _share(first, len(tried)),
-        "with_recovery": _share(after, len(tried)),
+        **({"with_recovery": _share(after, len(tried))} if recovery else {}),
         "generation_ms_median": 1000 * float(np.median([r.generation_s for r in rows])),
         "generation_ms_max": 1000 * max(r.generation_s for r in rows),
         "proof_s_median": float(np.median([r.proof_s for r in tried])) if tried else None,
         "proof_s_max": max((r.proof_s for r in tried), default=None),
+        "cpu_s": sum(r.cpu_s for r in rows),
     }
     predicted = [(r.probability, r.epsilon, bool(r.success)) for r in tried if r.probability is not None]
     predicted += [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 
 from armcell.cell.clearing import clear_with
@@ -17,6 +17,7 @@ from armcell.sim import Camera, Decal
 from armcell.tasks import (
     MovingSettings,
     RecoverySettings,
+    SortSettings,
     StageReport,
     TaskContext,
     TaskSettings,
@@ -28,6 +29,7 @@ from armcell.tasks import (
     pick_moving,
     place,
     release,
+    sort,
     transfer,
 )
 from armcell.tasks.arms import (
@@ -42,6 +44,7 @@ from armcell.tasks.arms import (
     side_by_side,
 )
 from armcell.tasks.clearing import ClearSettings
+from armcell.tasks.sorting import Kind
 
 
 class Arm:
@@ -61,13 +64,15 @@ class Arm:
         on: str,
         at: tuple[float, float] | None = None,
         up: tuple[float, float, float] | None = None,
+        lean: float | None = None,
     ) -> Outcome:
         """Put a held object on another one, `at` [m] from the middle of its surface.
 
         Args:
             up: direction in the object's frame that shall be up; without it, it stands as it does now.
+            lean: how far it may lean on the way [rad], as a full cup.
         """
-        return place(self._ctx, item, on, at, up)
+        return place(self._ctx, item, on, at, up, lean)
 
     def transfer(
         self,
@@ -127,6 +132,10 @@ class Arm:
         """`with arm.reserve("bin"):` of two arms that work side by side only one is in there."""
         return self._ctx.reserve(zone)
 
+    def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
+        """Of what is left to do, the first whose zone the other arm is not at or going to; else the first."""
+        return self._ctx.choose(items, zone)
+
     def meet(self, name: str) -> None:
         """Wait until the other arm's program gets to the same point."""
         self._ctx.meet(name)
@@ -163,6 +172,11 @@ class LiveCell:
         self.model, self.seed = scene.model, seed
 
     def __enter__(self) -> LiveCell:
+        if (
+            not self.driver.is_simulated
+        ):  # what takes long (compiled code to load) comes before real arms wait
+            for group in self.arms:
+                prepare(self.scene_at_start, group)
         self.driver.__enter__()
         self.ctx.observe()
         for group in self.arms:
@@ -262,8 +276,25 @@ class LiveCell:
         self.ctx.cancel.clear()
 
     def scene(self) -> PlanningScene:
-        """The planning scene as measured now."""
+        """The planning scene as measured now, from any thread."""
         return self.ctx.scene()
+
+    def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
+        """Change what planners know of the world: at any time and from any thread, also while the arm moves.
+
+        What is planned afterwards keeps to it. A motion across whose rest something has come stops with
+        MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE and names it; others go on. Physics is not changed.
+
+        Example: `cell.change_scene(lambda scene: scene.with_object(box))`, or a diff: `diff.applied_to`
+
+        Args:
+            make: makes another scene of the present one; quickly, others wait for it.
+        Returns:
+            The scene as it is then.
+        Raises:
+            InputError: an object that is held would be gone; or what `make` raises. Nothing is changed then.
+        """
+        return self.ctx.change_scene(make)
 
     # --- cameras ---
     def camera(self, name: str | None = None) -> LiveCamera:
@@ -303,11 +334,23 @@ class LiveCell:
             table: that both stand on; what falls beside them is picked up from it.
             camera, tray_camera: look at the bin and at `into`.
         Returns:
-            SUCCESS when the camera sees nothing in the bin any more; the evidence has the counts.
+            SUCCESS when the cameras see nothing any more and, in physics, nothing lies elsewhere than in
+            `into`; the evidence has the counts.
         """
         gripper = self.model.gripper(arm_group=self.arm.group)
         eyes = self.camera(camera), self.camera(tray_camera)
         return clear_with(self.ctx, self.scene_at_start, gripper, bin, into, table, *eyes, settings)
+
+    def sort(
+        self, into: Mapping[str, str], camera: str, by: str | Kind = "colour",
+        settings: SortSettings = SortSettings(),
+    ) -> Outcome:  # fmt: skip
+        """Put every thing that a camera sees on the object for its colour (or "shape").
+
+        Example: `cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above")`
+        """
+        gripper = self.model.gripper(arm_group=self.arm.group)
+        return sort(self.ctx, gripper, lambda: self.look(camera), into, by, settings)
 
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0

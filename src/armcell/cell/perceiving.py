@@ -34,6 +34,13 @@ class Seen:
                 scene = scene.without_object(name)
         return scene
 
+    def put_into(self, scene: PlanningScene) -> PlanningScene:
+        """A scene with what was seen where it was seen; what is held is known better by the hand."""
+        for name, T in self.poses.items():
+            if name not in scene.attached:
+                scene = scene.with_object(self.known[name].at(T))
+        return scene
+
 
 class PerceivingDriver:
     """A driver whose objects are where cameras saw them last, or in the gripper that closed around them.
@@ -124,11 +131,6 @@ def look_with(
         for item in sight.objects:
             if item.known and item.T_world_object is not None:
                 seen.poses[item.name] = item.T_world_object
-        base = scene
-        for name in tuple(base.attached):
-            base = base.with_detached(name)
-        for name, T in seen.poses.items():
-            base = base.with_object(seen.known[name].at(T))
-        ctx.change_scene(base)
+        ctx.change_scene(seen.put_into)
     ctx.emit("stage", report.name, phase="end")
     return sight

@@ -246,6 +246,24 @@ class StepSpec(Strict):
         return self
 
 
+class PushSpec(Strict):
+    """A force from outside on a link or a movable object, at its centre of mass, in world axes."""
+
+    on: str
+    at: float = Field(ge=0)  # [s]
+    duration: float = Field(gt=0)  # [s]
+    force: tuple[float, float, float]  # [N]
+
+
+class DisturbanceSpec(Strict):
+    """What is wrong with the simulated robot and what happens to it; real ones bring their own."""
+
+    joint_offset_deg: dict[str, float] = {}  # joint -> how much further it stands than its encoder says
+    joint_noise_deg: float = Field(default=0.0, ge=0)  # standard deviation of measured positions
+    latency: float = Field(default=0.0, ge=0, le=1)  # [s] from a command until the arm acts
+    pushes: dict[str, PushSpec] = {}
+
+
 class CellSpec(Strict):
     """A whole cell file."""
 
@@ -263,6 +281,7 @@ class CellSpec(Strict):
     script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
     settings: dict[str, Any] = {}  # of tasks.TaskSettings
     physics: dict[str, Any] = {}  # of sim.PhysicsSettings
+    disturbances: DisturbanceSpec = DisturbanceSpec()
     real: dict[str, Any] = {}  # of the UR driver's RealSettings
 
     @field_validator("robot", mode="before")
@@ -315,6 +334,8 @@ def _known_keys(location: tuple) -> list[str]:
         return list(PerceptionSpec.model_fields)
     if location[0] == "drop":
         return list(DropSpec.model_fields)
+    if location[0] == "disturbances":
+        return list((PushSpec if "pushes" in location else DisturbanceSpec).model_fields)
     if "place" in location:
         return list(PlaceSpec.model_fields)
     model = tables.get(str(location[0]))

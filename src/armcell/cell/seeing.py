@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from armcell.collision.kernel.checker import KernelChecker
 from armcell.control import Driver
 from armcell.core import CameraImage, Event, JointTrajectory, StateSample
 from armcell.core.checks import require
@@ -69,19 +68,18 @@ class LiveCamera:
 class CameraWatch:
     """Keeps the octomap of a running cell's planning scene true to what a camera sees.
 
-    An observer of the cell: it looks at its own rate whenever time passes. While a motion runs and the map
-    has come across the rest of it, the cell is stopped (`resume` lets it move again).
+    An observer of the cell: it looks at its own rate whenever time passes. A motion across whose rest the map
+    has come is stopped, as by any other change of the scene (`TaskContext.change_scene`).
 
     Attributes:
         updates: what the pictures did, newest last.
-        stopped: why the cell was stopped, else empty.
+        stopped: why a motion was stopped, the last time; else empty.
     """
 
     ctx: TaskContext
     camera: LiveCamera
     settings: MapSettings = MapSettings()
     rate: float = 10.0  # [Hz]
-    stops: bool = True
     updates: list[MapUpdate] = field(default_factory=list)
     stopped: str = ""
 
@@ -89,7 +87,6 @@ class CameraWatch:
         require(np.isfinite(self.rate) and self.rate > 0, f"rate is {self.rate:g} Hz, it must be positive")
         self.map = CameraMap(self.settings)
         self._next = -np.inf
-        self._motion: tuple[float, JointTrajectory] | None = None
         self._told = ""
         self._used: CameraImage | None = None
         self.ctx.observers.append(self)
@@ -98,12 +95,6 @@ class CameraWatch:
         """Look no more; the map stays in the scene."""
         if self in self.ctx.observers:
             self.ctx.observers.remove(self)
-
-    def resume(self) -> None:
-        """Let the cell move again after a stop."""
-        if self.stopped:
-            self.stopped = ""
-            self.ctx.cancel.clear()
 
     def update(self) -> MapUpdate:
         """Look now; where no new picture has come, what the last one did.
@@ -114,12 +105,11 @@ class CameraWatch:
         image, now = self.camera.image(rgb=False), self.ctx.driver.now
         if image is self._used and now - image.time <= self.settings.max_age:
             return self.updates[-1]
-        scene = _released(self.ctx.scene())
         done = self.map.update(image, self.ctx.scene(), now)
         self.updates.append(done)
         if done.ok:
             self._used = image
-            self.ctx.change_scene(self.map.applied_to(scene))
+            self.ctx.change_scene(self.map.applied_to)
             self._told = ""
         elif done.message != self._told:
             self._told = done.message
@@ -132,48 +122,13 @@ class CameraWatch:
             return
         self._next = sample.time + 1.0 / self.rate - 1e-6
         self.update()
-        if self.stops and not self.stopped and (reason := self._across(sample.time)):
-            self.stopped = reason
-            self.ctx.emit("stop", reason)
-            self.ctx.cancel.set()
 
     def on_event(self, event: Event) -> None:
-        if event.kind == "stage" and event.data.get("phase") == "end":
-            self._motion = None
+        if event.kind == "stop" and event.data.get("object") == OCTOMAP:
+            self.stopped = f"camera {self.camera.name!r} sees something across the path: {event.text}"
 
     def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
-        self._motion = (time, trajectory)
-
-    def _across(self, now: float) -> str:
-        """Why the rest of the running motion must not be moved; empty if it may."""
-        if self._motion is None or not len(self.map.octree.sizes):
-            return ""
-        began, motion = self._motion
-        scene = self.ctx.scene()
-        scene = (
-            replace(scene, objects={OCTOMAP: scene.objects[OCTOMAP]}) if OCTOMAP in scene.objects else scene
-        )
-        checker = KernelChecker(scene, motion.joint_names)
-        for t in np.arange(max(now - began, 0.0), motion.duration + _STEP, _STEP):
-            q = motion.sample(min(float(t), motion.duration))[0]
-            if checker.touches(q):
-                pairs = checker.exact.contacts(q, padded=False)
-                what = pairs[0].describe() if pairs else "the robot meets it"
-                return (
-                    f"camera {self.camera.name!r} sees something across the path, {began + t - now:.2f} s "
-                    f"ahead ({what}): stopped; plan again"
-                )
-        return ""
-
-
-_STEP = 0.04  # [s] between the states of a running motion that are looked at
-
-
-def _released(scene: PlanningScene) -> PlanningScene:
-    """With what is held put back into the world: how a task keeps its scene."""
-    for name in tuple(scene.attached):
-        scene = scene.with_detached(name)
-    return scene
+        pass
 
 
 def live_cameras(

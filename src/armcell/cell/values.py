@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import Any
 
 import yaml
 
 from armcell.cell.cell import Cell
-from armcell.cell.schema import CellSpec, validated
+from armcell.cell.schema import CellSpec, DisturbanceSpec, validated
 from armcell.core import InputError, UnknownNameError
+from armcell.model.files import yaml_value
+from armcell.sim import PhysicsSettings
+from armcell.tasks import TaskSettings
 
 COMPONENTS = {"x": 0, "y": 1, "z": 2, "roll": 3, "pitch": 4, "yaw": 5}
 """Names for the numbers of a pose that is a list."""
-OPEN_BLOCKS = ("settings", "physics", "start", "randomize")  # whose keys a cell file need not name
+OPEN_BLOCKS = (
+    "settings",
+    "physics",
+    "start",
+    "randomize",
+    "disturbances",
+)  # whose keys a cell file need not name
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
@@ -32,7 +42,9 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
     for path, value in values.items():
         _put(data, path, value)
         _no_longer_drawn(data, path, value)
-    return Cell(cell.name, cell.file, validated(data, cell.file))
+    spec = validated(data, cell.file)
+    same = spec.robot == cell.spec.robot  # then what was worked out for the model is used again
+    return Cell(cell.name, cell.file, spec, cell.model if same else None)
 
 
 def parsed(setting: str) -> tuple[str, Any]:
@@ -45,7 +57,7 @@ def parsed(setting: str) -> tuple[str, Any]:
     if not equals or not path.strip():
         raise InputError(f"{setting!r} is not PATH=VALUE", cure="e.g. objects.cube.mass=0.3")
     try:
-        return path.strip(), yaml.safe_load(text)
+        return path.strip(), yaml_value(text)
     except yaml.YAMLError as error:
         raise InputError(f"{path}: {text!r} is not a value: {str(error).splitlines()[0]}") from None
 
@@ -58,7 +70,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
             at = at[_index(at, part, path)]
             continue
         if not isinstance(at, dict) or (part not in at and not _may_be_added(above[: depth + 1])):
-            raise UnknownNameError("parameter", path, _paths(data))
+            raise UnknownNameError("parameter", path, set(_known(data)))
         at.setdefault(part, {})
         if isinstance(at[part], tuple):
             at[part] = list(at[part])
@@ -68,7 +80,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
     elif isinstance(at, dict) and (above or last in CellSpec.model_fields):
         at[last] = value
     else:
-        raise UnknownNameError("parameter", path, _paths(data))
+        raise UnknownNameError("parameter", path, set(_known(data)))
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
@@ -91,6 +103,17 @@ def _index(at: list[Any], part: str, path: str) -> int:
         names = [name for name, i in COMPONENTS.items() if i < len(at)]
         raise UnknownNameError("entry", f"{part} of {path}", names)
     return index
+
+
+def _known(data: dict[str, Any]) -> Iterator[str]:
+    """Paths that may be given: those of the file, and what has a default in blocks that it may not name."""
+    yield from _paths(data)
+    for block, names in (
+        ("physics", [field.name for field in fields(PhysicsSettings)]),
+        ("settings", [field.name for field in fields(TaskSettings)]),
+        ("disturbances", list(DisturbanceSpec.model_fields)),
+    ):
+        yield from (f"{block}.{name}" for name in names)
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
@@ -10,10 +11,12 @@ REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
 def versions() -> dict[str, str]:
     """Versions of what decides a run."""
-    found = {"python": platform.python_version()}
-    for package in REPORTED_PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    return {"python": platform.python_version(), **{name: _installed(name) for name in REPORTED_PACKAGES}}
+
+
+@cache
+def _installed(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -27,6 +27,7 @@ def dual(
     planner: str = typer.Option("native", metavar="ID", help="A planner: native, ompl/RRTConnect, ..."),
     repeat: int = typer.Option(3, min=1, help="Runs per problem; the fastest counts."),
     seconds: float = typer.Option(10.0, min=0.01, help="Time limit of one run."),
+    apart: float = typer.Option(0.02, min=0.0, help="[m] kept between the arms where start and goal allow."),
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
@@ -40,11 +41,11 @@ def dual(
         if file is not None:
             check_writable(file)
     bench_plans.planner(planner)
-    found = bench_plans.run(_tasks(count, seed), count, planner, repeat, seconds)
+    found = bench_plans.run(_tasks(count, seed, apart), count, planner, repeat, seconds)
     return bench_plans.finish(found, json_file, paths)
 
 
-def _tasks(count: int, seed: int) -> Iterator[bench_plans.PlanTask]:
+def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask]:
     from armcell.collision import ExactChecker
 
     scene = dual_scene()
@@ -63,7 +64,18 @@ def _tasks(count: int, seed: int) -> Iterator[bench_plans.PlanTask]:
         raise InputError("no free posture among 10000 random ones")
 
     for index in range(count):
-        yield bench_plans.PlanTask("uniform", index, scene, names, free(), free()[None], lower, upper)
+        yield bench_plans.PlanTask(
+            "uniform",
+            index,
+            scene,
+            names,
+            free(),
+            free()[None],
+            lower,
+            upper,
+            ("left_arm", "right_arm"),
+            apart,
+        )
 
 
 def dual_scene():

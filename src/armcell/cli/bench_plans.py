@@ -48,6 +48,8 @@ class PlanTask:
     goals: Array
     lower: Array  # (dof,) where to sample
     upper: Array
+    arms: tuple[str, ...] = ()  # groups that are to keep apart
+    apart: float = 0.0  # [m] as far as start and goals allow
 
 
 def run(
@@ -56,6 +58,7 @@ def run(
     """Each task's row and waypoints; the fastest of `repeat` runs of at most `seconds` counts."""
     from armcell.collision.kernel.checker import KernelChecker
     from armcell.planning import warm_up
+    from armcell.planning.apart import room_between
 
     plan = planner(planner_id)
     warm_up()
@@ -65,9 +68,12 @@ def run(
         if words := touching(checker, task.start, task.goals):
             yield {**_row(task), "touching": words}, None
             continue
-        best = None
+        goals, best = task.goals, None
+        room = room_between(task.scene, task.arms, checker, task.start, tuple(goals), task.apart)
+        if room is not None:
+            checker, goals = room.kept_by(checker), np.vstack(room.goals)
         for _ in range(repeat):
-            answer = plan(checker, task.start, task.goals, task.lower, task.upper, seconds)
+            answer = plan(checker, task.start, goals, task.lower, task.upper, seconds)
             if best is None or _total(answer) < _total(best):
                 best = answer
             if answer.waypoints is None:

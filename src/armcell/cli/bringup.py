@@ -28,8 +28,8 @@ def bringup(
     if not yes and not sys.stdin.isatty():
         raise InputError("bring-up asks before each step, and nobody is here to answer",
                          cure="run it in a terminal (or --yes against emulators)")  # fmt: skip
-    from armcell.cell import load
     from armcell.cell.bringup import BringUp
+    from armcell.cell.health import first_layers
 
     def confirm(name: str, text: str) -> bool:
         console.print(f"[bold]{name}[/bold]: {text}", highlight=False)
@@ -38,7 +38,7 @@ def bringup(
     def tell(text: str) -> None:
         console.print(f"  {text}", markup=False, highlight=False)
 
-    loaded = load(cell)
+    loaded, _ = first_layers(cell, "real", lambda text: console.print(text, markup=False, highlight=False))
     hosts = [str(arm.get("host", "")) for arm in loaded.spec.real.get("arms", {}).values()]
     if yes and not all(h.startswith("127.") for h in hosts):
         raise InputError("--yes is for emulators on this machine (127.x), these arms may be real",

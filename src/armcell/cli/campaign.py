@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,8 @@ Examples:
 
   armcell campaign --resume runs/20261122-101500-campaign-panda_pick
 
+  armcell campaign panda_pick --trials 10000 --ray 10.0.0.5:6379    on a Ray cluster, from any of its nodes
+
   armcell campaign --compare runs/A runs/B                     is B better than A, or was it chance?
 """
 
@@ -32,7 +36,12 @@ def campaign(
         None, help="Built-in cell, folder or YAML file of a cell; or a campaign's YAML file."
     ),
     trials: int | None = typer.Option(None, min=1, help="How many at most. [default: 100]"),
-    workers: int = typer.Option(0, min=0, help="Processes; 0: one per core."),
+    workers: int = typer.Option(0, min=0, help="Processes; 0: one per core (with --ray: of the cluster)."),
+    ray: str | None = typer.Option(
+        None,
+        metavar="auto|ADDRESS",
+        help="Run on a Ray cluster: HOST:PORT, or auto: the one that runs here, else one for this campaign.",
+    ),
     vary: list[str] = typer.Option(
         [], metavar="PATH=LOW,HIGH", help="Vary a value of the cell file uniformly; may be repeated."
     ),
@@ -67,6 +76,10 @@ def campaign(
         return _compare(*compare, json_file)
     from armcell import campaigns
 
+    if ray is not None:  # what is wrong with it is said before anything begins
+        from armcell.campaigns.cluster import find_cluster
+
+        find_cluster(ray)
     if resume is not None:
         store = campaigns.resume(resume)
         if trials is not None:
@@ -79,24 +92,25 @@ def campaign(
             "max_seconds": max_seconds,
         })  # fmt: skip
         store = campaigns.begin(spec, runs)
-    data = run_campaign(store, workers)
+    data = run_campaign(store, workers, ray)
     if json_file is not None:
         write_json(json_file, data)
     return 0 if data["success"]["total"] and not data["failures"] else 1
 
 
-def run_campaign(store: Any, workers: int) -> dict[str, Any]:
+def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, Any]:
     """Run what is missing, with progress; write the report, print and return the summary.
 
     Args:
         workers: processes; 0: one per core.
+        ray: the address of a Ray cluster, or "auto".
     """
     from armcell import campaigns
 
-    count = workers or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
     stopped = "it was stopped"
     try:
-        stopped = _run(store, count)
+        with _time_to_end():
+            stopped = _run(store, workers, ray)
     except KeyboardInterrupt:
         errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
         raise
@@ -136,7 +150,22 @@ def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) 
     )
 
 
-def _run(store: Any, workers: int) -> str:
+@contextmanager
+def _time_to_end() -> Iterator[None]:
+    """The first Ctrl-C may take the seconds that a cluster needs to end; a second one ends at once."""
+
+    def first(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, first)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run(store: Any, workers: int, ray: str | None) -> str:
     from armcell import campaigns
     from armcell.campaigns.statistics import success
 
@@ -157,7 +186,7 @@ def _run(store: Any, workers: int) -> str:
                 share=f"{found.value:.1%} succeed ({low:.1%} to {high:.1%})" if found.total else "",
             )  # fmt: skip
 
-        return campaigns.run(store, workers, tell)
+        return campaigns.run(store, workers, tell, ray)
 
 
 def _print(data: dict[str, Any]) -> None:

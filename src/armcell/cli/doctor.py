@@ -164,6 +164,7 @@ def of_cell(name: str) -> Iterator[Line]:
     """The findings of `armcell check`, and meshes, gains, transforms and controllers."""
     from armcell.cell import load
     from armcell.cli.check import findings
+    from armcell.cli.doctor_drives import drives
     from armcell.cli.doctor_package import of_package
     from armcell.model.setup import is_moveit_config
 
@@ -190,6 +191,7 @@ def of_cell(name: str) -> Iterator[Line]:
         yield Line(OK, "robot's files", f"all found; {meshes} visual meshes")
     yield from transforms(loaded.model)
     yield from strength(loaded)
+    yield from drives(loaded)
     yield from controllers(loaded.model)
 
 

@@ -12,4 +12,7 @@ EXTRAS = {
     "ik": ("eaik",),
     "decompose": ("coacd",),
     "ros2": ("cyclonedds",),
+    "trees": ("py_trees",),
+    "ray": ("ray",),
+    "ur-rtde": ("ur_rtde",),
 }

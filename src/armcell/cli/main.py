@@ -140,9 +140,10 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
-        if hasattr(error, "show") and hasattr(error, "exit_code"):  # a usage error of typer's own click
-            error.show()
-            return int(error.exit_code)
+        show, status = getattr(error, "show", None), getattr(error, "exit_code", None)
+        if show is not None and status is not None:  # a usage error of typer's own click
+            show()
+            return int(status)
         if os.environ.get("ARMCELL_DEBUG"):
             raise
         err(f"internal error: {type(error).__name__}: {error} (set ARMCELL_DEBUG=1 for the traceback)")

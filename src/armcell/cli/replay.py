@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from armcell.cli.console import check_writable, console, err, write_json
+from armcell.cli.page import serve_page
 
 REPLAY_EXAMPLES = """
 Examples:
@@ -65,14 +65,7 @@ def replay(
         )
     scene = cell_of(record.about).scene(record.about["seed"])
     with ReplayView(record, scene, port=port) as view:
-        console.print(f"view: {view.url}")
-        console.print("press Ctrl-C to end")
-        if open_browser:
-            import webbrowser
-
-            webbrowser.open(view.url)
-        while True:
-            time.sleep(3600)
+        serve_page(view.url, open_browser)
 
 
 def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> int:

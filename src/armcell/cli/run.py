@@ -128,13 +128,20 @@ def run(
             loading = progress.add_task(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
+        from armcell.cell import health as layers
         from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
         from armcell.control import drivers
         from armcell.planning import warm_up
 
         drivers[mode]  # an unknown mode is said before anything is made
+        health = layers.Health()
+        stack.callback(_tell_failed_layer, health, headless)
         values = dict(parsed(one) for one in set_)
-        loaded = with_values(load(cell), values)
+        with health.layer("description"):
+            loaded = with_values(load(cell), values)
+            layers.check_description(loaded)
+        with health.layer("controllers"):
+            layers.check_controllers(loaded, mode)
         passed = gate_of(loaded, mode, gate, without_gate)
         warm_up()
         scene = loaded.scene(seed)
@@ -163,10 +170,17 @@ def run(
             live.ctx.observers.append(observers[-1])
         if frames:
             live.ctx.observers += camera_frames(frames, loaded, mode, live.driver, recorder)
-        with live:
+        with ExitStack() as connected:
+            with health.layer("drivers"):
+                connected.enter_context(live)
+                layers.check_driver(live)
+            with health.layer("planner") as said:
+                said.append(layers.check_planner(live))
+            with health.layer("task"):
+                layers.check_task(loaded)
             if passed:
                 live.ctx.emit("note", gate_words(passed))
-            result = {**run_task(loaded, live, seed, mode), **passed}
+            result = {**run_task(loaded, live, seed, mode), **passed, "layers": health.now(live)}
         sets = [part for one in set_ for part in ("--set", one)]
         result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode, *sets])
         if progress is not None:
@@ -177,6 +191,20 @@ def run(
             console.print(f"the view stays at {viewer.url}; press Enter to end")
             sys.stdin.readline()
     return 0 if result["success"] else 1
+
+
+def _tell_failed_layer(health: Any, headless: bool) -> None:
+    """Which layer did not start; the message itself follows as for every error.
+
+    Without a description no layer has: the message alone says it.
+    """
+    if (
+        not headless
+        and health.states["description"] == "ok"
+        and any(state.startswith("failed") for state in health.states.values())
+    ):
+        words = (f"{name} {state.partition(':')[0]}" for name, state in health.states.items())
+        errors.print("start: " + ", ".join(words), highlight=False)
 
 
 def _written(recorder: Any, result: dict[str, Any], json_file: Path | None) -> Path | None:
@@ -207,6 +235,8 @@ def _print(result: dict[str, Any], report: Path | None) -> None:
         f"planning {result['total_planning_time_s']:.2f} s",
     ]
     console.print(", ".join(n for n in numbers if n))
+    ill = [f"{name} {state}" for name, state in result["layers"].items() if state != "ok"]
+    console.print("layers: " + ("; ".join(ill) or "all ok"), markup=False, highlight=False)
     if result["success"]:
         console.print(f"[green]success[/green] (seed {result['seed']})")
     else:

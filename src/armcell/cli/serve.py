@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +169,7 @@ def sim(
         if client is None or peer is None or not client.wait_connected(0):
             return f"connecting to {host}:{number}"
         return f"at {host}:{number}" + _troubles(
-            sum(peer.link.outbox.dropped.values()), sum(peer.complaints.values())
+            sum(peer.link.outbox.dropped.values()), peer.complaints.total
         )
 
     try:
@@ -215,14 +216,21 @@ def _run(
     status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
     auto_grip: bool = False,
 ) -> int:  # fmt: skip
-    from armcell.cell import load
+    from armcell.cell.health import first_layers
     from armcell.ros.nodes import ServedCell
 
-    live = load(cell).connect(mode, seed, time_scale=time_scale)
+    tell = partial(errors.print, markup=False, highlight=False)
+    loaded, health = first_layers(cell, mode, tell)
+    live = loaded.connect(mode, seed, time_scale=time_scale)
     served = ServedCell(live, bus, rate, plan, auto_grip)
-    line = _StatusLine(bus, lambda: served.node.executed, status)
+
+    def all_status() -> str:
+        ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
+        return "  ".join([status(), *ill])
+
+    line = _StatusLine(bus, lambda: served.node.executed, all_status)
     try:
-        served.start()
+        served.start(layer=health.layer)
         ready()
         with line:
             _until(seconds, line, served.thread)

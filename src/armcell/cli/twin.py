@@ -45,7 +45,11 @@ def twin(
         console.print(
             f"{name}: position {np.rad2deg(arm.position.max()):.2f} deg, "
             f"velocity {arm.velocity.max():.2f} rad/s, "
-            + (f"current {arm.current.max():.2f} A, " if told else "no current told, ")
+            + (
+                f"current {arm.current.max():.2f} A, load {arm.load:.1f} kg, "
+                if told
+                else "no current told, "
+            )
             + f"round trip {arm.trip * 1000:.0f} ms; {arm.lag * 1000:.0f} ms behind; {arm.samples} looks",
             soft_wrap=True,
         )

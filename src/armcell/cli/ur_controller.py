@@ -38,6 +38,12 @@ def ur_controller(
         None, min=0, help="Seed of each arm's deviation from nominal geometry. Default: none."
     ),
     local: bool = typer.Option(False, "--local", help="Begin in local control (e-Series)."),
+    external_control: list[str] = typer.Option(
+        [],
+        metavar="ADDRESS[:PORT]",
+        help="The URCap External Control is installed and asks this script sender (port 50002) for its "
+        "program: dashboard 'load external_control.urp', 'play'. Once for all arms, or once per arm.",
+    ),
     trace: Path | None = typer.Option(
         None, metavar="FILE", help="Write every control step of every arm (ur_controller.controller.TRACE)."
     ),
@@ -47,7 +53,7 @@ def ur_controller(
 
     Runs with real-time priority where that is allowed (as root on Linux).
     """
-    from armcell.control.ur_controller import ControllerSettings, Rack, SharedWorld
+    from armcell.control.ur_controller import ControllerSettings, Rack, RemoteHost, SharedWorld
 
     hosts = list(host)
     if len(set(hosts)) != len(hosts):
@@ -65,12 +71,25 @@ def ur_controller(
                 cure="give --host once per arm",
             )
         plants = SharedWorld(SimWorld(loaded.scene(seed), loaded.physics), arms).plants
+    senders = [RemoteHost.parse(each) for each in external_control]
+    if len(senders) not in (0, 1, len(hosts)):
+        raise InputError(
+            f"{len(senders)} script senders for {len(hosts)} arms",
+            cure="give --external-control once per arm",
+        )
+    remotes = senders if len(senders) == len(hosts) else (senders or [None]) * len(hosts)
     serials = [*serial, *(f"2026{i + 1:04d}" for i in range(len(serial), len(hosts)))]
     settings = [
         ControllerSettings(
-            model, h, s, None if calibration is None else calibration + i, remote=not local, powered=not off
+            model,
+            h,
+            s,
+            None if calibration is None else calibration + i,
+            remote=not local,
+            powered=not off,
+            external_control=remote,
         )
-        for i, (h, s) in enumerate(zip(hosts, serials))
+        for i, (h, s, remote) in enumerate(zip(hosts, serials, remotes))
     ]
     file = trace.open("wb", buffering=0) if trace is not None else None
     rack = Rack(settings, plants, file)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
-import webbrowser
-
 import typer
 
 from armcell.cli import goals
 from armcell.cli.console import console
+from armcell.cli.page import serve_page
 
 EXAMPLES = """
 Examples:
@@ -50,9 +48,4 @@ def view(
     console.print("loading (the first run on a machine compiles for about a minute)")
     prepare(scene, session.group)  # not on the time of the first plan
     with PlanningPanel(session, port=port, title=loaded.name) as panel:
-        console.print(f"view: {panel.url}")
-        console.print("press Ctrl-C to end")
-        if open_browser:
-            webbrowser.open(panel.url)
-        while True:
-            time.sleep(3600)
+        serve_page(panel.url, open_browser)

@@ -6,6 +6,7 @@ other arm. What is left to prove is that two motions, on one clock, keep the arm
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import combinations, pairwise
@@ -25,6 +26,8 @@ from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
 
+CLEARANCE = 0.02  # [m] between the arms, where nothing else is said
+ARM_JOINTS = 5  # of a group that is an arm; one with fewer is a hand, a finger, a lift
 FINE = 0.01  # [rad] of a joint: the finest boxes of positions that `certify_any_time` looks at
 
 
@@ -54,6 +57,41 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
         frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
     }
     return replace(model, disabled_collisions={**model.disabled_collisions, **never})
+
+
+@lru_cache(maxsize=64)
+def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
+    """The arms that a group is made of, by their groups: two or more that do not move each other, or none."""
+    joints = set(model.group(group).joint_names)
+    parts: dict[frozenset[str], str] = {}
+    for name, part in model.groups.items():
+        if len(part.joint_names) >= ARM_JOINTS and set(part.joint_names) < joints:
+            parts.setdefault(frozenset(part.joint_names), name)
+    largest = [name for own, name in parts.items() if not any(own < other for other in parts)]
+    links = [moved_links(model, name) for name in largest]
+    return tuple(largest) if len(links) > 1 and not any(a & b for a, b in combinations(links, 2)) else ()
+
+
+def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
+    """By body that one of some arms moves (its links, what it holds), the number of the arm."""
+    side = {link: k for k, g in enumerate(groups) for link in moved_links(scene.model, g)}
+    return side | {name: side[body.link] for name, body in scene.attached.items() if body.link in side}
+
+
+def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
+    """The nearest pair of bodies of different sides at q, of those that may not touch."""
+    side = np.array([sides.get(g.body, -1) for g in exact.geometries])
+    pairs = exact.pairs[(side[exact.pairs] >= 0).all(axis=1) & (np.diff(side[exact.pairs]) != 0).ravel()]
+    exact.place(q)
+    best, nearest = np.inf, None
+    gaps = exact.pair_gaps(pairs)
+    for p in np.argsort(gaps, kind="stable"):
+        if gaps[p] >= best:
+            break
+        distance = exact.pair_distance(int(pairs[p, 0]), int(pairs[p, 1]))
+        if distance < best:
+            best, nearest = distance, (int(pairs[p, 0]), int(pairs[p, 1]))
+    return None if nearest is None else exact.contact_of(*nearest)
 
 
 def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
@@ -116,9 +154,8 @@ class Arms:
         q = model.default_positions()
         for gripper in model.grippers.values():
             q[model.columns((gripper.joint_name,))] = gripper.joint_position(gripper.max_width)
-        side = {**dict.fromkeys(a, 0), **dict.fromkeys(b, 1)}
-        held = {name: side[body.link] for name, body in scene.attached.items() if body.link in side}
-        side |= held
+        side = sides_of(scene, self.groups)
+        held = {name: side[name] for name in scene.attached if name in side}
         told = {pair: True for pair, yes in scene.allowed_pairs.items() if yes and pair <= set(side)}
         bare = replace(
             scene, model=_between_model(model, a, b), positions=np.clip(q, model.lower, model.upper),

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.control.driver import Driver
+from armcell.control.driver import Driver, Rehearsing, Watch
 from armcell.control.executor import ExecutionSettings, Progress
 from armcell.control.following import Follower, Paced
-from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome
+from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome, Playback
 
 Array = NDArray[np.float64]
 
@@ -41,13 +41,18 @@ def execute_coupled(
         As `execute`: SUCCESS, CONTROL_FAILED, PREEMPTED, or what `watch` returned.
     """
     names, began = trajectory.joint_names, driver.now
-    measured = driver.joint_state().reindexed(names).positions
-    tracking = 0.0
+    whole = driver.joint_state()
+    columns, tracking = np.array(whole.columns(names), dtype=int), 0.0
+    measured = whole.positions[columns]
+
+    twin: Watch | None = None
 
     def ended(outcome: Outcome) -> ExecutionResult:
         if not outcome.ok:
             driver.stop()
-        final = driver.joint_state().reindexed(names).positions - trajectory.positions[-1]
+        if twin is not None:
+            twin.end("done" if outcome.ok else outcome.message)
+        final = driver.joint_state().positions[columns] - trajectory.positions[-1]
         return ExecutionResult(
             outcome.code, outcome.message, outcome.evidence, began, driver.now, tracking,
             float(np.max(np.abs(final))),
@@ -61,8 +66,13 @@ def execute_coupled(
     paced = driver if isinstance(driver, Paced) else None
     if scalings is None and paced is not None:
         scalings = lambda: (paced.speed_fraction,)  # noqa: E731
+    rehearsing = driver if isinstance(driver, Rehearsing) else None
+    if rehearsing is not None and (refused := rehearsing.rehearse(trajectory)) is not None:
+        return ended(refused)
+    twin = rehearsing and rehearsing.watch(trajectory, correct is not None)
     follower = driver if isinstance(driver, Follower) else None
     sent = _Sent(0.0 if paced is None else paced.latency)
+    playback = Playback(trajectory)
     clock, scale, last = 0.0, 1.0, 0.0 if paced is None else paced.tick
     deadline: float | None = None
     while True:
@@ -70,22 +80,28 @@ def execute_coupled(
             return ended(Outcome(ErrorCode.PREEMPTED, f"cancelled at {clock:.2f} s"))
         if follower is not None and (fault := follower.fault()) is not None:
             return ended(Outcome(fault.code, f"stopped: {fault}", {"arm": fault.arm, "kind": fault.kind}))
-        wanted = 1.0 if scalings is None else float(np.clip(min(scalings()), 0.0, 1.0))
+        wanted = 1.0 if scalings is None else min(max(float(min(scalings())), 0.0), 1.0)
         step = RAMP * driver.period
-        scale = float(np.clip(wanted, scale - step, scale + step))
+        scale = min(max(wanted, scale - step), scale + step)
         passed = driver.period
         if paced is not None:  # a real robot's time passes by itself; this program being late is no jump
             passed, last = min(paced.tick - last, LATEST * driver.period), paced.tick
         clock = min(clock + scale * passed, trajectory.duration)
-        q, v, _ = trajectory.sample(clock)
+        q, v = playback.at(clock)
         v = v * scale
+        planned = q
         if correct is not None:
             q, v = correct(clock, q, v)
         driver.command(names, q, v)
+        if twin is not None:
+            twin.sent(clock, q - planned)
         driver.advance(driver.period)
-        state = driver.joint_state().reindexed(names)
-        error = np.abs(state.positions - sent.nearest(state.positions, q, driver.now))
-        worst = int(np.argmax(error))
+        if twin is not None:
+            twin.look()
+        state = driver.joint_state()
+        at = state.positions[columns]
+        error = np.abs(at - sent.nearest(at, q, driver.now))
+        worst = int(error.argmax())
         tracking = max(tracking, float(error[worst]))
         if watch is not None and (trouble := watch()) is not None:
             return ended(trouble)
@@ -97,9 +113,9 @@ def execute_coupled(
         if clock < trajectory.duration:
             continue
         deadline = driver.now + settings.settle_time if deadline is None else deadline
-        error = np.abs(state.positions - q)
-        worst = int(np.argmax(error))
-        speed = 0.0 if state.velocities is None else float(np.max(np.abs(state.velocities)))
+        error = np.abs(at - q)
+        worst = int(error.argmax())
+        speed = 0.0 if state.velocities is None else float(np.max(np.abs(state.velocities[columns])))
         if error[worst] <= settings.goal_tolerance and speed <= settings.goal_speed:
             return ended(Outcome(ErrorCode.SUCCESS))
         if driver.now > deadline:
@@ -119,4 +135,6 @@ class _Sent:
         self._kept.append((now, q))
         while self._kept[0][0] < now - self._latency:
             self._kept.popleft()
+        if len(self._kept) == 1:
+            return q
         return min((q for _, q in self._kept), key=lambda q: float(np.abs(measured - q).max()))

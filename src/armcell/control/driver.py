@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Registry
+from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Playback, Registry
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -62,6 +62,8 @@ class Driver(Protocol):
     """A connected robot. Connect and disconnect by `with driver:`; the constructor does no I/O.
 
     Time is the driver's own clock [s]; `advance` is the only thing that lets it pass, so no caller sleeps.
+    One thread drives it. Where others may look meanwhile it has a `lock`, too, which is held while the state
+    changes: joints and objects that are read within it are of one moment.
     """
 
     name: str
@@ -160,6 +162,45 @@ class Rehearsing(Protocol):
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
         """Why it must not be driven, or None."""
+        ...
+
+    def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
+        """Compare a motion that is commanded point by point with its rehearsal, which was the last.
+
+        Args:
+            forced: what is felt decides on the way, so forces and speeds say nothing.
+        """
+        ...
+
+
+class Watch(Protocol):
+    """A motion under way, told of by who commands it."""
+
+    def sent(self, clock: float, off: Array) -> None:
+        """A point was commanded: of this time [s] on the trajectory, and so far off it (n,)."""
+        ...
+
+    def look(self) -> None: ...
+
+    def end(self, how: str) -> None:
+        """done, or why not."""
+        ...
+
+
+class Player(Protocol):
+    """A driver that plays a part of a trajectory by itself: the same commands, less between them."""
+
+    def play(
+        self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
+    ) -> tuple[float, int]:
+        """Command and let time pass until `until` [s] on the trajectory, or a joint is off by more than a
+        tolerance [rad or m]; at least one period.
+
+        Args:
+            began: the driver's time [s] at which the trajectory began.
+        Returns:
+            The largest error, and the index of its joint.
+        """
         ...
 
 

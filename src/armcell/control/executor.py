@@ -6,12 +6,13 @@ import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, fields
 from functools import partial
+from typing import cast
 
 import numpy as np
 
-from armcell.control.driver import Driver, Rehearsing
+from armcell.control.driver import Driver, Player, Rehearsing
 from armcell.control.following import Follower, Tolerances, follow_to_end
-from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
+from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
 from armcell.core.checks import require
 from armcell.planning import explain_start
 
@@ -25,6 +26,7 @@ class ExecutionSettings:
     goal_tolerance: float = 0.005  # [rad or m]
     goal_speed: float = 0.02  # [rad/s or m/s] below which the arm counts as at rest
     settle_time: float = 1.0  # [s] to reach the goal after the trajectory's end
+    blend_time: float = 0.2  # [s] in which the speed of an arm that moves already fades into the motion's
     stall_time: float = 5.0  # [s] without progress until a robot that plays it itself is given up
 
     def __post_init__(self) -> None:
@@ -33,6 +35,7 @@ class ExecutionSettings:
             require(value > 0, f"{field.name} is {value:g}, it must be positive")
 
 
+AT_ONCE = 0.02  # [s] of a trajectory that a driver plays by itself
 Progress = Callable[[float], None]
 
 
@@ -47,12 +50,16 @@ def execute(
 
     Args:
         cancel: when set, the arm stops where it is and the result is PREEMPTED.
-        progress: called after each command with the fraction done, 0..1.
+        progress: called after each command with the fraction done, 0..1. Without it, a driver that can plays
+            `AT_ONCE` seconds at once, and `cancel` is looked at in between.
     Returns:
         SUCCESS; CONTROL_FAILED (wrong start, left the path, goal not reached) with joint and error;
         PREEMPTED. After any but SUCCESS the driver holds the measured position.
     """
-    steps = playing(driver, trajectory, settings, cancel, progress)
+    # of the driver's own class: what stands before another driver and changes commands is not passed by
+    plays = progress is None and hasattr(type(driver), "play")
+    alone = cast(Player, driver) if plays else None
+    steps = playing(driver, trajectory, settings, cancel, progress, alone)
     while True:
         try:
             next(steps)
@@ -67,12 +74,20 @@ def playing(
     settings: ExecutionSettings = ExecutionSettings(),
     cancel: threading.Event | None = None,
     progress: Progress | None = None,
+    alone: Player | None = None,
 ) -> Generator[None, None, ExecutionResult]:
     """`execute` step by step, for whoever lets the time pass: each `next` commands the driver for its next
     period. Several of these, of different joints, can run on one driver at once.
+
+    An arm that moves already, as when a newer motion takes over, is not stopped first: the difference to the
+    trajectory's start, in position and speed, fades out. (Not so for a robot that plays trajectories itself.)
+
+    Args:
+        alone: the driver, where it may let the time of the trajectory pass by itself.
     """
     names, began = trajectory.joint_names, driver.now
-    measured = driver.joint_state().reindexed(names)
+    whole = driver.joint_state()
+    columns, measured = np.array(whole.columns(names), dtype=int), whole.reindexed(names)
     if len(trajectory.times) == 0:
         driver.stop()  # ROS: an empty trajectory means stop
         return ExecutionResult(ErrorCode.SUCCESS, "empty trajectory: stopped", started=began, finished=began)
@@ -94,24 +109,30 @@ def playing(
     if isinstance(driver, Follower):
         watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
         return follow_to_end(driver, driver, trajectory, watched, cancel, progress)
-    tracking = 0.0
+    tracking, fade = 0.0, _fade(measured, trajectory, settings)
 
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:
         if code is not ErrorCode.SUCCESS:
             driver.stop()
-        error = float(
-            np.max(np.abs(driver.joint_state().reindexed(names).positions - trajectory.positions[-1]))
-        )
+        error = float(np.max(np.abs(driver.joint_state().positions[columns] - trajectory.positions[-1])))
         return ExecutionResult(code, text, evidence, began, driver.now, tracking, error)
 
-    duration = trajectory.duration
+    duration, playback = trajectory.duration, Playback(trajectory)
     while (t := driver.now - began) < duration - 1e-9:
         if cancel is not None and cancel.is_set():
             return ended(ErrorCode.PREEMPTED, f"cancelled at {t:.2f} of {duration:.2f} s")
-        q, v, _ = trajectory.sample(min(t + driver.period, duration))
-        driver.command(names, q, v)
-        yield
-        worst, joint = _largest(np.abs(driver.joint_state().reindexed(names).positions - q), names)
+        if alone is not None and fade is None:
+            until = min(t + AT_ONCE, duration)
+            worst, column = alone.play(names, playback, began, until, settings.path_tolerance)
+            joint = names[column]
+        else:
+            q, v = playback.at(min(t + driver.period, duration))
+            if fade is not None:
+                gap, gap_speed, _ = fade.sample(t + driver.period)
+                q, v = q + gap, v + gap_speed
+            driver.command(names, q, v)
+            yield
+            worst, joint = _largest(np.abs(driver.joint_state().positions[columns] - q), names)
         tracking = max(tracking, worst)
         if worst > settings.path_tolerance:
             text = (
@@ -123,9 +144,10 @@ def playing(
     goal, rest = trajectory.positions[-1], np.zeros(len(names))
     while True:
         driver.command(names, goal, rest)
-        state = driver.joint_state().reindexed(names)
-        worst, joint = _largest(np.abs(state.positions - goal), names)
-        speed = 0.0 if state.velocities is None else float(np.max(np.abs(state.velocities), initial=0.0))
+        state = driver.joint_state()
+        worst, joint = _largest(np.abs(state.positions[columns] - goal), names)
+        v = state.velocities
+        speed = 0.0 if v is None else float(np.max(np.abs(v[columns]), initial=0.0))
         if worst <= settings.goal_tolerance and speed <= settings.goal_speed:
             return ended(ErrorCode.SUCCESS, "")
         if driver.now - began > duration + settings.settle_time:
@@ -136,8 +158,31 @@ def playing(
         yield
 
 
+def _fade(
+    measured: JointState, trajectory: JointTrajectory, settings: ExecutionSettings
+) -> JointTrajectory | None:
+    """What a moving arm still has of its own motion, a quintic that ends in nothing; None for one at rest."""
+    moves = measured.velocities
+    if moves is None or np.max(np.abs(moves)) <= settings.goal_speed or trajectory.duration <= 0:
+        return None
+    if trajectory.velocities is None:
+        wanted = (trajectory.positions[1] - trajectory.positions[0]) / (
+            trajectory.times[1] - trajectory.times[0]
+        )
+    else:
+        wanted = trajectory.velocities[0]
+    n = len(trajectory.joint_names)
+    return JointTrajectory(
+        trajectory.joint_names,
+        np.array([0.0, min(settings.blend_time, trajectory.duration)]),
+        np.array([measured.positions - trajectory.positions[0], np.zeros(n)]),
+        np.array([moves - wanted, np.zeros(n)]),
+        np.zeros((2, n)),
+    )
+
+
 def _largest(errors: np.ndarray, names: tuple[str, ...]) -> tuple[float, str]:
     if len(errors) == 0:
         return 0.0, ""
-    i = int(np.argmax(errors))
-    return float(errors[i]), names[i]
+    i = int(errors.argmax())
+    return errors.item(i), names[i]

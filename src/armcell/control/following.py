@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armcell.control.driver import Driver
 from armcell.control.safety import Fault
@@ -70,6 +73,31 @@ class Paced(Protocol):
     def speed_fraction(self) -> float:
         """What sliders and pauses leave of the speed: the slowest arm's, 0 to 1."""
         ...
+
+
+class SentClock:
+    """Where on a trajectory robots are that get its points ahead of their time."""
+
+    KEPT = 200  # points
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
+
+    def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
+        """A point was sent: for when [s, monotonic], of what time on the trajectory, how far off it (n,)."""
+        self._points.append((when, clock, off))
+
+    def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
+        """Time on the trajectory [s] and how far off it (n,), of the point for a moment; ends are held."""
+        points = list(self._points)
+        if not points:
+            return 0.0, None
+        k = bisect_left(points, when, key=lambda point: point[0])
+        if k == 0 or k == len(points):
+            _, clock, off = points[min(k, len(points) - 1)]
+            return clock, off
+        (t0, c0, _), (t1, c1, off) = points[k - 1], points[k]
+        return c0 + (c1 - c0) * (when - t0) / (t1 - t0), off
 
 
 CANCEL_TIME = 2.0  # [s] within which a cancelled arm must rest

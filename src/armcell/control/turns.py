@@ -14,7 +14,15 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.driver import Array, ContactRecord, Driver, GripperReading, Rehearsing, WeldRecord
+from armcell.control.driver import (
+    Array,
+    ContactRecord,
+    Driver,
+    GripperReading,
+    Rehearsing,
+    Watch,
+    WeldRecord,
+)
 from armcell.control.following import Follower, Following
 from armcell.control.safety import Fault
 from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome
@@ -158,6 +166,9 @@ class FollowingView(ArmView):
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
         return self._driver.rehearse(trajectory) if isinstance(self._driver, Rehearsing) else None
+
+    def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
+        return cast(Rehearsing, self._driver).watch(trajectory, forced)
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
         cast(Follower, self._driver).hold(joint_names)

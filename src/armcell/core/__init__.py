@@ -17,6 +17,7 @@ from armcell.core.geometry import Box, Capsule, Cone, Cylinder, Mesh, Plane, Sha
 from armcell.core.height_map import HeightMap
 from armcell.core.images import CameraImage, Pinhole
 from armcell.core.joints import JointPath, JointState, JointTrajectory
+from armcell.core.playback import Playback
 from armcell.core.registry import Registry
 from armcell.core.requests import (
     ADAPTERS,
@@ -71,6 +72,7 @@ __all__ = [
     "PlanRequest",
     "PlanResult",
     "Plane",
+    "Playback",
     "PointCloud",
     "PoseGoal",
     "PositionConstraint",

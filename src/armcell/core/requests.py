@@ -82,6 +82,7 @@ class PlanRequest:
     max_cartesian_speed: float | None = None  # [m/s] of `speed_link`
     speed_link: str | None = None  # the group's tip where None; also an attached object
     adapters: tuple[str, ...] = ADAPTERS
+    arm_clearance: float = 0.02  # [m] between the arms of a group of several, as far as start and goals allow
 
 
 @dataclass(frozen=True, eq=False)

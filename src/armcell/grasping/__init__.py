@@ -12,10 +12,10 @@ from armcell.grasping.candidates import (
     nearest_miss,
 )
 from armcell.grasping.contact import PadContact
-from armcell.grasping.force import grip_force, needed_force
+from armcell.grasping.force import grip_force, needed_force, pair_friction
 from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
 from armcell.grasping.hand import Hand, hand_of, pre_opening
-from armcell.grasping.placing import RELEASE_GAP, Placement, place_candidates, support_surface
+from armcell.grasping.placing import FRICTION_MARGIN, RELEASE_GAP, Placement, place_candidates, surface_for
 from armcell.grasping.quality import (
     Noise,
     Quality,
@@ -25,9 +25,11 @@ from armcell.grasping.quality import (
     robustness,
 )
 from armcell.grasping.stability import Rest, resting_now, rests
+from armcell.grasping.support import support_surface, tilt_of
 from armcell.grasping.surface import Surface, cloud_surface, surface_of
 
 __all__ = [
+    "FRICTION_MARGIN",
     "RELEASE_GAP",
     "AboveSettings",
     "Grasp",
@@ -54,11 +56,14 @@ __all__ = [
     "hull_quality",
     "nearest_miss",
     "needed_force",
+    "pair_friction",
     "place_candidates",
     "pre_opening",
     "resting_now",
     "rests",
     "robustness",
     "support_surface",
+    "surface_for",
     "surface_of",
+    "tilt_of",
 ]

@@ -7,6 +7,7 @@ from numba import njit
 
 FEATURES = 10
 MOST_ROWS, MOST_STEPS = 64, 256
+POINT = 1e9  # slant of what has no side, only a point
 
 
 @njit(cache=True)
@@ -17,6 +18,21 @@ def _height(heights, x0, y0, resolution, x, y):
     if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
         return -1e9
     return heights[i, j]
+
+
+@njit(cache=True)
+def _slope(x, y):
+    """Of a line through points: the median of the pairs' slopes (Theil and Sen), which a few points off the
+    line, as cameras see them at edges, do not turn."""
+    n = len(x)
+    if n < 2:
+        return POINT
+    slopes, k = np.empty(n * (n - 1) // 2), 0
+    for i in range(n):
+        for j in range(i):
+            slopes[k] = (y[i] - y[j]) / (x[i] - x[j])
+            k += 1
+    return abs(np.median(slopes))
 
 
 @njit(cache=True)
@@ -49,6 +65,7 @@ def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, pal
     steps = min(2 * int(np.ceil(2 * reach / resolution)) + 1, MOST_STEPS)
     mid = steps // 2
     window, top = np.empty((steps, rows)), np.empty(steps)
+    at_across, at_along = np.empty(rows), np.empty(rows)
     found = np.empty((len(cells) * len(turns) * len(depths), FEATURES))
     count = 0
     for c in range(len(cells)):
@@ -136,32 +153,25 @@ def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, pal
                 touching, slant, lowest = 1.0, 0.0, 1e9
                 for side in (-1, 1):
                     edge = high - 1 if side > 0 else low + 1
-                    met, n, st, se, stt, ste = 0, 0, 0.0, 0.0, 0.0, 0.0
-                    tall = -1e9
+                    met, n, tall = 0, 0, -1e9
                     for t in range(rows):
-                        s = edge
-                        while s != mid - side and window[s, t] <= tip - clear:
+                        s, end = edge, low if side > 0 else high
+                        while s != end and window[s, t] <= tip - clear:
                             s -= side
-                        if s == mid - side:
+                        if s == end:
                             continue
-                        across = (t - rows // 2) * half / max(rows // 2, 1)
-                        e = s * resolution
+                        at_across[n] = (t - rows // 2) * half / max(rows // 2, 1)
+                        at_along[n] = s * resolution
+                        n += 1
                         if abs(s - edge) <= 1:
                             met += 1
                             for inside in range(3):
                                 at = s - side * inside
                                 if 0 <= at < steps:
                                     tall = max(tall, window[at, t])
-                        if abs(s - edge) * resolution <= 0.02:
-                            n += 1
-                            st += across
-                            se += e
-                            stt += across * across
-                            ste += across * e
                     touching = min(touching, met / rows)
                     lowest = min(lowest, tall - tip)
-                    if n >= 3 and n * stt - st * st > 0:
-                        slant = max(slant, abs((n * ste - st * se) / (n * stt - st * st)))
+                    slant = max(slant, _slope(at_across[:n], at_along[:n]))
                 if lowest < engage:
                     continue
                 row = found[count]

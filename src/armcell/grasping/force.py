@@ -30,6 +30,16 @@ def holding_factor(friction: float, torsional_friction: float, lever: Array, pat
     return np.sqrt(1 + (friction * lever / g) ** 2)
 
 
+def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
+    """Sliding coefficient between an object and what it is put on, as in our physics.
+
+    MuJoCo takes the material of the geom with the higher priority, and the larger coefficient of two with the
+    same ("Contact parameters" in its XML reference). What can move has the higher one.
+    """
+    mu = item.material.friction
+    return max(mu, support.material.friction) if support.movable else mu
+
+
 def needed_force(item: CollisionObject) -> float:
     """Force per finger [N] that just holds the object at its centre: m (g + a) / (2 mu) by Coulomb."""
     return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))

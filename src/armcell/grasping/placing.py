@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3, Box, Cylinder, InputError, Mesh
+from armcell.core import SE3, SO3, InputError
 from armcell.core.geometry import extent
+from armcell.grasping.force import pair_friction
 from armcell.grasping.stability import Rest, margin_of, polygon, resting_now, rests
+from armcell.grasping.support import LEVEL, support_surface, tilt_of
 from armcell.grasping.surface import surface_of
 from armcell.scene import CollisionObject
 
@@ -18,76 +20,37 @@ STABILITY_MARGIN = 0.004  # [m] the object's foot stays inside the support's edg
 FREE_PLACES = 24  # besides the grid
 OVERHANG = 0.4  # share of its margin that an object must keep where its foot reaches over an edge
 ROLLS = 0.05  # of score less where an object stands on a round side
+UPRIGHT = 0.99  # cosine of the angle between the side that shall be up and the normal of what it stands on
+FRICTION_MARGIN = 1.5  # times as much friction as it takes holds an object on a tilted support
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A pose to leave an object at; `T_world_object` is where it comes to rest."""
+    """A pose to leave an object at; `T_world_object` is where it comes to rest.
+
+    `normal` (3,) is the unit normal of what it stands on, in the world.
+    """
 
     name: str
     T_world_object: SE3
     score: float = 0.0
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def above(self, distance: float) -> SE3:
+        """T_world_object so far [m] off the surface."""
+        x, y, z = (distance * n for n in self.normal)
+        return self.T_world_object.shifted(x, y, z)
 
 
-def support_surface(support: CollisionObject) -> tuple[SE3, float, float]:
-    """The largest flat, upward surface of an object: its centre frame (z up) and its size x, y [m].
+def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
+    """The surface of a support (see `support_surface`) on which friction holds an object, with its margin.
 
     Raises:
-        InputError: none of its shapes has one.
+        InputError: it has none; says how far it leans and how far it may.
     """
-    best = None
-    for shape, T_object_shape in support.shapes:
-        T = support.T_world_object @ T_object_shape
-        found = None
-        if isinstance(shape, Box | Cylinder):
-            found = _flat_end(shape, T)
-        elif isinstance(shape, Mesh):
-            found = _flat_top(shape, T)
-        if found is not None and (best is None or found[1] * found[2] > best[1] * best[2]):
-            best = found
-    if best is None:
-        raise InputError(
-            f"object {support.name!r} has no flat surface on top", cure="place on a box, table or tray"
-        )
-    return best
-
-
-def _flat_end(shape: Box | Cylinder, T: SE3) -> tuple[SE3, float, float] | None:
-    """The upper side of a box or the upper end of a cylinder, if it is level."""
-    half = shape.half_extents
-    axis = int(np.argmax(np.abs(T.rotation.matrix[2])))
-    sign = np.sign(T.rotation.matrix[2, axis])
-    if abs(T.rotation.matrix[2, axis]) < 0.999 or (isinstance(shape, Cylinder) and axis != 2):
-        return None
-    x, y = [k for k in range(3) if k != axis]
-    scale = 1 / np.sqrt(2) if isinstance(shape, Cylinder) else 1.0  # the square inside the circle
-    offset = np.zeros(3)
-    offset[axis] = sign * half[axis]
-    X = T.rotation.matrix[:, x]
-    Z = np.array([0.0, 0.0, 1.0])
-    frame = SE3(SO3(np.column_stack([X, np.cross(Z, X), Z])), T.apply(offset))
-    return frame, 2 * half[x] * scale, 2 * half[y] * scale
-
-
-def _flat_top(mesh: Mesh, T: SE3) -> tuple[SE3, float, float] | None:
-    """The largest level face of a mesh that fills a rectangle along the world's axes."""
-    triangles = T.apply(mesh.vertices)[mesh.faces]
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    area = np.linalg.norm(normal, axis=1) / 2
-    level = (area > 0) & (normal[:, 2] > 0.999 * 2 * area)
-    best = None
-    heights = triangles[:, :, 2].mean(1).round(4)
-    for z in np.unique(heights[level]):
-        same = level & (np.abs(heights - z) < 2e-4)
-        at = triangles[same].reshape(-1, 3)
-        low, high = at.min(0), at.max(0)
-        x, y = (high - low)[:2]
-        if area[same].sum() > 0.85 * x * y and (best is None or x * y > best[1] * best[2]):
-            middle = (low + high) / 2
-            best = SE3.from_xyz(float(middle[0]), float(middle[1]), float(z)), float(x), float(y)
-    return best
+    return support_surface(support, float(np.arctan(pair_friction(item, support) / FRICTION_MARGIN)))
 
 
 def place_candidates(
@@ -96,39 +59,60 @@ def place_candidates(
     at: tuple[float, float] | None = None,
     step: float = 0.02,
     other_sides: bool = False,
+    up: tuple[float, float, float] | None = None,
 ) -> list[Placement]:
     """A 3 x 3 grid around a point of the support, then places all over it; the object turned to the support's
     axes or as it is. It stands on the side it is nearest to standing on.
 
     A foot may reach over the edge of what has no walls, if the centre of mass is over what is left of it.
 
+    A support may be tilted as far as friction holds the object, `FRICTION_MARGIN` times over; it is then
+    turned with the surface, and stands where the plumb line of its mass is well inside its foot.
+
     Args:
         item: the object at its present pose.
         at: point on the surface [m] from its centre; the centre by default, and then all over the surface.
         step: grid spacing [m].
         other_sides: also lay the object on its other sides, after the present one.
+        up: direction in the object's frame that shall be along the surface's normal; where it does not stand
+            so, nothing is found.
     Raises:
-        InputError: no flat surface, the object does not fit on it, or does not stand on any side.
+        InputError: no flat surface, or one too steep; the object does not fit on it, or does not stand on any
+            side.
     """
-    frame, size_x, size_y = support_surface(support)
+    frame, size_x, size_y = surface_for(item, support)
     cx, cy = at or (0.0, 0.0)
     if abs(cx) > size_x / 2 or abs(cy) > size_y / 2:
         raise InputError(
             f"place {at} m is beside {support.name!r}: {size_x:.2f} x {size_y:.2f} m from its centre on"
         )
-    open_edges = _highest(support) < frame.translation[2] + 1e-3
+    normal = frame.rotation.matrix[:, 2]
+    open_edges = _highest(support, normal) < float(frame.translation @ normal) + 1e-3
     now = resting_now(item)
     if now is None:
         raise InputError(f"object {item.name!r} does not stand on any side", cure="give it a flat side")
     sides = [now]
-    if other_sides:
+    if other_sides or up is not None:
         sides += [r for r in rests(item) if r is not now and r.margin >= STABILITY_MARGIN]
+    if up is not None:
+        unit = np.asarray(up) / np.linalg.norm(up)
+        sides = [r for r in sides if r.up @ unit > UPRIGHT]
+        if not sides:
+            return []
     places = [(cx + dx, cy + dy, float(np.hypot(dx, dy)) * 10, dx == dy == 0)
               for dx in (0.0, -step, step) for dy in (0.0, -step, step)]  # fmt: skip
     if at is None:  # and all over it, evenly (two irrational steps)
         k = np.arange(1, FREE_PLACES + 1)
         spread = np.stack([k * 0.7548776662466927 % 1 - 0.5, k * 0.5698402909980532 % 1 - 0.5], 1)
         places += [(x * size_x, y * size_y, 2.0 + np.hypot(x, y), False) for x, y in spread.tolist()]
+    tilt = tilt_of(frame)
+    if tilt > LEVEL and (most := max(_stands_to(item, side, frame) for side in sides)) < tilt:
+        raise InputError(
+            f"object {item.name!r} would topple on {support.name!r}, which leans by "
+            f"{np.degrees(tilt):.1f} degrees: it stands up to {np.degrees(most):.1f}, with "
+            f"{STABILITY_MARGIN * 1000:.0f} mm to spare",
+            cure="level the support, or put the object on a broader side",
+        )
     found = []
     for n, side in enumerate(sides):
         found += _on_side(item, side, n, frame, (size_x, size_y), places, open_edges)
@@ -141,11 +125,58 @@ def place_candidates(
     return found
 
 
-def _highest(support: CollisionObject) -> float:
-    """Height of a support's highest point [m]."""
-    up = support.T_world_object.rotation.matrix[2]
+def _highest(support: CollisionObject, normal: Array) -> float:
+    """How far a support's points reach along a direction of the world (3,) [m]."""
+    up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
-    return max(tops) + float(support.T_world_object.translation[2])
+    return max(tops) + float(support.T_world_object.translation @ normal)
+
+
+def _mass_height(item: CollisionObject, side: Rest) -> float:
+    """Of the centre of mass above what an object stands on [m]."""
+    return float(surface_of(item).centre_of_mass @ side.up) + side.height
+
+
+def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, SO3]]:
+    """Turns about the surface's normal with the object's rotation in the world: along the surface's edges,
+    the one nearest to how it is turned now first, then as it is turned now."""
+    upright = SO3.between(side.up, (0.0, 0.0, 1.0))
+    lean = SO3.between((0.0, 0.0, 1.0), frame.rotation.matrix[:, 2])
+    yaw_now = _yaw(item.T_world_object.rotation, upright)
+    yaw_frame = _yaw(lean.inv() @ frame.rotation, SO3.identity())
+    quarter = [yaw_frame + k * np.pi / 2 for k in range(4)]
+    quarter.sort(key=lambda yaw: abs(_wrap(yaw - yaw_now)))
+    return [(yaw, lean @ SO3.exp((0.0, 0.0, yaw)) @ upright) for yaw in [*quarter, yaw_now]]
+
+
+def _slope(frame: SE3) -> Array:
+    """How far (2,) a plumb line goes aside in a surface's frame, per metre that it goes down to it."""
+    return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
+
+
+def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
+    """The tilt [rad] of a surface that leans to where it leans, up to which the object stands well."""
+    into = frame.rotation.inv()
+    return max(_tilt_held(item, side, (into @ R).matrix, frame) for _, R in _turns(item, side, frame))
+
+
+def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> float:
+    """The same for one turn: `turned` (3, 3) is the object's rotation in the surface's frame."""
+    steepness = float(np.linalg.norm(_slope(frame)))
+    if steepness < 1e-9:
+        return np.pi / 2
+    down = _slope(frame) / steepness
+    ring = (side.foot @ turned.T)[:, :2]
+    mass = (turned @ surface_of(item).centre_of_mass)[:2]
+    edges = np.roll(ring, -1, axis=0) - ring
+    inwards = np.column_stack([-edges[:, 1], edges[:, 0]])
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    spare = np.einsum("ij,ij->i", inwards, mass - ring) - STABILITY_MARGIN
+    if len(ring) < 3 or spare.min() < 0:
+        return 0.0
+    towards = -inwards @ down
+    reach = (spare[towards > 1e-9] / towards[towards > 1e-9]).min()
+    return float(np.arctan2(reach, _mass_height(item, side)))
 
 
 def _on_side(
@@ -158,25 +189,24 @@ def _on_side(
     open_edges: bool,
 ) -> list[Placement]:
     """Placements on one side of the object, at places (x, y, cost, is the middle) of the support."""
-    upright = SO3.between(side.up, (0.0, 0.0, 1.0))
-    surface = surface_of(item)
+    tilt, slope, normal = tilt_of(frame), _slope(frame), frame.rotation.matrix[:, 2]
+    surface, height = surface_of(item), _mass_height(item, side)
     corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
-    yaw_now = _yaw(item.T_world_object.rotation, upright)
-    yaw_frame = _yaw(frame.rotation, SO3.identity())
-    quarter = [yaw_frame + k * np.pi / 2 for k in range(4)]
-    quarter.sort(key=lambda yaw: abs(_wrap(yaw - yaw_now)))
     half = np.asarray(size) / 2 - STABILITY_MARGIN
     found = []
-    for i, yaw in enumerate([*quarter, yaw_now]):
-        R = SO3.exp((0.0, 0.0, yaw)) @ upright
+    for i, (yaw, R) in enumerate(_turns(item, side, frame)):
         turned = (frame.rotation.inv() @ R).matrix
+        if tilt > LEVEL and _tilt_held(item, side, turned, frame) < tilt:
+            continue
         whole = (corners @ turned.T)[:, :2]
         low, high = whole.min(0), whole.max(0)
         middle, foot = (low + high) / 2, (high - low) / 2
+        plumb = (turned @ surface.centre_of_mass)[:2] + slope * height
+        room_x, room_y = (half - foot).tolist()
         for x, y, cost, central in places:
-            if np.any(np.abs((x, y)) + foot > half):
+            if abs(x) > room_x or abs(y) > room_y:
                 stands = (side.foot @ turned.T)[:, :2] - middle + (x, y)
-                mass = (turned @ surface.centre_of_mass)[:2] - middle + (x, y)
+                mass = plumb - middle + (x, y)
                 if not (open_edges and central and _stands_on(stands, mass, half, side.margin)):
                     continue
             # The whole's middle goes to (x, y), wherever in the object its origin is.
@@ -188,6 +218,7 @@ def _on_side(
                     + (f", side {number}" if number else ""),
                     SE3(R, frame.apply(origin)),
                     score,
+                    (float(normal[0]), float(normal[1]), float(normal[2])),
                 )
             )
     return found

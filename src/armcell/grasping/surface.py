@@ -75,7 +75,7 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
     Raises:
         InputError: fewer points than a normal takes.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     points = np.asarray(points, dtype=float)
     if len(points) <= NEIGHBOURS:
@@ -85,7 +85,7 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
         while len(points) > MOST:
             _, first = np.unique(np.floor(points / edge).astype(np.int64), axis=0, return_index=True)
             points, edge = points[np.sort(first)], edge * 1.25
-    _, near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
+    _, near = KDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.svd(around)[2][:, 2]
     middle = (points.min(0) + points.max(0)) / 2

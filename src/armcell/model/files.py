@@ -98,6 +98,15 @@ def _check_events(text: str, path: Path) -> None:
             raise InputError(f"is nested deeper than {MAX_YAML_DEPTH} levels", file=path)
 
 
+def yaml_value(text: str) -> Any:
+    """A value written by hand, read by the same rules as files.
+
+    Raises:
+        yaml.YAMLError: it is none.
+    """
+    return yaml.load(text, _Loader)
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file whose top level is a mapping.
 

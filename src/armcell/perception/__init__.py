@@ -3,6 +3,7 @@
 from armcell.perception.bag import CameraRecord, cloud_points, load_record
 from armcell.perception.camera_info import CameraInfo, load_camera_info, rectified, save_camera_info
 from armcell.perception.cloud import organised
+from armcell.perception.colours import colour_distance, colour_name
 from armcell.perception.draw import drawn
 from armcell.perception.files import cloud_image, load_image, save_image
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
@@ -38,6 +39,8 @@ __all__ = [
     "closest_equivalent",
     "cloud_image",
     "cloud_points",
+    "colour_distance",
+    "colour_name",
     "drawn",
     "find_markers",
     "find_plane",

@@ -28,6 +28,7 @@ from armcell.core import (
 )
 from armcell.core.geometry import local_bounds
 from armcell.perception.cloud import organised
+from armcell.perception.colours import colour_distance
 from armcell.perception.fit import Evidence
 from armcell.perception.known import Match, closest_equivalent, match_known, rough_match
 from armcell.perception.plane import SupportPlane, find_plane
@@ -39,6 +40,7 @@ from armcell.scene import CollisionObject, PlanningScene
 
 F64 = NDArray[np.float64]
 _HOPELESS = 0.6  # a rough match that costs more is not looked at again
+_OTHER_COLOUR = 0.1  # what a known object of quite another colour costs more, where shapes decide nothing
 _JOINED = 0.5  # what two clusters are explained by may cost twice as much
 _MOST_JOINED = 12  # clusters of a picture in which pairs are looked at
 _RIVAL = 3.0  # nor one that costs so many times another of the same thing or object
@@ -171,7 +173,7 @@ def look(
         for i, k in combinations(range(len(found)), 2):
             if _span(points, np.concatenate([found[i], found[k]])) <= reach + 4 * scale:
                 parts[frozenset({i, k})] = thing(np.concatenate([found[i], found[k]]))
-    objects = _named(parts, known, settings)
+    objects = _named(parts, known, settings, image.rgb is not None)
     missing = tuple(n for n in _names(known) if n not in {o.name for o in objects})
     return ended(_summary(objects, missing, plane))
 
@@ -299,9 +301,13 @@ def _span(points: F64, pixels: NDArray[np.int64]) -> float:
 
 
 def _named(
-    things: dict[frozenset[int], _Thing], known: Sequence[CollisionObject], settings: LookSettings
+    things: dict[frozenset[int], _Thing],
+    known: Sequence[CollisionObject],
+    settings: LookSettings,
+    image_has_colour: bool,
 ) -> tuple[SeenObject, ...]:
-    """Each thing as the known object that explains it best, or as a primitive.
+    """Each thing as the known object that explains it best, or as a primitive. Of shapes that are alike the
+    one of that colour is taken.
 
     A known object may be two clusters, where it hides the middle of itself; what explains two is taken
     before what explains one of them about as well.
@@ -319,6 +325,8 @@ def _named(
             match = match_known(things[part].evidence, known[k].shapes, start)
             if match.cost <= settings.most_cost:
                 rank = match.cost if len(part) == 1 else match.cost * _JOINED
+                if image_has_colour:
+                    rank += _OTHER_COLOUR * colour_distance(things[part].color, known[k].color)
                 offers.append((rank, sorted(part), k, match))
     taken: dict[frozenset[int], tuple[int, Match]] = {}
     used: set[int] = set()

@@ -150,7 +150,7 @@ def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
     """
     import trimesh
     from scipy.ndimage import label
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     mesh = surface_mesh(shapes)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
@@ -163,7 +163,7 @@ def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
     spacing = float(np.sqrt(tri.area / _SAMPLES))
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1).reshape(-1, 3)
     points = origin + nodes * step
-    far, nearest = cKDTree(samples).query(points, workers=1)
+    far, nearest = KDTree(samples).query(points, workers=1)
     away = points - samples[nearest]
     above = np.einsum("ij,ij->i", away, normals[nearest])
     aside = np.sqrt(np.maximum(far**2 - above**2, 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,6 +28,9 @@ Array = NDArray[np.float64]
 
 SAGITTA = 2e-4
 """[rad] by which the certified chords may differ from the rounded path."""
+ROUNDINGS = (1.0, 0.3, 0.09, 0.0)
+"""Shares of the rounding of corners, the largest tried first."""
+ROOMY = 2  # so many of them are tried for room; sharper ones cost more time than it is worth
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +40,7 @@ class Finished:
     certificate: Certificate
     trajectory: JointTrajectory | None = None
     path: BlendedPath | None = None
+    roomy: bool = False  # the padding is kept as well
 
 
 class Certifier(Protocol):
@@ -57,12 +62,15 @@ def finish(
     timing: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
     jerk_limits: bool = False,
+    with_room: Callable[[Array, Array | None], bool] | None = None,
 ) -> Finished:
     """Blend, certify and time a path (k, n).
 
     Corners whose rounding touches something are cut less, at last not at all (the motion stops there).
 
     Args:
+        with_room: whether a polyline (m, n), which joints may leave by a slack (n,), keeps the padding too.
+            A rounding with which it does is taken before a larger one with which it only does not touch.
         torque: torque limits to be kept, see `torque_model`.
         jerk_limits: keep the model's jerk limits (not scaled), exactly on the path.
     Raises:
@@ -72,7 +80,6 @@ def finish(
     if torque is not None and jerk_limits:
         raise InputError("torque limits and jerk limits cannot be kept together", cure="ask for one of them")
     points = np.asarray(waypoints, dtype=float)
-    deviation = np.full(max(len(points) - 2, 0), timing.max_deviation)
     names = checker.joint_names
     velocity = checker.model.limits(names, "velocity") * velocity_scaling
     acceleration = checker.model.limits(names, "acceleration") * acceleration_scaling
@@ -88,16 +95,25 @@ def finish(
     slack = np.full(len(names), SAGITTA)
     if not jerk_limits:
         slack += smoothing_departure(acceleration, timing)
-    for attempt in range(4):
-        path = BlendedPath(points, deviation, smooth=jerk_limits)
-        certificate = checker.certify(
-            path.polyline(SAGITTA), slack if path.length > 0 else None, evidence=False
-        )
+    shares = ROUNDINGS if len(points) > 2 else ROUNDINGS[:1]
+    rounded: dict[float, tuple[BlendedPath, Array]] = {}
+
+    def at(share: float) -> tuple[BlendedPath, Array, Array | None]:
+        if share not in rounded:
+            path = BlendedPath(points, share * timing.max_deviation, smooth=jerk_limits)
+            rounded[share] = path, path.polyline(SAGITTA)
+        path, chords = rounded[share]
+        return path, chords, slack if path.length > 0 else None
+
+    for share in shares[:ROOMY]:
+        path, chords, room = at(share)
+        if with_room is not None and with_room(chords, room):
+            return Finished(Certificate(True), timed(path), path, roomy=True)
+    for share in shares:
+        path, chords, room = at(share)
+        certificate = checker.certify(chords, room, evidence=False)
         if certificate.free:
             return Finished(certificate, timed(path), path)
-        if len(deviation) == 0:
-            break
-        deviation = deviation * 0.3 if attempt < 2 else np.zeros_like(deviation)
     # A start or goal within the slack of something cannot be proven with it: the bare edges can.
     path = BlendedPath(points, 0.0)
     certificate = checker.certify(path.points, evidence=False)

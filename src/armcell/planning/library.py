@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.arms import arms_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     ADAPTERS,
@@ -35,6 +36,7 @@ from armcell.core import (
     PoseGoal,
 )
 from armcell.model import RobotModel
+from armcell.planning.apart import room_between
 from armcell.planning.fingerprint import fingerprint
 from armcell.planning.finish import clearance_along, finish, torque_model
 from armcell.planning.goal_regions import reaches
@@ -148,6 +150,10 @@ class PlanLibrary:
         if checker.touches(start):
             return None  # the pipeline says what touches
         checker.relax_margins(start)
+        arms, ends = arms_of(scene.model, request.group), [s.waypoints[-1] for s in near]
+        room = room_between(scene, arms, checker, start, ends, request.arm_clearance)
+        if room is not None:
+            checker = room.kept_by(checker)
         motions = [np.vstack([start, s.waypoints[1:]]) for s in near]
         for waypoints in motions:
             if checker.certify(waypoints, padded=True, evidence=False).free:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ class Motion:
     done: bool = False
     why: str = ""
     words: str = ""  # what a caller must know about a motion that is done
+    roomy: bool = True  # it keeps the scene's padding all along, not only at what was looked at
 
 
 def timed_motion(question: Question, checker: KernelChecker, waypoints: Array) -> Motion | Outcome:
@@ -35,17 +37,24 @@ def timed_motion(question: Question, checker: KernelChecker, waypoints: Array) -
     if question.workspace is not None and (q := question.workspace.left_at(waypoints)) is not None:
         return Motion(waypoints, why=f"the paths found leave the workspace: {question.workspace.describe(q)}")
     torque = torque_model(question.scene, question.joint_names) if request.torque_limits else None
+    padded = question.scene.padding > 0 or any(p > 0 for p in question.scene.link_padding.values())
     try:
         finished = finish(
             checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
             torque=torque, jerk_limits=request.jerk_limits,
+            with_room=partial(_keeps, checker) if padded else None,
         )  # fmt: skip
     except TorqueLimitError as error:
         evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
         return Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence)
     if finished.trajectory is None:
         return Motion(waypoints)
-    return completed(question, checker, waypoints, finished.trajectory)
+    made = completed(question, checker, waypoints, finished.trajectory)
+    return replace(made, roomy=finished.roomy or not padded)
+
+
+def _keeps(checker: KernelChecker, chords: Array, slack: Array | None) -> bool:
+    return checker.certify(chords, slack, padded=True, evidence=False).free
 
 
 def completed(

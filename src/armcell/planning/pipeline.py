@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.arms import arms_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     ConstraintGoal,
@@ -25,6 +26,7 @@ from armcell.core import (
     PoseGoal,
 )
 from armcell.planning.adapters import adapted
+from armcell.planning.apart import Room, room_between
 from armcell.planning.constraints.plan import check_planner, plan_constrained
 from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along
@@ -44,6 +46,8 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 
 MAX_ROUNDS = 5
+ROOMY_ROUNDS = 3
+"""How often, where one that only does not touch is there, for one that keeps the padding all along."""
 """How often a path that fails certification is planned anew with another seed."""
 
 ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds of one attempt are not another attempt
@@ -102,6 +106,7 @@ class Ends:
     goals: tuple[Array, ...]
     lower: Array
     upper: Array
+    room: Room | None = None  # that the checker keeps between arms
 
 
 def find_ends(question: Question) -> Ends | Outcome:
@@ -128,7 +133,40 @@ def find_ends(question: Question) -> Ends | Outcome:
     return Ends(checker, start, goals, lower, upper)
 
 
+ROOMY_SHARE = 0.5
+"""Of the planning time, for motions that keep room between arms or all padding; what is left is for any."""
+
+
 def search(question: Question, ends: Ends) -> PlanResult:
+    """A motion on which arms keep room between each other; where none is found, any that is free."""
+    request = question.request
+    arms = arms_of(question.scene.model, request.group)
+    room = room_between(question.scene, arms, ends.checker, ends.start, ends.goals, request.arm_clearance)
+    if room is None:
+        return found(question, ends)
+    words = room.words
+    if room.distance > 0:
+        limit = replace(request, planning_time=ROOMY_SHARE * request.planning_time)
+        roomy = replace(ends, checker=room.kept_by(ends.checker), goals=room.goals, room=room)
+        result = found(replace(question, request=limit), roomy)
+        if result.ok or question.cancel.is_set():
+            return _with_room(result, room.distance, words)
+        words = (
+            f"the arms do not touch, but no motion was found that keeps {1000 * room.distance:.0f} mm "
+            "between them"
+        )
+    return _with_room(found(question, ends), 0.0, words)
+
+
+def _with_room(result: PlanResult, distance: float, words: str) -> PlanResult:
+    """A result that says what is kept between the arms [m]."""
+    if not result.ok:
+        return result
+    message = "; ".join(text for text in (result.message, words) if text)
+    return replace(result, message=message, evidence={**result.evidence, "arm_clearance": distance})
+
+
+def found(question: Question, ends: Ends) -> PlanResult:
     """The straight line where it is free; else the shortest motion of all attempts."""
     problem = _problem(question, ends, question.request.seed)
     line = _direct(problem)
@@ -157,7 +195,7 @@ def _ends_of_thread(question: Question, ends: Ends) -> Ends:
     """The same with a checker of its own: a checker has one workspace."""
     checker = KernelChecker(question.scene, question.joint_names)
     checker.relax_margins(ends.start)
-    return replace(ends, checker=checker)
+    return replace(ends, checker=checker if ends.room is None else ends.room.kept_by(checker))
 
 
 def _problem(question: Question, ends: Ends, seed: int) -> Problem:
@@ -177,11 +215,19 @@ def _problem(question: Question, ends: Ends, seed: int) -> Problem:
 
 
 def attempt(question: Question, ends: Ends, number: int) -> PlanResult:
-    """Paths from one seed until one can be proven and timed."""
-    answer, why = None, ""
+    """Paths from one seed until one can be proven and timed, and with a few more tries keeps its padding.
+
+    Paths keep the padding at the configurations that were looked at; a thin thing can be nearer in between.
+    """
+    answer, why, tight = None, "", None
+    enough = time.monotonic() + ROOMY_SHARE * question.request.planning_time
     for round_ in range(MAX_ROUNDS):
+        if tight is not None and (round_ >= ROOMY_ROUNDS or time.monotonic() > enough):
+            break
         seed = question.request.seed + ATTEMPT_SEED * number + ROUND_SEED * round_
         problem = _problem(question, ends, seed)
+        if tight is not None:
+            problem = replace(problem, deadline=min(question.deadline, enough))
         answer = question.choice.planner(problem)
         if answer.waypoints is None:
             break
@@ -198,10 +244,15 @@ def attempt(question: Question, ends: Ends, number: int) -> PlanResult:
             break
         made = timed_motion(question, ends.checker, waypoints)
         if isinstance(made, Outcome):
-            return question.failed(made)
+            return tight or question.failed(made)
         if made.done:
-            return _solved(question, ends.checker, made, question.planner_id, answer)
+            solved = _solved(question, ends.checker, made, question.planner_id, answer)
+            if made.roomy:
+                return solved
+            tight = tight or solved
         why = made.why
+    if tight is not None and not question.cancel.is_set():
+        return tight
     return question.failed(_unsolved(question, ends, answer, why))
 
 

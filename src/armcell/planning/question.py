@@ -77,6 +77,8 @@ def ask(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | No
     check_speed(request.max_cartesian_speed)
     if not (np.isfinite(request.planning_time) and request.planning_time > 0):
         raise InputError(f"planning_time is {request.planning_time:g} s, it must be positive")
+    if not (np.isfinite(request.arm_clearance) and request.arm_clearance >= 0):
+        raise InputError(f"arm_clearance is {request.arm_clearance:g} m, it must be at least 0")
     if request.attempts != int(request.attempts) or request.attempts < 1:
         raise InputError(f"attempts is {request.attempts}, it must be a whole number, at least 1")
     group = scene.model.group(request.group)

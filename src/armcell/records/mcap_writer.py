@@ -169,14 +169,20 @@ class McapWriter:
         Point = self._type("trajectory_msgs/msg/JointTrajectoryPoint")
         Duration = self._type("builtin_interfaces/msg/Duration")
         empty = np.zeros(0)
+        # Rows in one piece: a trajectory that was put together by joints may have them in columns.
+        q, v, a = (
+            None if rows is None else np.ascontiguousarray(rows, dtype=float)
+            for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations)
+        )
+        assert q is not None
         points = []
         for i, at in enumerate(trajectory.times):
             sec, nanosec = divmod(round(float(at) * NANO), NANO)
             points.append(
                 Point(
-                    positions=trajectory.positions[i],
-                    velocities=empty if trajectory.velocities is None else trajectory.velocities[i],
-                    accelerations=empty if trajectory.accelerations is None else trajectory.accelerations[i],
+                    positions=q[i],
+                    velocities=empty if v is None else v[i],
+                    accelerations=empty if a is None else a[i],
                     effort=empty,
                     time_from_start=Duration(sec=sec, nanosec=nanosec),
                 )

@@ -42,6 +42,10 @@ class State(IntEnum):
     RECALLED = 8
     LOST = 9
 
+    @classmethod
+    def _missing_(cls, value: object) -> State:
+        return cls.LOST  # a number that came over a wire and means nothing
+
     @property
     def is_over(self) -> bool:
         return self in _OVER
@@ -336,8 +340,9 @@ class ActionClient:
     def _on_status(self, message: Any) -> None:
         for status in message.status_list:
             sent = self._goals.get(status.goal_id.id)
-            if sent is not None and not sent._over.is_set():
-                sent.state, sent.text = State(status.status), status.text
+            state = State(status.status)
+            if sent is not None and not sent._over.is_set() and state is not State.LOST:
+                sent.state, sent.text = state, status.text
 
     def _on_feedback(self, message: Any) -> None:
         sent = self._goals.get(message.status.goal_id.id)

@@ -10,6 +10,7 @@ import numpy as np
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Pinhole, UnknownNameError
 from armcell.model import RobotModel
 from armcell.ros.schema import Schema
+from armcell.ros.units import unit_fault
 
 TIME_GAP = 1e-9  # [s] two points closer than a nanosecond are at one time
 
@@ -141,7 +142,8 @@ def trajectory_from_message(message: Any, model: RobotModel, now: JointState) ->
         try:
             model.check_positions(row, names, margin=1e-4)
         except InputError as error:
-            raise InputError(f"point {i}: {error.reason}") from None
+            cure = unit_fault(model, names, row) or error.cure
+            raise InputError(f"point {i}: {error.reason}", cure=cure) from None
     if times[0] > TIME_GAP:
         here = now.reindexed(names)
         times = np.concatenate(([0.0], times))

@@ -1,7 +1,8 @@
 """Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
 
 from armcell.collision.convex import convex_pieces
-from armcell.sim.build import BuiltModel, GripperIndex, build
+from armcell.sim.build import build
+from armcell.sim.built import BuiltModel, GripperIndex
 from armcell.sim.camera import Camera, DepthNoise, look_at
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.decals import Decal

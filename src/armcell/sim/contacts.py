@@ -7,15 +7,17 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from armcell.core import UnknownNameError
-from armcell.sim.build import BuiltModel
+from armcell.sim.built import BuiltModel
 
 Array = NDArray[np.float64]
 
-_FEW = 30
-"""Contacts up to which a plain loop is quicker than NumPy; this runs at every physics step."""
+_FEW, _KEPT = 30, 10_000
+"""Lists of so many contacts come again and again, and so many of them are remembered."""
+_NO_END = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -61,34 +63,16 @@ def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact
     return sorted(found, key=lambda c: -c.depth)
 
 
-def contact_forces_on(
-    built: BuiltModel, data: mujoco.MjData, owners: Iterable[int]
-) -> dict[tuple[int, int], Array]:
-    """Force (3,) [N, world frame] on each of `owners` by what touches it: (owner, other) -> force."""
-    wanted = set(owners)
-    forces: dict[tuple[int, int], Array] = {}
-    if data.ncon == 0:
-        return forces
-    pairs = built.geom_owner[data.contact.geom]  # (ncon, 2)
-    wrench = np.zeros(6)
-    for i, (a, b) in enumerate(pairs.tolist()):
-        if a not in wanted and b not in wanted:
-            continue
-        mujoco.mj_contactForce(built.mj, data, i, wrench)
-        on_b = data.contact[i].frame.reshape(3, 3).T @ wrench[:3]  # the frame's x axis points from a to b
-        if b in wanted:
-            forces[b, a] = forces.get((b, a), 0.0) + on_b
-        if a in wanted:
-            forces[a, b] = forces.get((a, b), 0.0) - on_b
-    return forces
-
-
 class ContactMonitor:
     """Collects unwanted contacts at every physics step.
 
     Unwanted is: a robot link touching anything it is not allowed to touch, and a watched (held) object
     touching any object it is not allowed to rest on. MuJoCo finds contacts at the beginning of a step, so
     the state after the very last step has not been looked at yet.
+
+    Attributes:
+        unwanted_geoms: (ngeom, ngeom) whether two geoms are not to touch.
+        pairs: (n, 2) geoms of each contact, read in place; the first `readable` can be.
     """
 
     def __init__(self, built: BuiltModel):
@@ -96,6 +80,9 @@ class ContactMonitor:
         self._allowed: set[frozenset[str]] = set()
         self._watched: set[str] = set()
         self._found: dict[frozenset[str], UnwantedContact] = {}
+        self._data: mujoco.MjData | None = None  # whose list of contacts `pairs` is
+        self.pairs, self.readable = np.zeros((2, 4), np.int32)[:, :2], 0
+        self.pairs.flags.writeable = False
         scene = built.scene
         for pair, allow in scene.allowed.items():
             if allow:
@@ -146,17 +133,25 @@ class ContactMonitor:
         count = data.ncon
         if count == 0:
             return
+        if data is not self._data:
+            self._attach(data)
+        seen = self.pairs[:count].tobytes()
+        if seen in self._fine:
+            return
         geoms = data.contact.geom
-        if count <= _FEW:
-            table = self._unwanted_rows
-            for a, b in geoms.tolist():
-                if table[a][b]:
-                    break
-            else:
-                return
-        hits = self._unwanted[geoms[:, 0], geoms[:, 1]]
+        hits = self.unwanted_geoms[geoms[:, 0], geoms[:, 1]]
         if hits.any():
             self._record(data, geoms[hits], data.contact.dist[hits])
+        elif count <= _FEW:
+            if len(self._fine) >= _KEPT:
+                self._fine.clear()
+            self._fine.add(seen)
+
+    def _attach(self, data: mujoco.MjData) -> None:
+        """Look at the list of contacts in place: it begins where MuJoCo's arena does, whatever its length."""
+        self._data, geoms = data, data.contact.geom
+        self.pairs = as_strided(geoms, (_NO_END, 2), geoms.strides, writeable=False)
+        self.readable = _NO_END
 
     # --- inside ---
     def _check(self, *names: str) -> None:
@@ -186,8 +181,10 @@ class ContactMonitor:
                 a, b = built.owner_index[names[0]], built.owner_index[names[-1]]
                 bad[a, b] = bad[b, a] = False
         owner = built.geom_owner
-        self._unwanted = bad[owner[:, None], owner[None, :]] & (owner[:, None] >= 0) & (owner[None, :] >= 0)
-        self._unwanted_rows = self._unwanted.tolist()
+        self.unwanted_geoms = (
+            bad[owner[:, None], owner[None, :]] & (owner[:, None] >= 0) & (owner[None, :] >= 0)
+        )
+        self._fine: set[bytes] = set()  # lists of contacts, as bytes, with none that is unwanted
 
     def _record(self, data: mujoco.MjData, geoms: NDArray[np.int32], distances: Array) -> None:
         deepest: dict[frozenset[str], tuple[str, str, float]] = {}

@@ -9,10 +9,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3
-from armcell.sim.build import BuiltModel, GripperIndex
-from armcell.sim.contacts import contact_forces_on
+from armcell.core import SE3, SO3
+from armcell.sim.built import BuiltModel, GripperIndex
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.stepping import (
+    BLOCKED_LEAD,
+    CONTROL,
+    LAW_SIZE,
+    LEAD,
+    PUSH_STEP,
+    SET_POINT,
+    STEP,
+    TARGET,
+    add_finger_forces,
+    drive_fingers,
+)
 
 Array = NDArray[np.float64]
 
@@ -49,80 +60,94 @@ class GripperDrive:
     fingers press with exactly that force and free ones move at `max_speed`.
     """
 
-    def __init__(self, index: GripperIndex, settings: PhysicsSettings):
-        self.index = index
+    def __init__(self, index: GripperIndex, settings: PhysicsSettings, law: Array):
+        """The law (7,) is what `stepping.drive_fingers` works with, kept up to date here."""
+        self.index, self._law = index, law
         self._kp = settings.gripper_kp
         self._ratio = abs(index.gripper.width_per_joint)
         dt = settings.timestep
         lag = (settings.gripper_kv + 2 * settings.joint_damping) * index.max_speed / settings.gripper_kp
-        self._blocked_lead = 3 * lag + 0.001  # [m] more than free fingers ever lag behind
-        self._step = index.max_speed * dt
-        self._push_step = max(self._step, settings.grip_force_rate * self._ratio / settings.gripper_kp * dt)
-        self._set_point = 0.0
-        self._target = 0.0
-        self._lead = self._force_lead(index.max_force)
+        law[CONTROL] = index.ctrl
+        law[BLOCKED_LEAD] = 3 * lag + 0.001  # [m] more than free fingers ever lag behind
+        law[STEP] = index.max_speed * dt
+        law[PUSH_STEP] = max(law[STEP], settings.grip_force_rate * self._ratio / settings.gripper_kp * dt)
+        law[LEAD] = self._force_lead(index.max_force)
 
     def _force_lead(self, force: float) -> float:
         return min(force, self.index.max_force) * self._ratio / self._kp
 
     def hold(self, data: mujoco.MjData, joint_position: float) -> None:
         """Stay at a joint position, at full force."""
-        self._set_point = self._target = joint_position
+        self._law[[SET_POINT, TARGET]] = joint_position
         data.ctrl[self.index.ctrl] = joint_position
-        self._lead = self._force_lead(self.index.max_force)
+        self._law[LEAD] = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
         """Drive to a width [m]. The closed end means: press with that force [N] on what is between."""
         gripper = self.index.gripper
-        self._lead = self._force_lead(force_per_finger)
+        lead = self._force_lead(force_per_finger)
         ends = self.index.lower, self.index.upper
         closed = min(ends, key=gripper.width)
-        self._target = float(np.clip(gripper.joint_position(width), *ends))
-        if gripper.width(self._target) <= gripper.width(closed) + _WIDTH_TOLERANCE:
-            self._target = closed - np.sign(gripper.width_per_joint) * self._lead
+        target = float(np.clip(gripper.joint_position(width), *ends))
+        if gripper.width(target) <= gripper.width(closed) + _WIDTH_TOLERANCE:
+            target = closed - np.sign(gripper.width_per_joint) * lead
+        self._law[TARGET], self._law[LEAD] = target, lead
 
     def closing(self, data: mujoco.MjData) -> bool:
         """Whether the fingers are told to be closer together than they are."""
         width = self.index.gripper.width
-        return width(self._target) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
+        return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
+
+    def get_state(self) -> Array:
+        return self._law.copy()
+
+    def set_state(self, state: Array) -> None:
+        self._law[:] = state
+
+
+class Fingers:
+    """The servos of every gripper.
+
+    Attributes:
+        law: (g, 7) a row per gripper, for `stepping.drive_fingers`.
+        joints, weights: (g, k) index in qpos and share in the servo's length.
+    """
+
+    def __init__(self, built: BuiltModel, settings: PhysicsSettings):
+        grippers = built.grippers
+        most = max((len(index.joints) for index in grippers.values()), default=0)
+        self.law = np.zeros((len(grippers), LAW_SIZE))
+        self.joints, self.weights = np.zeros((len(grippers), most), np.int64), np.zeros((len(grippers), most))
+        self.drives: dict[str, GripperDrive] = {}
+        for row, (name, index) in enumerate(grippers.items()):
+            self.drives[name] = GripperDrive(index, settings, self.law[row])
+            for k, (joint, weight) in enumerate(index.joints):
+                self.joints[row, k], self.weights[row, k] = joint, weight
 
     def update(self, data: mujoco.MjData) -> None:
-        """Set the servo's input for the next step."""
-        qpos, length = data.qpos, 0.0
-        for (
-            i,
-            weight,
-        ) in self.index.joints:  # as GripperIndex.length; inlined, this runs at every physics step
-            length += weight * qpos.item(i)
-        set_point, gap = self._set_point, self._target - self._set_point
-        if gap:
-            step = self._push_step if abs(set_point - length) > self._blocked_lead else self._step
-            set_point += max(-step, min(step, gap))
-        if set_point > length + self._lead:
-            set_point = length + self._lead
-        elif set_point < length - self._lead:
-            set_point = length - self._lead
-        if set_point != self._set_point:
-            self._set_point = set_point
-            data.ctrl[self.index.ctrl] = set_point
-
-    def get_state(self) -> tuple[float, float, float]:
-        return self._set_point, self._target, self._lead
-
-    def set_state(self, state: tuple[float, float, float]) -> None:
-        self._set_point, self._target, self._lead = state
+        """Set the servos' inputs for the next step."""
+        drive_fingers(self.law, self.joints, self.weights, data.qpos, data.ctrl)
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
     """Force [N] along the closing axis (the tcp's y) on each finger, by the owner index that it touches."""
-    forces: dict[int, list[float]] = {}
-    y_axis = data.xmat[index.tcp_body].reshape(3, 3)[:, 1]
-    for (finger, other), force in contact_forces_on(built, data, index.finger_owners).items():
-        if other in index.finger_owners or other < 0:
-            continue
-        row = forces.setdefault(other, [0.0] * len(index.finger_owners))
-        row[index.finger_owners.index(finger)] = abs(float(force @ y_axis))
-    return forces
+    if data.ncon == 0:
+        return {}
+    contact, y_axis = data.contact, data.xmat[index.tcp_body][1::3]
+    fingers = np.array(index.finger_owners, np.int64)
+    forces = np.zeros((len(built.owners), len(fingers)))
+    add_finger_forces(
+        built.mj._address,
+        data._address,
+        contact.geom,
+        contact.frame,
+        built.geom_owner,
+        fingers,
+        y_axis,
+        forces,
+    )
+    touched = np.flatnonzero(forces.any(axis=1)).tolist()
+    return {other: np.abs(forces[other]).tolist() for other in touched}
 
 
 def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperState:
@@ -131,11 +156,10 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
     held = [
         (min(row), owner) for owner, row in forces.items() if min(row) > 0.0 and owner >= built.link_count
     ]
-    total = np.sum(list(forces.values()), axis=0) if forces else np.zeros(1)
-    position = float(data.qpos[built.joint_qpos[index.gripper.joint_name]])
+    position = data.qpos.item(built.joint_qpos[index.gripper.joint_name])
     return GripperState(
         width=index.gripper.width(position),
-        force_per_finger=float(np.mean(total)),
+        force_per_finger=sum(map(sum, forces.values())) / len(index.finger_owners),
         held=built.owners[max(held)[1]] if held else None,
     )
 
@@ -147,10 +171,7 @@ def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
     """T_world_body."""
-    T = np.eye(4)
-    T[:3, :3] = data.xmat[body].reshape(3, 3)
-    T[:3, 3] = data.xpos[body]
-    return SE3.from_matrix(T)
+    return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ from armcell.core.geometry import extent
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, hand_alone
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
-from armcell.sim.build import BuiltModel, build
+from armcell.sim.build import build
+from armcell.sim.built import BuiltModel
 from armcell.sim.settings import PhysicsSettings
 
 Array = NDArray[np.float64]

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, CameraImage, InputError
 from armcell.scene import WORLD
-from armcell.sim.build import COLLISION_GROUP, OBJECT_GROUP, RENDER_CAMERA, VISUAL_GROUP, BuiltModel, build
+from armcell.sim.build import RENDER_CAMERA, build
+from armcell.sim.built import BuiltModel
 from armcell.sim.camera import Camera
 from armcell.sim.decals import geom_name
 from armcell.sim.gl import GLRenderer, gl_backend
 from armcell.sim.grip import body_pose
+from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
 from armcell.sim.world import SimWorld
 
 _MAX_DEPTH = 50.0  # [m], nothing further is seen

@@ -6,10 +6,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.sim.build import BuiltModel
+from armcell.sim.built import BuiltModel
 from armcell.sim.settings import PhysicsSettings
 
 Array = NDArray[np.float64]
+Controls = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+"""Index of some joints' targets here, of their positions and of their velocities in MuJoCo's controls."""
 
 INTEGRAL_SHARE = 0.2  # of the effort limit that the integral may give: a blocked arm does not wind up
 
@@ -40,20 +42,25 @@ class ArmServo:
         self._kv = weak * np.where(slide, settings.slide_kv, settings.arm_kv)
         self._ki = weak * settings.arm_ki
 
-    def command(self, data: mujoco.MjData, columns: list[int], q: Array, v: Array) -> None:
-        """Targets of some joints, by column of the model's order."""
-        at = [self._at[c] for c in columns]
+    def controls(self, columns: list[int]) -> Controls:
+        """Where the targets of some joints, by column of the model's order, belong."""
+        at = np.array([self._at[c] for c in columns], dtype=int)
+        return at, self._pos[at], self._vel[at]
+
+    def command(self, data: mujoco.MjData, controls: Controls, q: Array, v: Array) -> None:
+        """Targets of the joints that `controls` was made for."""
+        at, position, velocity = controls
         self.target[at], self.speed[at] = q, v
         if not self.computed:
-            data.ctrl[self._pos[at]] = q
+            data.ctrl[position] = q
             if self._feeds_velocity:
-                data.ctrl[self._vel[at]] = v
+                data.ctrl[velocity] = v
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
         """All joints stay at positions q (dof,) of the model's order; the integral is forgotten."""
         columns = list(self._at)
         self.integral[:] = 0.0
-        self.command(data, columns, q[columns], np.zeros(len(columns)))
+        self.command(data, self.controls(columns), q[columns], np.zeros(len(columns)))
 
     def update(self, data: mujoco.MjData) -> None:
         """The torques of the step to come."""

@@ -46,7 +46,7 @@ class PhysicsSettings:
     arm_control: str = "pid"
     arm_kp: float = 5000.0  # [Nm/rad]
     arm_ki: float = 0.0  # [Nm/(rad s)], of "torque"; the integral gives at most a fifth of the effort limit
-    arm_kv: float = 500.0  # [Nm s/rad]
+    arm_kv: float = 250.0  # [Nm s/rad]; with 500 a UR10's wrist chatters once its torque has saturated
     gravity_compensation: float = 1.0  # share of the links' weight that the arms take off themselves
     full_gain_effort: float = 50.0  # [Nm or N] joints with a lower effort limit get gains in proportion to it
     slide_kp: float = 50000.0  # [N/m], of sliding joints that are no fingers

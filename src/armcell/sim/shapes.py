@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from armcell.collision.convex import convex_pieces
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
@@ -17,6 +18,9 @@ logger = logging.getLogger(__name__)
 GEOM = mujoco.mjtGeom
 Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 _CONE_EDGES = 48
+
+OBJECT_GROUP, VISUAL_GROUP, COLLISION_GROUP = 0, 2, 3
+"""MuJoCo's geom groups; viewers draw 0 to 2."""
 
 _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
     Box: (GEOM.mjGEOM_BOX, lambda s: [s.x / 2, s.y / 2, s.z / 2]),
@@ -95,3 +99,8 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
     foot = np.stack([j, i, np.full(edges, edges)], 1)
     side = np.stack([i, j, np.full(edges, edges + 1)], 1)
     return Mesh(vertices, np.vstack([foot, side]).astype(np.int32))
+
+
+def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
+    """MuJoCo's order of a symmetric matrix (3, 3)."""
+    return [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,15 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, ArmcellError, InputError, JointState, StateSample, UnknownNameError
+from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
-from armcell.sim.build import BuiltModel, build, scene_objects
+from armcell.sim.build import build, scene_objects
+from armcell.sim.built import BuiltModel
 from armcell.sim.camera import Camera
+from armcell.sim.compiled import compiled_steps
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
 from armcell.sim.decals import Decal
 from armcell.sim.grip import (
-    GripperDrive,
+    Fingers,
     GripperState,
     Welder,
     WeldEvent,
@@ -67,6 +71,7 @@ class SimWorld:
     Attributes:
         robot: the scene's `RobotModel`.
         monitor: unwanted contacts, looked for at every physics step. A reset makes a new one.
+        lock: held while steps are taken. Who looks from another thread than the one that steps holds it, too.
         cameras: by name.
         decals: pictures on links and objects, seen by cameras only.
         rng: for whatever wants seeded noise on this world's sensors; physics itself has none.
@@ -85,6 +90,7 @@ class SimWorld:
         self.decals = tuple(decals)
         self.cameras = {camera.name: camera for camera in cameras}
         self.seed = seed
+        self.lock = threading.RLock()
         self._build(scene)
         self.reset()
 
@@ -93,10 +99,15 @@ class SimWorld:
         self.built = build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
-        self.mj_data = mujoco.MjData(self.mj_model)
+        self._data = mujoco.MjData(self.mj_model)
+        self._behind = False  # whether the poses in it are those of where the last step began
+        self._warned = self._data.warning.number.item  # reads the counts as they are then
         self._tree = kinematic_tree(scene.model)
-        self._drives = {n: GripperDrive(g, self.settings) for n, g in self.built.grippers.items()}
+        self._fingers = Fingers(self.built, self.settings)
+        self._drives = self._fingers.drives
         self._servo = ArmServo(self.built, self.settings)
+        python = self._servo.computed or self.built.belts or self.settings.grip_mode != "friction"
+        self._steps = None if python else compiled_steps(self.built, self._data, self._fingers)
         self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # of camera.py: the same scene with its visual meshes
@@ -121,11 +132,19 @@ class SimWorld:
             self._write_pose(start, built.objects[name].T_world_object)
         self.set_positions(built.scene.positions)
 
+    @property
+    def mj_data(self) -> mujoco.MjData:
+        if self._behind:
+            with self.lock:
+                mujoco.mj_kinematics(self.mj_model, self._data)
+                self._behind = False
+        return self._data
+
     # --- time ---
     @property
     def time(self) -> float:
         """Simulated seconds since the last reset."""
-        return float(self.mj_data.time)
+        return self._data.time
 
     @property
     def timestep(self) -> float:
@@ -137,25 +156,83 @@ class SimWorld:
         Raises:
             ArmcellError: the state is no longer finite.
         """
-        model, data = self.mj_model, self.mj_data
-        step = mujoco.mj_step
-        before = [drive.update for drive in self._drives.values()]
+        data, look = self._data, self.monitor.update
+        with self.lock:
+            if self._steps is not None and self._steps.possible:
+                self._steps.take(n, self.monitor)
+            else:
+                self._look_at_all()
+                before, weld = self._before(), self._welder.update
+                for _ in range(n):
+                    for call in before:
+                        call(data)
+                    mujoco.mj_step(self.mj_model, data)
+                    look(data)
+                    if self.settings.grip_mode != "friction":
+                        weld(data)
+            self._behind = True
+        self._check()
+
+    def _look_at_all(self) -> None:
+        """The engine is to look at all pairs of links again, before it is used without compiled steps."""
+        if self._steps is not None:
+            self._steps.forget()
+
+    def _before(self) -> list[Callable[[mujoco.MjData], None]]:
+        """What is done before a step."""
+        before = [self._fingers.update]
         if self._servo.computed:
             before.append(self._servo.update)
         if self.built.belts:
             before.append(self._run_belts)
-        after = [self.monitor.update]
-        if self.settings.grip_mode != "friction":
-            after.append(self._welder.update)
-        for _ in range(n):
-            for call in before:
-                call(data)
-            step(model, data)
-            for call in after:
-                call(data)
-        mujoco.mj_kinematics(model, data)  # a step leaves poses where it began; this brings them up to date
-        if any(data.warning[w].number for w in _DIVERGED):
+        return before
+
+    def _check(self) -> None:
+        position, velocity, acceleration = _DIVERGED
+        if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
+
+    def follow(
+        self, joint_names: Sequence[str], wanted: Callable[[Sequence[float]], tuple[Array, Array]],
+        until: float, steps: int, tolerance: float,
+    ) -> tuple[float, int]:  # fmt: skip
+        """New targets every `steps` physics steps: `set_arm_target` and `step` in turn, with less between.
+
+        At least once, and until a time [s] or until a joint is off by more than a tolerance [rad or m].
+
+        Args:
+            wanted: positions and velocities (k, n), finite, for the steps from each of k times [s] on.
+        Returns:
+            The largest error, and the index of its joint.
+        """
+        names, data = tuple(joint_names), self._data
+        if names not in self._columns:
+            self._columns[names] = self._split(names)
+        _, controls, fingers, at = self._columns[names]
+        times, now, dt = [], data.time, self.timestep
+        while not times or now < until:
+            times.append(now)
+            for _ in range(steps):  # as the engine adds them up
+                now += dt
+        positions, velocities = wanted(times)
+        if self._steps is not None and self._steps.possible and not fingers:
+            with self.lock:
+                used, errors = self._steps.follow(
+                    positions, velocities, steps, tolerance, controls, at, self.monitor
+                )
+                self._servo.command(data, controls, positions[used - 1], velocities[used - 1])
+                self._behind = True
+            self._check()
+        else:
+            errors = np.zeros(len(names))
+            for q, v in zip(positions, velocities, strict=True):
+                self.set_arm_target(names, q, v)
+                self.step(steps)
+                errors = np.maximum(errors, np.abs(data.qpos[at] - q))
+                if errors.max() > tolerance:
+                    break
+        worst = int(errors.argmax())
+        return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
         """A belt has its speed and stays where it is."""
@@ -165,13 +242,13 @@ class SimWorld:
     # --- robot ---
     def joint_state(self) -> JointState:
         """Actuated joints in the model's order. Efforts include the gravity that the arm compensates."""
-        data, built = self.mj_data, self.built
-        return JointState(
+        data, built = self._data, self.built
+        return JointState.trusted(
             self.robot.joint_names,
             data.qpos[built.qpos],
             data.qvel[built.dofs],
             data.qfrc_actuator[built.dofs] + data.qfrc_gravcomp[built.dofs],
-            self.time,
+            data.time,
         )
 
     def set_arm_target(
@@ -188,17 +265,19 @@ class SimWorld:
         names = tuple(joint_names)
         if names not in self._columns:
             self._columns[names] = self._split(names)
-        arm, columns, fingers = self._columns[names]
+        arm, controls, fingers, _ = self._columns[names]
         q = np.asarray(positions, dtype=float)
         v = np.zeros(len(names)) if velocities is None else np.asarray(velocities, dtype=float)
         if q.shape != (len(names),) or v.shape != q.shape:
             raise InputError(f"target of {len(names)} joints has shapes {q.shape} and {v.shape}")
-        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+        if not (all_finite(q) and all_finite(v)):
             raise InputError(f"target of joints {', '.join(names)} is not finite")
-        self._servo.command(self.mj_data, columns, q[arm], v[arm])
+        if fingers:
+            q, v, whole = q[arm], v[arm], q
+        self._servo.command(self._data, controls, q, v)
         for column, gripper in fingers:
             index = self.built.grippers[gripper]
-            self.set_gripper_target(gripper, index.gripper.width(float(q[column])), index.max_force)
+            self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def arm_target(self) -> JointState:
         """Where the arm joints were last told to be; a gripper's joint is not among them."""
@@ -208,8 +287,9 @@ class SimWorld:
     def _split(self, names: tuple[str, ...]) -> tuple:
         columns = self.robot.columns(names)
         arm = [i for i, name in enumerate(names) if name not in self._driven]
-        driven = [columns[i] for i in arm]
-        return arm, driven, [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
+        controls = self._servo.controls([columns[i] for i in arm])
+        fingers = [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
+        return arm, controls, fingers, self.built.qpos[columns]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
         """Drive a gripper to a width [m] with at most a force per finger [N], by default its largest.
@@ -259,6 +339,7 @@ class SimWorld:
             joint = drive.index.gripper.joint_name
             drive.hold(data, float(data.qpos[built.joint_qpos[joint]]))
         data.qacc_warmstart[:] = 0.0
+        self._look_at_all()
         mujoco.mj_forward(self.mj_model, data)
 
     # --- objects ---
@@ -266,6 +347,10 @@ class SimWorld:
         """T_world_object."""
         self._object(name)
         return body_pose(self.mj_data, self.built.body[name])
+
+    def object_poses(self) -> dict[str, SE3]:
+        """T_world_object of every movable object."""
+        return {name: self.object_pose(name) for name in self.built.moving}
 
     def object_twist(self, name: str) -> Array:
         """Velocity (6,) of an object's origin [m/s] over its angular velocity [rad/s], world frame."""
@@ -285,11 +370,12 @@ class SimWorld:
         """
         if name not in self.built.object_qpos:
             raise UnknownNameError("movable object", name, self.built.object_qpos)
-        self._write_pose(self.built.object_qpos[name], T_world_object)
-        start = self.built.object_dof[name]
-        self.mj_data.qvel[start : start + 6] = 0.0
-        self.mj_data.qacc_warmstart[:] = 0.0
-        mujoco.mj_forward(self.mj_model, self.mj_data)
+        with self.lock:
+            self._write_pose(self.built.object_qpos[name], T_world_object)
+            start = self.built.object_dof[name]
+            self.mj_data.qvel[start : start + 6] = 0.0
+            self.mj_data.qacc_warmstart[:] = 0.0
+            mujoco.mj_forward(self.mj_model, self.mj_data)
 
     def _object(self, name: str) -> None:
         if name not in self.built.objects:
@@ -318,7 +404,7 @@ class SimWorld:
         return StateSample(
             time=self.time,
             joints=self.joint_state(),
-            object_poses={name: self.object_pose(name) for name in self.built.moving},
+            object_poses=self.object_poses(),
             gripper_width={name: state.width for name, state in grippers.items()},
             gripper_force={name: state.force_per_finger for name, state in grippers.items()},
         )
@@ -409,6 +495,7 @@ class SimWorld:
         self.mj_model.eq_data[:] = snapshot.equality_data
         self.mj_model.eq_solref[:] = snapshot.equality_solref
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
+        self._look_at_all()
         mujoco.mj_forward(self.mj_model, self.mj_data)  # poses, contacts and forces, to be read
         mujoco.mj_setState(
             self.mj_model, self.mj_data, snapshot.physics, _STATE

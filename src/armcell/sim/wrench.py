@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.sim.build import BuiltModel
+from armcell.sim.built import BuiltModel
 
 Array = NDArray[np.float64]
 

@@ -3,49 +3,101 @@
 from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.clearing import ClearSettings
+from armcell.tasks.containers import Alternatives, Fallbacks, Serial
 from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.costs import Cost, clearance, costs, duration, path_length, weighted
+from armcell.tasks.failures import stage_table
+from armcell.tasks.interfaces import TaskError, check_task, holding
+from armcell.tasks.interleaved import AheadSettings, Part, perform_parts, picking, placing
+from armcell.tasks.laying import LayDown, PickAndPlace, lay_down
+from armcell.tasks.merger import Merger
 from armcell.tasks.moving import MovingSettings, pick_moving
 from armcell.tasks.proof import NOISE, Proof, prove, varied
-from armcell.tasks.recipes import grasp, hold, let_go, move_to, pick, place, release
+from armcell.tasks.recipes import (
+    grasp,
+    hold,
+    let_go,
+    move_to,
+    pick,
+    pick_stages,
+    place,
+    place_stages,
+    release,
+)
 from armcell.tasks.recovery import RecoverySettings, transfer
-from armcell.tasks.search import Draft, Foresee, Planning, Stage, search
+from armcell.tasks.search import Draft, Foresee, Planning, Stage, search, solutions
 from armcell.tasks.settings import Speed, TaskSettings
+from armcell.tasks.sorting import SortSettings, sort
+from armcell.tasks.stages import Connect, MoveGripper, Straight
 from armcell.tasks.steps import Motion, perform_all
+from armcell.tasks.task import Task, TaskPlan
 
 __all__ = [
     "NOISE",
+    "AheadSettings",
+    "Alternatives",
     "CarrySettings",
     "Carrying",
     "ClearSettings",
+    "Connect",
+    "Cost",
     "Draft",
+    "Fallbacks",
     "Foresee",
     "Holding",
+    "LayDown",
+    "Merger",
     "Motion",
+    "MoveGripper",
     "MovingSettings",
+    "Part",
+    "PickAndPlace",
     "Planning",
     "Proof",
     "RecoverySettings",
+    "Serial",
     "SideBySide",
+    "SortSettings",
     "Speed",
     "Stage",
     "StageReport",
+    "Straight",
+    "Task",
     "TaskContext",
+    "TaskError",
     "TaskFailed",
+    "TaskPlan",
     "TaskSettings",
+    "check_task",
     "checked",
+    "clearance",
+    "costs",
+    "duration",
     "grasp",
     "hold",
+    "holding",
+    "lay_down",
     "let_go",
     "move_to",
+    "path_length",
     "perform_all",
+    "perform_parts",
     "pick",
     "pick_moving",
+    "pick_stages",
+    "picking",
     "place",
+    "place_stages",
+    "placing",
     "prove",
     "release",
     "search",
     "shifted",
     "side_by_side",
+    "solutions",
+    "sort",
+    "stage_table",
     "transfer",
     "varied",
+    "weighted",
 ]

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from armcell.collision.kernel.world_part import object_part
 from armcell.control import Driver
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.model import Gripper
 from armcell.scene import PlanningScene, scene_changes
+from armcell.tasks.failures import reason_in_short
+from armcell.tasks.guard import came
 from armcell.tasks.settings import TaskSettings
+from armcell.tasks.world import World, without_measured
 
 OBSERVER_PERIOD = 0.01  # [s] of the driver's clock between samples given to observers
+UNWATCHED = 0.02  # [s] that pass at once where nobody watches
 
 
 @dataclass
@@ -60,8 +65,9 @@ class TaskContext:
     ):
         self.driver, self.settings, self.observers, self.seed = driver, settings, list(observers), seed
         self.cancel = cancel or threading.Event()
-        self._base = scene
+        self.world = World(scene)
         self.holding: dict[str, Holding] = {}  # by object
+        self.at_work: tuple[TaskContext, ...] = ()  # of arms side by side, that know now what they hold
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
         self._next_sample = 0.0
@@ -70,38 +76,100 @@ class TaskContext:
 
     # --- truth ---
     def scene(self) -> PlanningScene:
-        """The planning scene as it is now: measured joints, object poses, held objects attached."""
-        model = self._base.model
-        q = np.clip(self.driver.joint_state().positions, model.lower, model.upper)
-        scene = replace(self._base, positions=q)
-        for name, pose in self.driver.object_poses().items():
+        """The planning scene as it is now: measured joints, object poses, held objects attached.
+
+        From any thread, as `whole_scene` and `change_scene`.
+        """
+        return self.whole_scene()
+
+    def whole_scene(self) -> PlanningScene:
+        """The same with every arm, where `scene` is that of one of two."""
+        return self._measured(self.base)
+
+    def _measured(self, scene: PlanningScene) -> PlanningScene:
+        model, driver = scene.model, self.driver
+        with getattr(driver, "lock", nullcontext()):  # joints and objects of one moment
+            q, poses = driver.joint_state().positions, driver.object_poses()
+        scene = replace(scene, positions=np.clip(q, model.lower, model.upper))
+        for name, pose in poses.items():
             if name in scene.objects:
                 scene = scene.with_object_pose(name, pose)
-        for held in self.holding.values():
-            scene = scene.with_attached(held.object, held.gripper.tcp_link, held.gripper.hand_links)
+        for held in self.hands():
+            if held.object in scene.objects:
+                scene = scene.with_attached(held.object, held.gripper.tcp_link, held.gripper.hand_links)
         return scene
+
+    def hands(self) -> Iterable[Holding]:
+        """What every hand holds."""
+        contexts = self.at_work or (self,)
+        return [held for ctx in contexts for held in list(ctx.holding.values())]
 
     @property
     def base(self) -> PlanningScene:
         """The world the task plans in, with nothing of it measured."""
-        return self._base
+        return self.world.scene
 
-    def change_scene(self, scene: PlanningScene) -> None:
-        """Replace the world the task plans in (objects added or removed); the state stays measured."""
-        before, self._base = self._base, scene
-        if self.observers and (changes := scene_changes(before, scene)):
-            words = [
-                f"{kind} {', '.join(map(str, what))}" for kind, what in changes.items() if kind != "allowed"
-            ]
-            words += [f"{a} may{'' if yes else ' not'} touch {b}" for a, b, yes in changes.get("allowed", ())]
-            self.emit("scene", "; ".join(words), **changes)
+    def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
+        """Change the world the task plans in: objects added, changed, moved, removed, at once or not at all.
+
+        At any time and from any thread, also while the arm moves: what is planned afterwards keeps to it, and
+        a motion across whose rest something has come is stopped (`PathGuard`). Joints, what hands hold and
+        the poses of bodies that the driver knows stay as they are measured.
+
+        Args:
+            make: makes another scene of the present one. Others' changes wait for it, so it should be quick.
+        Returns:
+            The scene as it is then.
+        Raises:
+            InputError: something that is held would be gone; or what `make` raises. Nothing is changed then.
+        """
+        with self.world.editing:
+            before, now = self.base, self.whole_scene()
+            after = without_measured(before, now, make(now), [held.object for held in self.hands()])
+            for name in came(before, after):
+                object_part(after.objects[name])  # not on the time of who moves the arm
+            self.world.scene = after
+            if self.observers and (changes := scene_changes(before, after)):
+                self.world.news.append(changes)
+        self._tell_changes()
+        return self.scene()
+
+    def _tell_changes(self) -> None:
+        """Changes in their order, by one thread at a time."""
+        while self.world.news and self.world.telling.acquire(blocking=False):
+            try:
+                while self.world.news:
+                    changes = self.world.news.popleft()
+                    words = [
+                        f"{kind} {', '.join(map(str, what))}"
+                        for kind, what in changes.items()
+                        if kind != "allowed"
+                    ]
+                    said = changes.get("allowed", ())
+                    words += [f"{a} may{'' if yes else ' not'} touch {b}" for a, b, yes in said]
+                    self.emit("scene", "; ".join(words), **changes)
+            finally:
+                self.world.telling.release()
+
+    def measured(self) -> Set[str]:
+        """Objects whose poses the driver knows, whatever the scene is told of them."""
+        return self.driver.object_poses().keys()
+
+    def clock(self) -> float:
+        """The driver's [s]."""
+        return self.driver.now
+
+    @property
+    def keeps_time(self) -> bool:
+        """Whether motions are always as far along as the clock says: real arms may be slowed."""
+        return self.driver.is_simulated
 
     def slip_of(self, held: Holding) -> float:
         """How far the held object has moved in the gripper since `T_tcp_object` was taken [m]."""
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
-        scene = replace(self._base, positions=self.driver.joint_state().positions)
+        scene = replace(self.base, positions=self.driver.joint_state().positions)
         return scene.frame_pose(gripper.tcp_link).inv() @ self.driver.object_poses()[item]
 
     # --- the way ---
@@ -116,16 +184,27 @@ class TaskContext:
         """A zone for one arm at a time. Alone, an arm just has it."""
         return nullcontext()
 
+    def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
+        """The item to do next, so that the other arm is not in the way. Alone, the first."""
+        return items[0]
+
     def meet(self, name: str) -> None:
         """Wait for the other arm at a point of both programs. Alone, an arm does not wait."""
 
     # --- time ---
     def advance(self, duration: float) -> None:
         """Let time pass [s], with observers served and cancel obeyed."""
-        end = self.driver.now + duration
-        while self.driver.now < end - 1e-9 and not self.cancel.is_set():
-            self.driver.advance(min(self.driver.period, end - self.driver.now))
+        driver, end = self.driver, self.driver.now + duration
+        alone = driver.is_simulated and not self.observers
+        at_once = max(round(UNWATCHED / driver.period), 1) * driver.period if alone else driver.period
+        while driver.now < end - 1e-9 and not self.cancel.is_set():
+            driver.advance(min(at_once, end - driver.now))
             self.observe()
+
+    @property
+    def progress(self) -> Callable[[float], None] | None:
+        """For `execute`: what is to be done after each command, if anything."""
+        return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
         """Give the observers a sample if one is due, and tell what physics did unasked."""
@@ -133,7 +212,7 @@ class TaskContext:
             return
         self.report_news()
         self._next_sample = self.driver.now + OBSERVER_PERIOD - 1e-9
-        readings = {name: self.driver.gripper(name) for name in self._base.model.grippers}
+        readings = {name: self.driver.gripper(name) for name in self.base.model.grippers}
         sample = StateSample(
             self.driver.now,
             self.driver.joint_state(),
@@ -180,7 +259,7 @@ class Rejections:
     details: list[tuple[str, str, str]] = field(default_factory=list)  # stage, candidate, reason
 
     def add(self, stage: str, candidate: str, reason: str) -> None:
-        short = reason.split(":")[0].split(" (")[0]
+        short = reason_in_short(reason)
         self.counts[(stage, short)] = self.counts.get((stage, short), 0) + 1
         self.details.append((stage, candidate, reason))
 
@@ -191,5 +270,5 @@ class Rejections:
         counted = ", ".join(
             f"{n} x {s}: {r}" for (s, r), n in sorted(self.counts.items(), key=lambda kv: -kv[1])[:4]
         )
-        first = f"; the best one, {candidate!r}: {reason}" if candidate else ""
+        first = f"; the best one, {candidate!r}: {reason}" if candidate else f"; the first: {reason}"
         return f"{len(self.details)} rejected ({counted}){first}"

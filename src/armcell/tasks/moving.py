@@ -18,10 +18,11 @@ from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.guard import guarded
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import CheckGrasp, Grip, Watch, perform_all, staged
+from armcell.tasks.steps import CheckGrasp, Grip, Motion, Watch, perform_all, staged
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
@@ -94,7 +95,7 @@ def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> O
             code = ErrorCode.PREEMPTED if ctx.cancel.is_set() else ErrorCode.PLANNING_FAILED
             return Outcome(code, f"pick {item} on the way: {planning.rejections.summary()}")
         steps = draft.steps
-        way = sum(step.trajectory.duration for step in steps if hasattr(step, "trajectory"))
+        way = sum(step.duration for step in steps if isinstance(step, Motion))
         needed = way + s.blend / 2 + s.spare + t.gripper_timeout / 3
         if lead >= needed:
             break
@@ -135,6 +136,7 @@ class _Along:
     trajectory: JointTrajectory
     close_at: float  # [s] on the trajectory
     force: float  # [N] per finger
+    planned_in: PlanningScene
     name: str = "along with it"
 
     def perform(self, ctx: TaskContext) -> Outcome:
@@ -152,7 +154,11 @@ class _Along:
                 ctx.driver.command_gripper(self.gripper.name, 0.0, self.force)
             ctx.observe()
 
-        result = execute(ctx.driver, self.trajectory, ctx.settings.execution, ctx.cancel, progress=progress)
+        result = guarded(
+            ctx, self.trajectory, ctx.cancel,
+            lambda stop: execute(ctx.driver, self.trajectory, ctx.settings.execution, stop, progress),
+            self.planned_in,
+        )  # fmt: skip
         if not result.ok:
             return result
         reading = ctx.driver.gripper(self.gripper.name)
@@ -173,6 +179,8 @@ class MoveAlong:
     velocity: Array  # (3,) [m/s]
     settings: MovingSettings
     name: str = "along"
+    needs = ("grasp",)
+    gives = ("along",)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         s, t, gripper = self.settings, planning.settings, self.gripper
@@ -209,7 +217,8 @@ class MoveAlong:
         if trouble := _touches(bare, trajectory):
             planning.reject(self.name, grasp.name, f"in collision: {trouble}")
             return
-        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force)
+        touching = scene.with_allowed(self.item, gripper.hand_links)
+        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching)
         yield draft.then(along=along)
 
 

@@ -11,23 +11,34 @@ import numpy as np
 from armcell.collision import neighbours
 from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
 from armcell.core.checks import require
+from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.planning import warm_up
+from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.search import Draft, Foresee, Planning, Stage, search
+from armcell.tasks.costs import costs
+from armcell.tasks.guard import CHANGED
+from armcell.tasks.interfaces import holding
+from armcell.tasks.search import Draft, Foresee, Planning, Stage
+from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import (
     ChooseGrasp,
     ChoosePlacement,
     Close,
     Connect,
+    Do,
     ExpectSupport,
     Open,
     Planned,
     Straight,
+    Upright,
 )
+from armcell.tasks.stages.grasp import Sieve
 from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, Grip, perform_all
+from armcell.tasks.task import Task
 
 Vector = tuple[float, float, float]
+AHEAD = "what comes next"  # the stage of a pick that looks whether a grasp leads on
 WIDER = 4  # times as many grasps are looked at where what comes next allows few
 
 
@@ -41,35 +52,30 @@ def pick(
         ahead: stages that must have a way with the object in the hand; a grasp without one is not used.
     Returns:
         SUCCESS with the grasp in the evidence ("grasp", and "proof" where `prove_grasps` is set), or the last
-        failure with the reasons per candidate ("rejections").
+        failure with the reasons per candidate ("rejections"). What is held already when something comes
+        across the lift stays in the hand.
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
     """
     _check_free(ctx, item, gripper)
     s, outcome = ctx.settings, DONE
     for _ in range(s.attempts):
-        scene = ctx.scene()
-        supports = tuple(neighbours(scene, item))
-        stages: list[Stage] = [
-            ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded, WIDER if ahead else 1),
-            Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
-            Planned("approach", "after_approach"),
-            Close(item, gripper, supports, s.grasp_settle),
-            Straight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
-                     allow=((item, supports),)),
-        ]  # fmt: skip
-        if ahead:
-            stages.insert(1, Foresee("what comes next", tuple(ahead), partial(_grasped, item, gripper)))
-        height = float(scene.object(item).T_world_object.translation[2])
-        after = (CheckGrasp(item, gripper, height, s.lift_distance), Expect(item, supports, expected=False))
+        stages = pick_stages(ctx.scene(), item, gripper, s, excluded, ahead)
         draft, outcome = planned(ctx, stages, f"pick {item}")
         if draft is None:
             return outcome
-        outcome = perform_all(ctx, draft.steps + after)
+        outcome = perform_all(ctx, draft.steps)
         chosen = {"grasp": draft.data["grasp"], "proof": draft.data["proof"]}
         outcome = replace(outcome, evidence={**outcome.evidence, **chosen})
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return outcome
+        if outcome.code is CHANGED:  # the grasp is as good as it was
+            if item in ctx.holding:
+                return outcome
+            ctx.emit("note", f"pick {item}: {outcome.message}")
+            if _is_near(ctx, item, gripper):
+                back_off(ctx, item, gripper)
+            continue
         excluded = (*excluded, draft.data["grasp"].name)
         held = ctx.holding.pop(item, None)
         ctx.driver.unwatch_object(item)
@@ -79,6 +85,42 @@ def pick(
         if held is not None:
             back_off(ctx, item, gripper)
     return outcome
+
+
+def pick_stages(
+    scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings, excluded: tuple[str, ...] = (),
+    ahead: Sequence[Stage] = (), among: tuple[str, ...] = (),
+) -> list[Stage]:  # fmt: skip
+    """The stages of `pick`, from a scene as it will be when they begin.
+
+    Args:
+        among: names of the only grasps to be used; all where empty.
+    """
+    supports = tuple(neighbours(scene, item))
+    height = float(scene.object(item).T_world_object.translation[2])
+    stages: list[Stage] = [
+        ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded, WIDER if ahead else 1, among,
+                    _sieve(ahead)),
+        Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
+        Planned("approach", "after_approach", "approach"),
+        Close(item, gripper, supports, s.grasp_settle),
+        Straight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
+                 allow=((item, supports),)),
+        Do("check grasp", (CheckGrasp(item, gripper, height, s.lift_distance),
+                           Expect(item, supports, expected=False))),
+    ]  # fmt: skip
+    if ahead:
+        after = partial(_grasped, item, gripper)
+        stages.insert(1, Foresee(AHEAD, tuple(ahead), after, ahead=(holding(item),)))
+    return stages
+
+
+def _sieve(ahead: Sequence[Stage]) -> Sieve | None:
+    """What tells a place without any arm that a grasp is of no use for it."""
+    for stage in ahead:
+        if isinstance(stage, ChoosePlacement):
+            return lambda scene: stage.why_not(scene, Foresee.candidates)
+    return None
 
 
 def _grasped(item: str, gripper: Gripper, draft: Draft) -> Draft:
@@ -99,7 +141,7 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
     stages: list[Stage] = [
         ChooseGrasp(item, gripper, s.near, s.approach_distance),
         Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
-        Planned("approach", "after_approach"),
+        Planned("approach", "after_approach", "approach"),
         Close(item, gripper, supports, s.grasp_settle),
     ]
     draft, outcome = planned(ctx, stages, f"grasp {item}")
@@ -107,7 +149,7 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
         return outcome
     outcome = perform_all(ctx, draft.steps)
     if outcome.ok and supports:
-        ctx.change_scene(ctx.base.with_allowed(item, supports))
+        ctx.change_scene(lambda scene: scene.with_allowed(item, supports))
     return outcome
 
 
@@ -122,7 +164,7 @@ def let_go(ctx: TaskContext, item: str) -> Outcome:
     s, gripper = ctx.settings, ctx.holding[item].gripper
     stages: list[Stage] = [
         Open(item, "", gripper, s.release_margin, s.release_settle),
-        _retreat(ctx, item, gripper, s.retreat_distance),
+        _retreat(item, gripper, s, s.retreat_distance),
     ]
     draft, outcome = planned(ctx, stages, f"let go of {item}")
     if draft is None:
@@ -144,6 +186,7 @@ def place(
     on: str,
     at: tuple[float, float] | None = None,
     up: Vector | None = None,
+    lean: float | None = None,
 ) -> Outcome:
     """Put a held object down on another object; the outcome's evidence has the target pose ("placement").
 
@@ -151,26 +194,21 @@ def place(
 
     Args:
         up: direction in the object's frame that shall be up; without it, it stands as it does now.
+        lean: how far it may lean on the way [rad], as a full cup; as the way has it where None.
     Raises:
         InputError: the object is not held, it does not fit on the support, or it is its own.
     """
     if item not in ctx.holding:
         raise InputError(f"the robot does not hold {item!r}", cure="pick it first")
     require(item != on, f"{item!r} cannot be put on itself")
+    ctx.scene().object(on)  # a name that does not exist is said alone, with those that do
     s, gripper, outcome = ctx.settings, ctx.holding[item].gripper, DONE
     for _ in range(s.attempts):
-        stages: list[Stage] = [
-            ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at, up),
-            Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
-            ExpectSupport(item, on, gripper),
-            Planned("lower", "after_lower"),
-            Open(item, on, gripper, s.release_margin, s.release_settle),
-            _retreat(ctx, item, gripper, s.retreat_distance),
-        ]
+        stages = place_stages(item, on, gripper, s, at, up, lean)
         draft, outcome = planned(ctx, stages, f"place {item} on {on}")
         if draft is None:
             return outcome
-        outcome = perform_all(ctx, (*draft.steps, Expect(item, gripper.finger_links, expected=False)))
+        outcome = perform_all(ctx, draft.steps)
         outcome = replace(outcome, evidence={**outcome.evidence, "placement": draft.data["placement"]})
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED or item not in ctx.holding:
             return outcome
@@ -178,10 +216,31 @@ def place(
     return outcome
 
 
-def _retreat(ctx: TaskContext, item: str, gripper: Gripper, distance: float) -> Straight:
+def place_stages(
+    item: str, on: str, gripper: Gripper, s: TaskSettings, at: tuple[float, float] | None = None,
+    up: Vector | None = None, lean: float | None = None, among: tuple[Placement, ...] = (),
+) -> list[Stage]:  # fmt: skip
+    """The stages of `place`.
+
+    Args:
+        among: the only placements to be used; all that there are where empty.
+    """
+    upright = None if lean is None else Upright(item, lean)
+    return [
+        ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at, up, among),
+        Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place", upright=upright),
+        ExpectSupport(item, on, gripper),
+        Planned("lower", "after_lower", "lower"),
+        Open(item, on, gripper, s.release_margin, s.release_settle),
+        _retreat(item, gripper, s, s.retreat_distance),
+        Do("let go", (Expect(item, gripper.finger_links, expected=False),)),
+    ]
+
+
+def _retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
     """Straight back [m] out of the hand's own direction, off an object it may touch meanwhile."""
     return Straight(
-        "retreat", gripper.arm_group, gripper.tcp_link, ctx.settings.near, (0.0, 0.0, -distance),
+        "retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -distance),
         in_tip_frame=True, allow=((item, gripper.hand_links),),
     )  # fmt: skip
 
@@ -215,34 +274,36 @@ def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
     )
 
 
+def _is_near(ctx: TaskContext, item: str, gripper: Gripper) -> bool:
+    """Whether the hand may be around an object."""
+    scene = ctx.scene()
+    tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
+    return bool(np.linalg.norm(tcp.translation - T.translation) <= ctx.settings.approach_distance)
+
+
 def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
     """Straight back from an object the open hand stands around, which no planner finds its way out of.
 
     As far as it goes: the next plan begins wherever the arm is then.
     """
     s = ctx.settings
-    back = _retreat(ctx, item, gripper, s.approach_distance)
+    back = _retreat(item, gripper, s, s.approach_distance)
     for draft in back.drafts(Draft(ctx.scene()), Planning(s, ctx.seed, ctx.cancel)):
         perform_all(ctx, draft.steps)
 
 
-def planned(ctx: TaskContext, stages: list[Stage], what: str) -> tuple[Draft | None, Outcome]:
-    """All stages planned from the scene as it is now; or None and why not."""
-    """Stages planned from the measured state: the draft, or None and why there is none."""
+def planned(ctx: TaskContext, stages: Sequence[Stage], what: str) -> tuple[Draft | None, Outcome]:
+    """Stages planned from the measured state: the cheapest draft found, or None and why there is none.
+
+    Raises:
+        TaskError: the stages do not fit together.
+    """
     warm_up()  # not on the time of a plan
-    planning = Planning(ctx.settings, ctx.seed, ctx.cancel)
-    draft = search(stages, Draft(ctx.scene()), planning)
-    if draft is not None:
-        return draft, DONE
-    if ctx.cancel.is_set():
-        return None, Outcome(ErrorCode.PREEMPTED, f"{what}: cancelled")
-    failure = planning.failure
-    if failure is not None and (len(stages) == 1 or planning.hopeless):
-        text = f"{what}: {failure.message}"
-        ctx.emit("error", text, code=failure.code.name, rejections=planning.rejections.details)
-        return None, Outcome(
-            failure.code, text, {**failure.evidence, "rejections": planning.rejections.details}
-        )
-    text = f"{what}: {planning.rejections.summary()}"
-    ctx.emit("error", text, code="PLANNING_FAILED", rejections=planning.rejections.details)
-    return None, Outcome(ErrorCode.PLANNING_FAILED, text, {"rejections": planning.rejections.details})
+    s = ctx.settings
+    task = Task(what, tuple(stages), costs[s.cost])
+    plan = task.plan(Draft(ctx.scene()), Planning(s, ctx.seed, ctx.cancel), s.solutions)
+    if plan.best is not None:
+        return plan.best, DONE
+    if plan.code is not ErrorCode.PREEMPTED:
+        ctx.emit("error", plan.message, code=plan.code.name, **plan.evidence)
+    return None, Outcome(plan.code, plan.message, plan.evidence)

@@ -12,10 +12,16 @@ from armcell.core.checks import require
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
-from armcell.tasks.recipes import Vector, back_off, pick, place
+from armcell.tasks.guard import CHANGED
+from armcell.tasks.interleaved import changed
+from armcell.tasks.laying import lay_down
+from armcell.tasks.recipes import AHEAD, Vector, back_off, pick, place
 from armcell.tasks.stages import ChoosePlacement
 
 GIVEN_UP = "given up"
+NO_WAY = (ErrorCode.PLANNING_FAILED, ErrorCode.TIMED_OUT)
+CURE = "another place or support for it, a wider gripper, or another arm: `hand_over`"
+AGAIN = 2  # times as many lay-downs as are planned in a row, since things come to lie otherwise than planned
 
 Look = Callable[[], Outcome]
 """Looks for the objects and tells the planning scene; an outcome that failed says why."""
@@ -30,9 +36,11 @@ class RecoverySettings:
     tolerance: float = 0.01  # [m] between where it lies and where it should
     tilt: float = 0.15  # [rad] of turn, besides that about the vertical
     settle: float = 1.0  # [s] until what was dropped lies still
+    lay_downs: int = 2  # in between, in a row, where no single grasp does it; 0: never
 
     def __post_init__(self) -> None:
         require(self.tries >= 1, f"tries is {self.tries}, it must be at least 1")
+        require(self.lay_downs >= 0, f"lay_downs is {self.lay_downs}, it must not be negative")
         for name in ("seconds", "tolerance", "tilt", "settle"):
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
 
@@ -42,11 +50,13 @@ class Trouble:
     """What went wrong on the way, in order."""
 
     texts: list[str] = field(default_factory=list)
+    laid: list[str] = field(default_factory=list)  # on what it was laid down in between
 
     def ended(self, outcome: Outcome) -> Outcome:
         evidence = {
             "tries": len(self.texts) + (not outcome.message.startswith(GIVEN_UP)),
             "troubles": list(self.texts),
+            "laid_down": list(self.laid),
         }
         return replace(outcome, evidence={**outcome.evidence, **evidence})
 
@@ -64,14 +74,17 @@ def transfer(
     """Pick an object and put it somewhere, until it lies there.
 
     What is dropped is found again where it is measured, or seen by `look`, and picked up. What lies elsewhere
-    than planned is picked up again. Grasps are chosen so that the place can be reached with them.
+    than planned is picked up again. What comes across a motion is planned around. Grasps are chosen so that
+    the place can be reached with them. Where no single grasp does that, it is laid down in between and taken
+    otherwise (`laying.lay_down`).
 
     Args:
         on, at: the support and the point on it [m], as for `place`.
         up: direction in the object's frame that shall be up; without it, it stands as it does now.
         look: called before every pick, where poses come from a camera.
     Returns:
-        SUCCESS, or why it was given up. Evidence: `tries`, `troubles` (what went wrong).
+        SUCCESS, or why it was given up. Evidence: `tries`, `troubles` (what went wrong), `laid_down` (on what
+        in between).
     Raises:
         InputError: no such object or support.
     """
@@ -83,13 +96,20 @@ def transfer(
         if ctx.driver.now - began > s.seconds:
             text = f"{GIVEN_UP} after {s.seconds:.0f} s: {outcome.message}"
             return trouble.ended(replace(outcome, message=text))
-        outcome = _once(ctx, item, gripper, on, at, up, look, s)
+        before = ctx.scene()
+        outcome = _once(ctx, item, gripper, on, at, up, look, s, trouble)
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return trouble.ended(outcome)
         trouble.texts.append(outcome.message)
         ctx.emit("note", f"transfer {item}: {outcome.message}; trying again")
+        if outcome.code is CHANGED:
+            continue
+        stayed = not changed(before, ctx.scene())
         ctx.advance(s.settle)
-        if item not in ctx.holding:
+        if outcome.code in NO_WAY and look is None and stayed and not changed(before, ctx.scene()):
+            text = f"{GIVEN_UP}, for nothing has moved meanwhile: {outcome.message}"
+            return trouble.ended(replace(outcome, message=text))
+        if item not in ctx.holding and not stayed:
             back_off(ctx, item, gripper)
     text = f"{GIVEN_UP} after {s.tries} tries, the last: {outcome.message}"
     return trouble.ended(replace(outcome, message=text))
@@ -97,25 +117,57 @@ def transfer(
 
 def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
-    up: Vector | None, look: Look | None, s: RecoverySettings,
+    up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """One way from wherever the object is to its place."""
-    if item not in ctx.holding:
-        if look is not None:
+    """One way from wherever the object is to its place, with lay-downs in between where it needs them."""
+    for left in reversed(range(AGAIN * s.lay_downs + 1)):
+        if item not in ctx.holding and look is not None:
             seen = look()
             if item not in ctx.scene().objects:
                 return seen if not seen.ok else Outcome(ErrorCode.FAILURE, f"{item} is not seen")
-        goal = _goal(ctx, item, gripper, on, at, up)
-        outcome = pick(ctx, item, gripper, ahead=[goal])
-        if outcome.code is ErrorCode.PLANNING_FAILED and up is None:  # another place may turn up later
-            outcome = pick(ctx, item, gripper)
+        outcome = _straight(ctx, item, gripper, on, at, up)
+        if outcome.code not in NO_WAY:
+            return _landed(ctx, item, outcome, s) if outcome.ok else outcome
+        if left == 0 or _one_would_do(outcome):
+            break
+        laid = lay_down(ctx, item, gripper, on, at, up, s.lay_downs)
+        if laid.code in NO_WAY:
+            text = f"{outcome.message}; {laid.message} ({CURE})"
+            outcome = replace(outcome, message=text, evidence={**outcome.evidence, "lay_down": laid.evidence})
+            break
+        laid = _landed(ctx, item, laid, s) if laid.ok else laid
+        if not laid.ok:
+            return laid
+        trouble.laid.append(str(laid.evidence["laid_on"]))
+    if up is None and item not in ctx.holding:  # another place may turn up later
+        outcome = pick(ctx, item, gripper)
+        outcome = _placed(ctx, item, on, at, up) if outcome.ok else outcome
+    return _landed(ctx, item, outcome, s) if outcome.ok else outcome
+
+
+def _one_would_do(outcome: Outcome) -> bool:
+    """Whether some grasp leads to the goal, and it is the motion to it that was not found."""
+    return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
+
+
+def _straight(
+    ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
+) -> Outcome:
+    """With one grasp, if there is one with which the place can be reached."""
+    if item not in ctx.holding:
+        outcome = pick(ctx, item, gripper, ahead=[_goal(ctx, item, gripper, on, at, up)])
         if not outcome.ok:
             return outcome
+    return _placed(ctx, item, on, at, up)
+
+
+def _placed(
+    ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None, up: Vector | None
+) -> Outcome:
     try:
-        outcome = place(ctx, item, on, at, up)
+        return place(ctx, item, on, at, up)
     except InputError as error:  # it does not fit as it is held now
         return Outcome(ErrorCode.PLANNING_FAILED, str(error))
-    return _landed(ctx, item, outcome, s) if outcome.ok else outcome
 
 
 def _goal(

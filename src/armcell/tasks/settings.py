@@ -53,9 +53,12 @@ class TaskSettings:
     prove_grasps: int = 0  # reachable grasps that physics tries before one is chosen; 0: the best looking one
     proof_trials: int = 8  # of each
     least_approach: float = 0.03  # [m] where there is no room for the whole approach_distance
-    planning_time: float = 5.0  # [s] per motion
+    planning_time: float = 5.0  # [s of CPU time] per motion
     planner_id: str = "RRTConnect"
-    planning_budget: float = 20.0  # [s] for all motions of one pick or place together
+    planning_budget: float = 20.0  # [s of CPU time] for all motions of one pick or place together
+    solutions: int = 1  # complete plans of a pick or place that are compared; 1: the first one is taken
+    planning_threads: int = 1  # candidates that are gone into at one time; the plans are the same
+    cost: str = "duration"  # that ranks them: duration, path_length, clearance, planning_time
     execution: ExecutionSettings = ExecutionSettings()
 
     def __post_init__(self) -> None:
@@ -64,6 +67,6 @@ class TaskSettings:
         for name in ("release_margin", "grasp_settle", "release_settle"):
             require(getattr(self, name) >= 0, f"{name} is {getattr(self, name):g}, it must not be negative")
         require(self.prove_grasps >= 0, f"prove_grasps is {self.prove_grasps}, it must not be negative")
-        for name in ("attempts", "max_candidates", "proof_trials"):
+        for name in ("attempts", "max_candidates", "proof_trials", "solutions", "planning_threads"):
             require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")
         find_planner("", self.planner_id)

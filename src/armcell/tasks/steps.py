@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,10 +9,13 @@ from typing import Protocol
 from armcell.control import execute
 from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.model import Gripper
+from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.guard import PathGuard
 
 DONE = Outcome(ErrorCode.SUCCESS)
 LOST_FOR = 0.1  # [s] that nothing has been felt between the fingers
+LOOK_AT_HANDS = 0.019  # [s] between two looks at what they hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +27,12 @@ class Motion:
     planner: str = ""
     planning_time: float = 0.0
     clearance: float | None = None
+    planned_in: PlanningScene | None = None  # with the contacts that belong to the motion
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.trajectory.duration
 
     def perform(self, ctx: TaskContext) -> Outcome:
         report = StageReport(self.name, self.planner, self.planning_time, clearance_m=self.clearance)
@@ -40,44 +48,44 @@ class Motion:
             "plan", self.name, planner=self.planner, planning_time_s=self.planning_time,
             clearance_m=self.clearance, points=len(trajectory.times), duration_s=trajectory.duration,
         )  # fmt: skip
-        watch = _Watch(ctx)
-        result = execute(
-            ctx.driver, trajectory, ctx.settings.execution, watch, progress=lambda _: ctx.observe()
-        )
+        watch = _Watch(ctx, trajectory, self.planned_in)
+        result = execute(ctx.driver, trajectory, ctx.settings.execution, watch, ctx.progress)
         ctx.rested()
         for name, T_before in before.items():
             held = ctx.holding[name]
             report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
-        return watch.dropped(self.name) if watch.lost is not None else result
+        return watch.dropped(self.name) if watch.lost is not None else watch.judged(result)
 
 
-class _Watch(threading.Event):
-    """Set when the task is cancelled, or when a hand has lost what it carries: then the arm stops."""
+class _Watch(PathGuard):
+    """Set when the motion must not go on, or when a hand has lost what it carries: then the arm stops."""
 
-    def __init__(self, ctx: TaskContext):
-        super().__init__()
+    def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
+        super().__init__(ctx, trajectory, planned_in, ctx.cancel)
         self._ctx = ctx
         self._since: dict[str, float] = {}  # [s] by object
+        self._next_look = 0.0  # [s]
         self.lost: Holding | None = None
 
     def is_set(self) -> bool:
-        now = self._ctx.driver.now
+        if self._ctx.holding and (now := self._ctx.driver.now) >= self._next_look:
+            self._next_look = now + LOOK_AT_HANDS
+            self._look_at_hands(now)
+        return self.lost is not None or super().is_set()
+
+    def _look_at_hands(self, now: float) -> None:
         for name, held in self._ctx.holding.items():
             if self._ctx.driver.gripper(held.gripper.name).held == name:
                 self._since.pop(name, None)
             elif now - self._since.setdefault(name, now) > LOST_FOR:
                 self.lost = held
-        return self.lost is not None or self._ctx.cancel.is_set()
 
     def dropped(self, where: str) -> Outcome:
         """The outcome of a motion on which something was lost; it is no longer held."""
         assert self.lost is not None
         item = self.lost.object
-        self._ctx.holding.pop(item, None)
-        self._ctx.driver.unwatch_object(item)
         text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
-        self._ctx.emit("grasp", text)
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return lost(self._ctx, item, text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +99,19 @@ class Grip:
     settle: float = 0.0
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        return staged(ctx, StageReport(self.name), lambda: self._drive(ctx))
+        self.start(ctx)
+        return self.finish(ctx)
 
-    def _drive(self, ctx: TaskContext) -> Outcome:
+    def start(self, ctx: TaskContext) -> None:
+        """Set the fingers going."""
+        ctx.driver.command_gripper(self.gripper.name, self.width, self.force)
+
+    def finish(self, ctx: TaskContext) -> Outcome:
+        """Wait until they are there."""
+        return staged(ctx, StageReport(self.name), lambda: self._wait(ctx))
+
+    def _wait(self, ctx: TaskContext) -> Outcome:
         driver, name = ctx.driver, self.gripper.name
-        driver.command_gripper(name, self.width, self.force)
         closing = self.width <= 0.0
         end = driver.now + ctx.settings.gripper_timeout
         while driver.now < end and not ctx.cancel.is_set():
@@ -117,6 +133,29 @@ class Grip:
 
 
 @dataclass(frozen=True, eq=False)
+class Together:
+    """An arm motion, or a merged one of two arms, with fingers that move meanwhile."""
+
+    motion: Motion | None
+    grips: tuple[Grip, ...]
+
+    @property
+    def duration(self) -> float:
+        """[s] of the motion."""
+        return self.motion.duration if self.motion else 0.0
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        for grip in self.grips:
+            grip.start(ctx)
+        outcome = self.motion.perform(ctx) if self.motion else DONE
+        for grip in self.grips if outcome.ok else ():
+            outcome = grip.finish(ctx)
+            if not outcome.ok:
+                break
+        return outcome
+
+
+@dataclass(frozen=True, eq=False)
 class Hold:
     """The gripper has closed: is the object between the fingers? From here on it counts as held."""
 
@@ -128,8 +167,7 @@ class Hold:
         if reading.held != self.object:
             between = f"{reading.held} is" if reading.held else "nothing is"
             text = f"grasp failed: {between} between the fingers ({reading.width * 1000:.1f} mm apart)"
-            ctx.emit("grasp", text)
-            return Outcome(ErrorCode.CONTROL_FAILED, text)
+            return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
         ctx.holding[self.object] = Holding(self.object, self.gripper, T)
         ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per finger")
@@ -192,12 +230,10 @@ class CheckGrasp:
         height = float(ctx.driver.object_poses()[self.object].translation[2])
         if reading.held == self.object and height - self.height_before >= 0.5 * self.rise:
             return DONE
-        ctx.holding.pop(self.object, None)
-        ctx.driver.unwatch_object(self.object)
         rose = height - self.height_before
-        text = f"lost {self.object}: it rose {rose * 1000:.0f} of {self.rise * 1000:.0f} mm"
-        ctx.emit("grasp", text)
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return lost(
+            ctx, self.object, f"lost {self.object}: it rose {rose * 1000:.0f} of {self.rise * 1000:.0f} mm"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +247,9 @@ class StillHeld:
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held == self.object:
             return DONE
-        ctx.holding.pop(self.object, None)
-        ctx.driver.unwatch_object(self.object)
-        text = (
-            f"lost {self.object} on the way: the fingers are {reading.width * 1000:.1f} mm apart without it"
-        )
-        ctx.emit("grasp", text)
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        apart = reading.width * 1000
+        text = f"lost {self.object} on the way: the fingers are {apart:.1f} mm apart without it"
+        return lost(ctx, self.object, text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,6 +271,19 @@ class Dwell:
             return Outcome(ErrorCode.PREEMPTED, "cancelled") if ctx.cancel.is_set() else DONE
 
         return staged(ctx, report, wait)
+
+
+def not_held(ctx: TaskContext, text: str) -> Outcome:
+    """What a step ends with where a hand has not, or no longer, what it should have."""
+    ctx.emit("grasp", text)
+    return Outcome(ErrorCode.CONTROL_FAILED, text)
+
+
+def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
+    """The same of an object that was held: it belongs to the world again."""
+    ctx.holding.pop(item, None)
+    ctx.driver.unwatch_object(item)
+    return not_held(ctx, text)
 
 
 class Step(Protocol):

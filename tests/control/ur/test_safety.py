@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from benchmarks.ur_stops import STOPS, spoilt
 from tests.control.ur.emulated import dashboard, emulator, free_hosts
 from tests.control.ur.rig import MOVE, swing, two_arms
 
@@ -12,13 +13,6 @@ from armcell.control.safety import Fault, Supervisor
 from armcell.control.ur_controller.controller import TRACE
 from armcell.core import InputError
 
-STOPS = {
-    "protective stop": ("unlock protective stop",),
-    "safeguard stop": ("armcell safeguard reset",),
-    "emergency stop": ("armcell emergency release", "power on", "brake release"),
-    "fault drop 0.3": (),
-    "fault freeze 0.5": (),
-}
 # Here a plain sleep of 2 ms takes up to 75 ms now and then: the default age of 50 ms would stop the arms by
 # itself. In the tests it is 150 ms, and a start that the machine spoils all the same is made again.
 LIMITS = {"max_state_age": 0.15, "watchdog": 0.15}
@@ -34,16 +28,6 @@ def read_trace(path):
         arm: (lines[lines[:, 0] == arm, 1], lines[lines[:, 0] == arm, 2], lines[lines[:, 0] == arm, 3:9])
         for arm in (0, 1)
     }
-
-
-def spoilt(driver) -> bool:
-    """Whether the machine itself was late, not the robot; the arms are let move again."""
-    fault = driver.fault()
-    if fault is None or fault.kind not in ("stale state", "program ended"):
-        return False
-    time.sleep(0.5)
-    driver.resume()
-    return True
 
 
 def moving(driver, plans, seconds: float) -> None:

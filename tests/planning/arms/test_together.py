@@ -141,10 +141,8 @@ def test_they_start_and_arrive_together_and_apart(name):
         at = scene().with_state(trajectory.end)
         gripper = at.model.gripper(arm_group=group)
         assert at.frame_pose(gripper.tcp_link).isclose(goals[group].T_world_link, 1e-4, 1e-3)
-    if result.how != "as one":  # which touches nothing, but plans with no clearance between the arms
-        assert Judge(scene()).nearest(RunningMotion(a), RunningMotion(b), step=4e-3) >= 0.02 - 1e-5
-    else:
-        assert Judge(scene()).nearest(RunningMotion(a), RunningMotion(b), step=4e-3) > 0
+    assert result.clearance == 0.02 and not result.message
+    assert Judge(scene()).nearest(RunningMotion(a), RunningMotion(b), step=4e-3) >= 0.02 - 1e-5
 
 
 def test_a_pair_that_meets_is_repaired():

@@ -124,7 +124,7 @@ def test_overlapping_radii_are_refused_with_both_named():
     result = plan_sequence(scene, SequenceRequest(items))
     assert result.code is ErrorCode.INVALID_MOTION_PLAN and result.trajectory is None
     assert "motions 1 (80 mm) and 2 (80 mm) overlap: their ends are 150 mm apart" in result.message
-    helped = result.explain(8.0).suggestions[0]
+    helped = result.explain(60.0).suggestions[0]
     assert plan_sequence(*helped.apply(scene, SequenceRequest(items))).ok
 
 
@@ -170,7 +170,7 @@ def test_a_motion_that_fails_is_named_and_explained():
     assert result.code in (ErrorCode.INVALID_MOTION_PLAN, ErrorCode.GOAL_IN_COLLISION)
     assert result.message.startswith("motion 2 of 2: ") and "block" in result.message
     assert result.evidence["item"] == 1 and result.trajectory is None and result.path is None
-    assert result.explain(5.0).contacts
+    assert result.explain(60.0).contacts
 
 
 def test_a_blend_that_touches_is_not_returned():
@@ -189,7 +189,7 @@ def test_a_blend_that_touches_is_not_returned():
     assert result.code is ErrorCode.INVALID_MOTION_PLAN and result.trajectory is None
     assert result.message.startswith("the blend between motions 1 and 2: it touches at")
     assert "pin" in result.message
-    helped = result.explain(8.0).suggestions[0]
+    helped = result.explain(60.0).suggestions[0]
     assert helped.text.startswith("give motion 1 a blend radius of ")
     again = plan_sequence(*helped.apply(pinned, sequence))
     assert again.ok
@@ -236,7 +236,7 @@ def test_what_a_blend_would_break_is_refused():
     bound = replace(b, max_cartesian_speed=0.3)
     result = plan_sequence(scene, SequenceRequest(((a, 0.1), (bound, 0.0))))
     assert result.code is ErrorCode.PLANNING_FAILED and "max_cartesian_speed is 0.3 m/s" in result.message
-    helped = result.explain(8.0).suggestions[0]
+    helped = result.explain(60.0).suggestions[0]
     again = plan_sequence(*helped.apply(scene, SequenceRequest(((a, 0.1), (bound, 0.0)))))
     (window,) = again.evidence["blends"]
     seen = Watched(scene, again.trajectory, tip_of(scene))

@@ -29,7 +29,7 @@ import actionlib, json, ours, rospy
 from sensor_msgs.msg import JointState
 rospy.init_node("follower")
 ours.message("control_msgs/FollowJointTrajectoryAction")
-state = rospy.wait_for_message("/joint_states", JointState, timeout=60)
+state = rospy.wait_for_message("/joint_states", JointState, timeout=200)
 client = actionlib.SimpleActionClient("/panda_arm_controller/follow_joint_trajectory",
                                       ours.MADE["control_msgs/FollowJointTrajectoryAction"])
 assert client.wait_for_server(rospy.Duration(20)), "no server"
@@ -161,7 +161,7 @@ import json, rospy
 from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger
 rospy.init_node("button")
-before = rospy.wait_for_message("/object_pose", PoseStamped, timeout=60).pose.position.z
+before = rospy.wait_for_message("/object_pose", PoseStamped, timeout=200).pose.position.z
 rospy.wait_for_service("/grasp", timeout=120)
 answer = rospy.ServiceProxy("/grasp", Trigger)()
 after = rospy.wait_for_message("/object_pose", PoseStamped, timeout=10).pose.position.z
@@ -208,7 +208,7 @@ def graph(tmp_path_factory):
 def test_actionlib_drives_the_arm_and_the_states_come_at_30_hz(graph):
     simulator = start(graph, "sim", CELL, "--ros1")
     try:
-        found = graph.rospy(FOLLOW, timeout=120)
+        found = graph.rospy(FOLLOW, timeout=300)
         assert found["state"] == 3 and found["code"] == 0 and found["feedback"] > 5  # SUCCEEDED
         assert found["moved"] == pytest.approx(0.4, abs=0.01)
         assert found["cancelled"] == 2  # PREEMPTED
@@ -224,7 +224,7 @@ def test_what_a_stock_moveit_commander_does(graph):
     try:
         with Ros1Graph(Bus(), Ros1Settings("waiter", master=graph.uri, own_master=False)) as waiter:
             assert waiter.bus.wait_for_service("/query_planner_interface", 180), graph.log(server)
-        found = graph.rospy(COMMANDER, timeout=200)
+        found = graph.rospy(COMMANDER, timeout=300)
     finally:
         graph.stop(server)
     assert found["urdf"] == "<robot" and found["srdf"] and found["scaling"] == 0.1
@@ -241,7 +241,7 @@ def test_simulator_and_planner_grasp_through_a_real_graph(graph):
     planner = start(graph, "serve", CELL, "--ros1", "--plan-only", "__name:=planner")
     simulator = start(graph, "sim", CELL, "--ros1", "--time-scale", "2")
     try:
-        ok, text, lifted = graph.rospy(GRASP, timeout=300)
+        ok, text, lifted = graph.rospy(GRASP, timeout=400)
         assert ok, (text, graph.log(planner), graph.log(simulator))
         assert lifted > 0.15
     finally:

@@ -186,7 +186,7 @@ def test_many_calls_at_once_get_their_own_answers(bus, bridge, peer):
         numbers = [peer.call("/slow", "Trigger", {}, wait=False) for _ in range(8)]
         assert len(set(numbers)) == 8
         assert peer.answer("/slow", "Trigger", numbers[-1])["success"]
-        assert time.monotonic() - began < 8 * 0.05 + 1.0
+        assert time.monotonic() - began < 20.0
 
 
 def test_a_server_that_has_gone_is_no_server(bus, bridge, peer):

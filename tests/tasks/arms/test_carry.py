@@ -9,7 +9,8 @@ import armcell
 from armcell.cell import run_task
 from armcell.core import SE3, ErrorCode, InputError
 from armcell.kinematics import kinematic_tree
-from armcell.planning.arms.carry import Carried, plan_carry
+from armcell.planning.arms.carried import Carried
+from armcell.planning.arms.carry import plan_carry
 from armcell.tasks import checked
 from armcell.tasks.arms import CarrySettings, shifted
 
@@ -128,6 +129,35 @@ def test_misuse(cell):
             plan_carry(
                 scene, "both_arms", Carried("rod", {}, {}), SE3.identity(), [SE3.identity()], max_speed=0.0
             )
+
+
+WALL = """
+  wall:
+    box: [0.7, 0.02, 0.2]
+    pose: [0, 0, 1.001]
+"""
+
+
+def test_the_rod_over_a_wall_in_physics(cell, tmp_path):
+    """The straight way to the other side of the table is blocked; it goes round, and is put down there."""
+    text = (cell.file.parent / "cell.yaml").read_text()
+    (tmp_path / "cell.yaml").write_text(text.replace("\n  rod:\n    box", f"{WALL}  rod:\n    box", 1))
+    (tmp_path / "task.py").write_text((cell.file.parent / "task.py").read_text())
+    target = SE3.from_xyz_rpy((0.0, -0.1, 0.946), (0.0, 0.0, 0.1))
+    with armcell.load(str(tmp_path)).connect("sim", seed=1) as live:
+        rod = live.carry("rod", **ENDS)
+        alone = live.carry("rod", CarrySettings(planning_time=0.0), **ENDS)
+        refused = alone.grasp(route=[target])
+        assert not refused.ok and "wall" in refused.message
+        checked(rod.grasp(route=[target]))
+        checked(rod.move(target, name="to the other side"))
+        checked(rod.release())
+        assert live.scene().object("rod").T_world_object.distance_to(target)[0] < 2e-3
+        assert not live.driver.unwanted_contacts() and not live.driver.welds()
+    m = rod.record
+    assert m.ticks > 1000
+    assert m.off_m <= 0.5e-3 and m.turn_rad <= np.deg2rad(0.1)
+    assert m.squeeze_n <= 30 and m.slip_m <= 1e-3
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -4,7 +4,7 @@
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,7 @@ from armcell.collision.exact import ExactChecker
 from armcell.collision.kernel.block import EXACT, PADDED, handle_of, touches
 from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.kept import Kept
-from armcell.collision.kernel.layout import Flat, flatten
+from armcell.collision.kernel.layout import PAIR_MARGIN, Flat, flatten
 from armcell.collision.kernel.motion import free_edge, prove_points, proven_clearance
 from armcell.collision.kernel.pack import Names, Pack, pack
 from armcell.collision.kernel.robot_part import robot_part
@@ -55,6 +55,7 @@ class KernelChecker:
         self.lanes, self.state, self.scratch = workspace(self.flat)
         self.slack = np.zeros(max(len(self.pack.frame), 1), np.float32)
         self.slack_pair = np.zeros(max(len(self.pack.pairs), 1), np.float32)
+        self.without_room: KernelChecker | None = None  # this one before `keeping_apart`
         self._exact: ExactChecker | None = None
         self._take_hold()
 
@@ -89,6 +90,24 @@ class KernelChecker:
         self.flat = flatten(self.pack)
         self._take_hold()
 
+    def keeping_apart(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
+        """Another one for which bodies of different sides have to keep a distance [m], besides all else.
+
+        Args:
+            sides: of bodies (links and attached objects); those not named keep no distance.
+        """
+        side = np.array([sides.get(name, -1) for name in self.names.bodies])
+        a, b = side[self.pack.pairs[:, 0]], side[self.pack.pairs[:, 1]]
+        margins = np.where((a >= 0) & (b >= 0) & (a != b), np.float32(distance), np.float32(0.0))
+        other = KernelChecker(self.scene, self.joint_names)
+        other.pack = self.pack._replace(pair_margin=margins)
+        ints, floats, doubles = self.flat
+        floats = floats.copy()
+        floats[ints[PAIR_MARGIN] :][: len(margins)] = margins
+        other.flat, other.without_room = (ints, floats, doubles), self
+        other._take_hold()
+        return other
+
     def is_free(self, q: ArrayLike) -> bool:
         """Whether nothing that the group can move touches anything (padding included)."""
         return not touches(self.handle, EXACT | PADDED, np.ascontiguousarray(q, dtype=float))
@@ -102,7 +121,10 @@ class KernelChecker:
 
         Parts of neighbouring links that cannot meet for any joint values do not count, however near they
         are. At most `most`; within about `tolerance` of the smallest distance there is, and not above it.
+        What a checker is `keeping_apart` beside does not count either.
         """
+        if self.without_room is not None:
+            return self.without_room.clearance(waypoints, most, tolerance)
         points = np.ascontiguousarray(waypoints, dtype=float)
         if len(points) == 1:
             points = np.vstack([points, points])

@@ -61,7 +61,8 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     POINTS32,
     CLOUD_BOXES,
     CLOUD_PARTS,
-) = range(29, 46)
+    PAIR_MARGIN,
+) = range(29, 47)
 # of doubles in D
 (
     PIECE_SIZE,
@@ -70,8 +71,8 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     POINTS,
     REACH,
     PAIR_REACH,
-) = range(46, 52)
-HEADER = 52
+) = range(47, 53)
+HEADER = 53
 
 _INTS = (
     "parent",
@@ -115,6 +116,7 @@ _FLOATS = (
     "points32",
     "cloud_boxes",
     "cloud_parts",
+    "pair_margin",
 )
 _DOUBLES = (
     "piece_size",

@@ -43,6 +43,7 @@ class Pack(NamedTuple):
     body_pieces: I32  # (k + 1,) first exact piece of each
     # pairs of bodies
     pairs: I32  # (p, 2)
+    pair_margin: F32  # (p,) distance [m] that the two have to keep; 0: they may not touch
     near: I32  # (p + 1,) first of each in near_groups
     near_groups: I32  # (n,) groups of the first body that can meet the second
     meet: I32  # (n + 1,) first of each in meet_groups

@@ -32,6 +32,7 @@ from armcell.collision.kernel.layout import (
     NEAR,
     NEAR_GROUPS,
     PAIR,
+    PAIR_MARGIN,
     PAIR_RATE,
     PAIRS,
     SPHERE,
@@ -78,8 +79,11 @@ def _far(I, F, w, state, i, j, radii):
 
 
 @njit(cache=True)
-def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
-    """Spheres of group g against those of group h: the lanes (bits) where covers touch, or DONE."""
+def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
+    """Spheres of group g against those of group h: the lanes (bits) where covers touch, or DONE.
+
+    What is not farther apart than `close` is for certain too near.
+    """
     first_group, first_sphere, near = I[BODIES], I[BODIES] + I[GROUPS], np.int64(0)
     sh = I[GROUP_SPHERE] + 4 * h
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
@@ -94,7 +98,6 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
             if hit == 0:
                 continue
             if mode & EXACT:
-                close = splat(np.float32(s[gjk.CLOSE]))
                 surely = hit & _near(
                     I,
                     w,
@@ -102,7 +105,7 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
                     first_sphere + k,
                     first_sphere + m,
                     F[sk + 4] + F[sm + 4],
-                    close,
+                    splat(close),
                     np.int64(EXACT),
                 )
                 if surely != 0 and touch(state, surely, mode):
@@ -112,7 +115,7 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode):
 
 
 @njit(cache=True)
-def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, mode):
+def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, mode):
     i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
     f, e, bodies = I[I[FRAME] + i], I[I[FRAME] + j], I[BODIES]
     sj, open_lanes = I[BODY_SPHERE] + 4 * j, np.int64(0)
@@ -128,7 +131,7 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, mode):
             centre(I, F, w, state, bodies + h, e, sh, mode)
             if _near(I, w, state, bodies + g, bodies + h, F[sg + 3] + F[sh + 3], more, mode) == 0:
                 continue
-            near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, mode)
+            near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode)
             if near == DONE:
                 return True
             if near != 0 and mode & EXACT == 0 and fail(state, near, mode):
@@ -150,13 +153,15 @@ def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
         si, sj = I[BODY_SPHERE] + 4 * i, I[BODY_SPHERE] + 4 * j
         centre(I, F, w, state, i, I[I[FRAME] + i], si, mode)
         centre(I, F, w, state, j, I[I[FRAME] + j], sj, mode)
-        more = splat(np.float32(0.0))
+        margin = F[I[PAIR_MARGIN] + pair]
+        more = splat(margin)
         if mode & PROVE:
-            if _far(I, F, w, state, i, j, F[si + 3] + F[sj + 3]):
+            if _far(I, F, w, state, i, j, F[si + 3] + F[sj + 3] + margin + slack_pair[pair]):
                 continue
-            more = bend(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
+            more = more + bend(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
         if _near(I, w, state, i, j, F[si + 3] + F[sj + 3], more, mode) == 0:
             continue
-        if _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, mode):
+        close = max(np.float32(s[gjk.CLOSE]), margin)
+        if _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, mode):
             return True
     return False

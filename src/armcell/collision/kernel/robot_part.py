@@ -113,6 +113,7 @@ class _Builder:
             "multiplier": np.array(self.multiplier, np.float32),
             "offset": np.array(self.offset, np.float32),
             "pairs": pairs,
+            "pair_margin": np.zeros(len(pairs), np.float32),
             **_near_tables(arrays["body_groups"], pairs, [meeting[p] for p in some]),
             "reach": reach,
             "pair_reach": pair_reach,

@@ -41,6 +41,7 @@ from armcell.collision.kernel.layout import (
     MARGIN,
     OBJECTS,
     PAIR,
+    PAIR_MARGIN,
     PAIR_RATE,
     PIECE_BALL,
     PIECE_KIND,
@@ -111,7 +112,9 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
     """For every lane what a distance must exceed in any case, and the part of it beside the speed."""
     at, pair = need_at(I), -1 - other
     more = splat(np.float32(0.0))
-    if other >= 0 and mode & PADDED:
+    if other < 0:
+        more = splat(F[I[PAIR_MARGIN] + pair])
+    elif mode & PADDED:
         more = splat(max(F[I[MARGIN] + I[OBJECTS] * body + I[I[SHAPE_OBJECT] + other]], np.float32(0.0)))
     if mode & PROVE == 0:
         store(w, at, more)
@@ -230,13 +233,13 @@ def _directed_need(I, D, w, s, body, a, lane):
 def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
     """FREE, UNPROVEN or CONTACT: a body's exact pieces against a world shape's or another body's."""
     need, frame, pair = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), -1 - other
-    second = frame
+    second, close = frame, s[gjk.CLOSE]
     if other >= 0:
         first, end = I[I[SHAPE_PIECES] + other], I[I[SHAPE_PIECES] + other + 1]
     else:
         j = I[I[PAIR] + 2 * pair + 1]
         first, end = I[I[BODY_PIECES] + j], I[I[BODY_PIECES] + j + 1]
-        second = frame_at(I, I[I[FRAME] + j])
+        second, close = frame_at(I, I[I[FRAME] + j]), max(close, float(F[I[PAIR_MARGIN] + pair]))
     mine, mine_end = I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]
     warm = warm and mine_end - mine == 1 and end - first == 1  # else the normal is of another pair of pieces
     for a in range(mine, mine_end):
@@ -248,7 +251,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
             else:
                 _world_piece(I, D, w, b, second, lane, s, AT_B)
             d = _piece_distance(I, F, D, a, b, need, warm, s)
-            if d <= s[gjk.CLOSE]:
+            if d <= close:
                 return CONTACT
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
                 return UNPROVEN

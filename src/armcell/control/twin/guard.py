@@ -9,17 +9,21 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armcell.control.following import Following
+from armcell.control.following import Following, SentClock
 from armcell.control.safety import Fault
 from armcell.control.twin.bands import LASTING, SMOOTHED, ArmBands, Seen, TwinBands
 from armcell.control.twin.rehearsal import Rehearsal, Stage
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 
+Array = NDArray[np.float64]
+
 SLOW_AFTER, STOP_AFTER = LASTING, 12
 """Looks in a row outside a band until the arms are slowed, and until they are stopped."""
 FAR = 3.0  # bands from the twin at which they are stopped as soon as they would be slowed
 SLOW = 0.25  # of the speed
+LATE = 0.02  # [s] by which the clock of a motion may be wrong whose points are sent
 STEADY = 0.002  # by which the scaling of the speed may differ from the last look's
 
 
@@ -31,6 +35,9 @@ class GuardedArm(Protocol):
 
     @property
     def state(self) -> Any: ...
+
+    @property
+    def time_of_state(self) -> float: ...  # [s, monotonic] when it was measured
 
     @property
     def scaling(self) -> float: ...
@@ -102,13 +109,18 @@ class TwinGuard:
 
     def watching(
         self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
-        trip: Callable[[Fault], None],
+        trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
-        """A motion under way, compared with its twin at every look at its clock."""
+        """A motion under way, compared with its twin at every look at its clock.
+
+        Args:
+            sent_for: of a motion whose points are sent; None: the robot plays it and tells its own clock.
+            forced: what is felt decides on the way, so currents and speeds are not compared.
+        """
         twin = self._twin
         if twin is None or trajectory is not self._rehearsed:
             return following
-        return Watched(self, following, twin, list(arms), trip)
+        return Watched(self, following, twin, list(arms), trip, sent_for, forced)
 
 
 class Watched:
@@ -116,15 +128,20 @@ class Watched:
 
     def __init__(
         self, guard: TwinGuard, following: Following, twin: Rehearsal, arms: list[GuardedArm],
-        trip: Callable[[Fault], None],
+        trip: Callable[[Fault], None], sent_for: SentClock | None, forced: bool,
     ):  # fmt: skip
         self._guard, self._following, self._twin, self._arms, self._trip = guard, following, twin, arms, trip
+        self._sent_for, self._forced = sent_for, forced
         names = twin.joint_names
         self._columns = {arm.name: tuple(names.index(n) for n in arm.joint_names) for arm in arms}
         self._kept = {arm.name: Motion(arm.name, twin, self._columns[arm.name], []) for arm in arms}
         guard.motions.extend(self._kept.values()) if guard.bands is None else None
         self._outside = dict.fromkeys(self._columns, 0)
+        self._doubt: dict[str, tuple[str, str]] = dict.fromkeys(
+            self._columns, ("", "")
+        )  # last outside: kind, text
         self._worst: dict[str, tuple[float, str]] = dict.fromkeys(self._columns, (0.0, ""))
+        self._load = dict.fromkeys(self._columns, 0.0)  # [kg], the largest
         self._currents = {name: deque[np.ndarray](maxlen=SMOOTHED) for name in self._columns}
         self._scaling: dict[str, float] = {}  # at the last look
         self._before: dict[str, float] = {}  # sliders as they were, once slowed
@@ -153,15 +170,18 @@ class Watched:
     # --- looking ---
     def _look(self, arm: GuardedArm, t: float) -> None:
         state, scaling = arm.state, arm.scaling
-        played = len(self._arms) == 1  # then the robot's own clock stands in the very state
-        clock = float(state.output_double_register_24) if played else t
-        if scaling <= 0.0 or clock <= 0.0 or (played and abs(clock - t) > 0.2):
-            return
         q, v, current = (np.array(state.values[k]) for k in ("actual_q", "actual_qd", "actual_current"))
+        if self._sent_for is None:  # the robot plays it: its own clock stands in the very state
+            clock = float(state.output_double_register_24)
+        else:
+            clock, off = self._sent_for.at(arm.time_of_state)
+            q = q if off is None else q - off[list(self._columns[arm.name])]
+        if scaling <= 0.0 or clock <= 0.0 or (self._sent_for is None and abs(clock - t) > 0.2):
+            return
         trip = self._guard.trips.get(arm.name, lambda: math.nan)()
-        steady = abs(scaling - self._scaling.get(arm.name, 1.0)) < STEADY
+        steady = abs(scaling - self._scaling.get(arm.name, 1.0)) < STEADY and not self._forced
         self._scaling[arm.name] = scaling
-        seen = Seen(clock, scaling, q, v, current, trip, steady)
+        seen = Seen(clock, scaling, q, v, current, trip, steady, 0.0 if self._sent_for is None else LATE)
         bands = self._guard.bands
         if bands is None:
             self._kept[arm.name].seen.append(seen)
@@ -170,24 +190,50 @@ class Watched:
 
     def _judge(self, arm: GuardedArm, seen: Seen, bands: ArmBands) -> None:
         found = bands.deviations(seen, self._twin, self._columns[arm.name], self._currents[arm.name])
-        kind, ratios = max(found.items(), key=lambda item: float(item[1].max()))
-        ratio = float(ratios.max())
-        joint = "" if kind == "timing" else arm.joint_names[int(np.argmax(ratios))]
-        text = f"{joint or 'the network'}: {kind} is {ratio:.1f} times its band from the twin's"
+        kind, ratio, text = self._worst_of(found, arm, bands)
         self._worst[arm.name] = max(self._worst[arm.name], (ratio, text))
-        if ratio <= 1.0:
-            self._outside[arm.name] = 0
+        doubted, before = self._doubt[arm.name]
+        if ratio > 1.0:
+            self._doubt[arm.name] = kind, text
+        elif doubted in ("", *found):
+            self._outside[arm.name], self._doubt[arm.name] = 0, ("", "")
             return
+        else:  # what was outside cannot be looked at while the speed changes: it is not cleared
+            kind, text = doubted, before
         self._outside[arm.name] += 1
         count = self._outside[arm.name]
         if count >= SLOW_AFTER and not self._before and not self._stopped:
             self._slow(arm, text, seen.clock)
         if not self._stopped and (count >= STOP_AFTER or (count >= SLOW_AFTER and ratio > FAR)):
             self._stopped = True
-            cures = {"current": "a payload that was not told? a touch?", "timing": "look at the network"}
+            cures = {
+                "load": "tell its payload, or what it holds; or is something pressing on it?",
+                "current": "a payload that was not told? a touch?",
+                "timing": "look at the network",
+            }
             cure = cures.get(kind, "is it blocked, displaced, badly calibrated?")
             self._trip(Fault(arm.name, "twin deviation", f"{text} at {seen.clock:.2f} s", cure))
             self._as_before()  # nothing moves before somebody has said so
+
+    def _worst_of(
+        self, found: Mapping[str, Array], arm: GuardedArm, bands: ArmBands
+    ) -> tuple[str, float, str]:
+        """Kind, how many bands, and a text. A load that explains the currents is told with whatever is worst:
+        an arm may also give way under it."""
+        kind = max(found, key=lambda each: float(np.abs(found[each]).max()))
+        ratios = np.abs(found[kind])
+        ratio, said = float(ratios.max()), []
+        if kind != "load":
+            joint = "the network" if kind == "timing" else arm.joint_names[int(np.argmax(ratios))]
+            said.append(f"{joint}: {kind} is {ratio:.1f} times its band from the twin's")
+        load = float(found.get("load", np.zeros(1))[0])
+        if abs(load) * bands.load > abs(self._load[arm.name]):
+            self._load[arm.name] = load * bands.load
+        if abs(load) > 1.0 or kind == "load":
+            more = "more" if load > 0.0 else "less"
+            text = f"the arm seems to carry {abs(load) * bands.load:.1f} kg {more} than its model says"
+            said.append(f"{text}, {abs(load):.1f} times that band")
+        return ("load" if abs(load) > 1.0 else kind), ratio, "; ".join(said)
 
     def _slow(self, cause: GuardedArm, text: str, clock: float) -> None:
         for arm in self._arms:
@@ -207,4 +253,5 @@ class Watched:
         for arm in self._arms:
             ratio, text = self._worst[arm.name]
             if self._guard.bands is not None and text:
-                self._guard.note(arm.name, "twin", f"{how}: at most {ratio:.2f} of a band ({text})")
+                load = f", load {self._load[arm.name]:+.1f} kg" if self._load[arm.name] else ""
+                self._guard.note(arm.name, "twin", f"{how}: at most {ratio:.2f} of a band ({text}){load}")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armcell.control.driver import DriverOptions
 from armcell.control.drivers.sim import SimDriver
+from armcell.control.twin.load import Demand, demand
 from armcell.core import SE3, ErrorCode, JointState, JointTrajectory, Outcome
 from armcell.scene import PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
@@ -31,17 +32,28 @@ class Rehearsal:
     positions: Array  # (k, n) [rad]
     velocities: Array  # (k, n) [rad/s]
     efforts: Array  # (k, n) [Nm], gravity included
+    demand: Demand
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
         """Position, velocity and effort (n,) at a time [s], held at both ends."""
+        q, v, effort = self._between(t, self.positions, self.velocities, self.efforts)
+        return q, v, effort
+
+    def efforts_at(self, t: float, scaling: float) -> tuple[Array, Array]:
+        """Efforts (n,) [Nm] where the trajectory is at a time [s], played at a share of its speed; and what
+        one kilogram more on the flange adds (n,) [Nm/kg]."""
+        of = self.demand
+        effort, swing, weight, inertia = self._between(t, self.efforts, of.swing, of.weight, of.inertia)
+        return effort - (1.0 - scaling**2) * swing, weight + scaling**2 * inertia
+
+    def _between(self, t: float, *rows: Array) -> list[Array]:
+        """Rows (k, n) at a time [s]."""
         k = int(np.searchsorted(self.times, t))
         if k == 0 or k == len(self.times):
             k = min(k, len(self.times) - 1)
-            return self.positions[k], self.velocities[k], self.efforts[k]
+            return [x[k] for x in rows]
         s = (t - self.times[k - 1]) / (self.times[k] - self.times[k - 1])
-        rows = (self.positions, self.velocities, self.efforts)
-        q, v, effort = ((1 - s) * x[k - 1] + s * x[k] for x in rows)
-        return q, v, effort
+        return [(1 - s) * x[k - 1] + s * x[k] for x in rows]
 
 
 class Stage:
@@ -113,7 +125,8 @@ class Stage:
         elif not result.ok:
             result = replace(result, message=f"in physics: {result.message}")
         q, v, effort = (np.array(column) for column in zip(*rows))
-        return Rehearsal(result, names, np.array(times), q, v, effort)
+        clock = np.array(times)
+        return Rehearsal(result, names, clock, q, v, effort, demand(self._scene.model, trajectory, clock))
 
     def _placed(self, state: JointState, poses: Mapping[str, SE3], held: Mapping[str, str]) -> SimWorld:
         scene = self._scene
@@ -129,7 +142,8 @@ class Stage:
             self._world.reset(scene)
         world = self._world
         for gripper, item in held.items():
-            world.fix_in_hand(item, gripper)
+            if item in world.built.object_qpos:  # what is on a thread stays there
+                world.fix_in_hand(item, gripper)
         for body, other in self._expected:
             world.monitor.allow(body, other)
         for name, supports in self._watched.items():

@@ -1,6 +1,9 @@
 """An emulated Universal Robots controller, for trying out clients without the robot."""
 
 from armcell.control.ur_controller.controller import ControllerSettings, Rack, UrController
+from armcell.control.ur_controller.external_control import RemoteHost
 from armcell.control.ur_controller.plant import KinematicPlant, SharedWorld, WorldPlant
 
-__all__ = ["ControllerSettings", "KinematicPlant", "Rack", "SharedWorld", "UrController", "WorldPlant"]
+__all__ = [
+    "ControllerSettings", "KinematicPlant", "Rack", "RemoteHost", "SharedWorld", "UrController", "WorldPlant",
+]  # fmt: skip

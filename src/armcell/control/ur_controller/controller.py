@@ -15,6 +15,7 @@ import numpy as np
 
 from armcell.control.ur_controller.dashboard_server import PORT as DASHBOARD
 from armcell.control.ur_controller.dashboard_server import DashboardServer
+from armcell.control.ur_controller.external_control import ExternalControl, RemoteHost
 from armcell.control.ur_controller.gripper_server import GripperServer
 from armcell.control.ur_controller.network import Network
 from armcell.control.ur_controller.plant import KinematicPlant, Plant
@@ -46,6 +47,7 @@ class ControllerSettings:
     start: tuple[float, ...] = HOME  # [rad]
     remote: bool = True
     powered: bool = True
+    external_control: RemoteHost | None = None  # of the URCap; None: it is not installed
 
 
 def factory_calibration(model: UrModel, seed: int | None) -> Kinematics:
@@ -79,7 +81,8 @@ class UrController:
         host = settings.host
         try:
             self._rtde = RtdeServer(self.robot, self.network, host, RTDE)
-            self._dashboard = DashboardServer(self.robot, self.network, host, DASHBOARD)
+            self._external = ExternalControl(self.robot, self.network, settings.external_control)
+            self._dashboard = DashboardServer(self.robot, self.network, host, self._external, DASHBOARD)
             self._gripper = GripperServer(self.robot, self.network, host)
             self._script = ScriptServer(self.robot, self.network, host, (PRIMARY, SECONDARY, REALTIME))
         except BaseException:
@@ -88,6 +91,7 @@ class UrController:
 
     def step(self) -> None:
         """One control step of everything."""
+        self._external.step()
         self.robot.before_step()
         self.robot.plant.step(self.robot.period)
         self.robot.after_step()

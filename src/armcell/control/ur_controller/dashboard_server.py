@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from armcell.control.ur_controller.external_control import NAME, ExternalControl
 from armcell.control.ur_controller.network import Link, Network
 from armcell.control.ur_controller.plant_faults import WORDS, set_fault
 from armcell.control.ur_controller.robot import Robot
@@ -33,8 +34,10 @@ armcell messages"""
 
 
 class DashboardServer:
-    def __init__(self, robot: Robot, network: Network, host: str, port: int = PORT):
-        self._robot, self._network = robot, network
+    def __init__(
+        self, robot: Robot, network: Network, host: str, external: ExternalControl, port: int = PORT
+    ):
+        self._robot, self._network, self._external = robot, network, external
         self.port = network.listen(host, port, lambda link: link.send(f"{GREETING}\n".encode()), self._data)
         r = robot
         self._queries: dict[str, Callable[[], str]] = {
@@ -48,11 +51,13 @@ class DashboardServer:
             "get serial number": lambda: r.serial,
             "get robot model": lambda: r.model.dashboard_name,
             "get operational mode": lambda: "AUTOMATIC" if r.remote else "MANUAL",
-            "get loaded program": lambda: "No program loaded",
+            "get loaded program": lambda: (
+                f"Loaded program: /programs/{NAME}" if external.loaded else "No program loaded"
+            ),
             "isprogramsaved": lambda: "true unnamed",
         }  # fmt: skip
         self._acts: dict[str, Callable[[], str]] = {
-            "play": lambda: "Starting program" if r.play() else "Failed to execute: play",
+            "play": lambda: "Starting program" if r.play() or external.play() else "Failed to execute: play",
             "stop": self._stop,
             "pause": lambda: "Pausing program" if r.pause() else "Failed to execute: pause",
             "power on": lambda: (r.power_on(), "Powering on")[1],
@@ -98,15 +103,20 @@ class DashboardServer:
             if command in self._acts:
                 return self._acts[command]()
             name = text.split(maxsplit=1)[1]
-            return f"Error while loading program: {name}" if command.startswith("load ") else "Failed"
+            if not command.startswith("load "):
+                return "Failed"
+            return (
+                "Loading program: " if self._external.load(name) else "Error while loading program: "
+            ) + name
         return f"could not understand: '{text}'"
 
     def _program_state(self) -> str:
         state = {RuntimeState.PLAYING: "PLAYING", RuntimeState.RESUMING: "PLAYING",
                  RuntimeState.STOPPED: "STOPPED"}.get(self._robot.runtime, "PAUSED")  # fmt: skip
-        return f"{state} {self._robot.program_name or 'unnamed'}"
+        return f"{state} {self._robot.program_name or (NAME if self._external.loaded else 'unnamed')}"
 
     def _stop(self) -> str:
+        self._external.stop()
         self._robot.end_program()
         return "Stopped"
 

@@ -147,10 +147,15 @@ class Robot:
         self._motion_used = True
 
     # --- program ---
+    @property
+    def may_run(self) -> bool:
+        """Whether a program may start."""
+        return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
+
     def run(self, machine: Machine) -> None:
         """Start a program; the one that runs ends."""
         self.end_program()
-        if self.mode is not RobotMode.RUNNING or self.safety not in MAY_MOVE:
+        if not self.may_run:
             self.popup(f"program not started: {self.mode.name}, {self.safety.name}")
             return
         self.machine, self.program_name = machine, machine.name

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from armcell.control.ur_controller.builtins import motion_functions, value_functions
 from armcell.control.ur_controller.network import Link, Network
+from armcell.control.ur_controller.programs import run_script
 from armcell.control.ur_controller.robot import Robot
-from armcell.control.ur_controller.sockets import socket_functions
-from armcell.control.ur_controller.urscript import Machine, ScriptError
 from armcell.control.ur_controller.urscript.parser import MAX_SCRIPT, depth_after
 from armcell.control.ur_wire import primary
 from armcell.control.ur_wire.modes import RuntimeState, SafetyMode
@@ -53,14 +51,7 @@ class ScriptServer:
         if not robot.remote_or_cb3:
             robot.popup("script refused: the robot is in local control")
             return
-        robot.end_program()
-        waiting, instant = socket_functions(robot, self._network)
-        try:
-            machine = Machine(text, motion_functions(robot) | waiting, value_functions(robot) | instant)
-        except (ScriptError, SyntaxError, RecursionError) as error:
-            robot.popup(f"script error: {error}")
-            return
-        robot.run(machine)
+        run_script(robot, self._network, text)
 
     def _now_us(self) -> int:
         return int(self._robot.time * 1e6)

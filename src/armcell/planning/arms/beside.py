@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import Arms, without_arm
+from armcell.collision.arms import CLEARANCE, Arms, without_arm
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact, ErrorCode, InputError, JointTrajectory, Outcome, PlanRequest, PlanResult
 from armcell.planning.arms.space_time import SpaceTimePath, SpaceTimeProblem, search, shortened
@@ -22,7 +22,6 @@ from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
 
-CLEARANCE = 0.02  # [m] between the arms
 WAIT_STEP = 0.1  # [s] between the waits that are tried
 WINDOWS = (0.8, 0.4, 0.2)  # [s] of smoothing; the shorter, the slower and the nearer to the searched way
 MARGIN = 0.02  # [m] that the search keeps beyond the clearance, for what smoothing cuts off

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import Arms, merged, without_arm
+from armcell.collision.arms import CLEARANCE, Arms, merged, without_arm
 from armcell.core import (
     ErrorCode,
     Goal,
@@ -22,7 +22,6 @@ from armcell.core import (
     PlanRequest,
     PlanResult,
 )
-from armcell.planning.arms.beside import CLEARANCE
 from armcell.planning.pipeline import find_ends, plan
 from armcell.planning.question import ask
 from armcell.scene import PlanningScene
@@ -30,6 +29,7 @@ from armcell.timing import synchronized
 
 Array = NDArray[np.float64]
 
+TOUCHING = 1e-4  # [m] goals nearer than that are refused
 TRIES = 3  # pairs of separate plans, with other seeds, before both arms are planned as one
 
 
@@ -40,6 +40,7 @@ class PairPlan(Outcome):
     trajectories: Mapping[str, JointTrajectory] | None = None
     trajectory: JointTrajectory | None = None
     how: str = ""  # "as planned", "planned again" or "as one"
+    clearance: float = 0.0  # [m] that the arms are proven to keep; `message` says why, where it is less
     planning_time: float = 0.0  # [s], wall clock
     recheck_time: float = 0.0  # [s] of it for the last proof that the timed pair keeps apart
 
@@ -54,15 +55,16 @@ def plan_together(
     """Motions of two arms to a goal each, which start and arrive together and keep apart.
 
     Each arm is planned as if the other were not there, the shorter motion is stretched to the longer one's
-    duration, and the timed pair is proven. Where it fails: again with other seeds, then both as one, which
-    keeps them from touching but not `clearance` apart.
+    duration, and the timed pair is proven. Where it fails: again with other seeds, then both as one. Where
+    start or goals are nearer to each other than `clearance`, both are planned as one at once; what they keep
+    then is in the result.
 
     Args:
         goals: by group, two of them. both: the group of all their joints, found by its joints if None.
         clearance: between the arms [m].
         template: speeds, planner and times of the requests; its group and goals are not looked at.
     Returns:
-        GOAL_IN_COLLISION with the pair of bodies where the goals cannot be held at once.
+        GOAL_IN_COLLISION with the pair of bodies where the goals cannot be held at once without touching.
     Raises:
         InputError: not two groups, groups that share joints, no group of both; misuse as of `plan`.
     """
@@ -78,7 +80,10 @@ def plan_together(
     if isinstance(chosen, Outcome):
         return PairPlan(chosen.code, chosen.message, chosen.evidence, planning_time=time.monotonic() - began)
     recheck, last = 0.0, None
-    for attempt in range(TRIES):
+    start = scene.state.reindexed(arms.joint_names).positions
+    ends = (start, np.concatenate([chosen[g] for g in groups]))
+    near = any(arms.apart(q[None], None, clearance) >= 0 for q in ends)
+    for attempt in range(0 if near else TRIES):
         results = []
         for group in groups:
             goal = JointGoal(JointState(scene.model.group(group).joint_names, chosen[group]))
@@ -95,34 +100,28 @@ def plan_together(
         recheck = time.perf_counter() - t0
         if proof.free:
             how = "as planned" if attempt == 0 else "planned again"
-            return _done(groups, pair, how, began, recheck)
+            return _done(groups, pair, how, began, recheck, clearance)
         last = proof
     both = both or _both(scene, arms)
     names = scene.model.group(both).joint_names
     target = {n: v for g in groups for n, v in zip(scene.model.group(g).joint_names, chosen[g], strict=True)}
     goal = JointGoal(JointState(names, np.array([target[n] for n in names])))
-    whole: PlanResult = plan(scene, replace(template, group=both, goals=(goal,)))
+    whole: PlanResult = plan(scene, replace(template, group=both, goals=(goal,), arm_clearance=clearance))
     spent = time.monotonic() - began
     if not whole.ok or whole.trajectory is None:
         evidence = {**whole.evidence, "time": last.time if last else None}
         return PairPlan(whole.code, f"both arms as one: {whole.message}", evidence, planning_time=spent)
-    parts = tuple(_part(whole.trajectory, scene.model.group(g).joint_names) for g in groups)
-    return _done(groups, parts, "as one", began, recheck)
+    parts = tuple(whole.trajectory.reindexed(scene.model.group(g).joint_names) for g in groups)
+    kept = float(whole.evidence.get("arm_clearance", 0.0))
+    return _done(groups, parts, "as one", began, recheck, kept, whole.message)
 
 
-def _done(groups, pair, how: str, began: float, recheck: float) -> PairPlan:
+def _done(
+    groups, pair, how: str, began: float, recheck: float, clearance: float, words: str = ""
+) -> PairPlan:
     return PairPlan(
-        ErrorCode.SUCCESS, trajectories=dict(zip(groups, pair, strict=True)), trajectory=merged(*pair),
-        how=how, planning_time=time.monotonic() - began, recheck_time=recheck,
-    )  # fmt: skip
-
-
-def _part(trajectory: JointTrajectory, names: tuple[str, ...]) -> JointTrajectory:
-    columns = [trajectory.joint_names.index(n) for n in names]
-    v, a = trajectory.velocities, trajectory.accelerations
-    return JointTrajectory(
-        names, trajectory.times, trajectory.positions[:, columns],
-        None if v is None else v[:, columns], None if a is None else a[:, columns],
+        ErrorCode.SUCCESS, words, trajectories=dict(zip(groups, pair, strict=True)), trajectory=merged(*pair),
+        how=how, clearance=clearance, planning_time=time.monotonic() - began, recheck_time=recheck,
     )  # fmt: skip
 
 
@@ -138,21 +137,22 @@ def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] |
     pairs = sorted(
         product(*found), key=lambda ab: sum(float(np.linalg.norm(q - s)) for q, s in zip(ab, starts))
     )
-    nearest = None
+    nearest, best = None, None
     for a, b in pairs:
         q = np.concatenate([a, b])
         if arms.apart(q[None], None, clearance) < 0:
             return dict(zip(requests, (a, b), strict=True))
         contact = arms.contact(q)
         if contact is not None and (nearest is None or contact.distance > nearest.distance):
-            nearest = contact
+            nearest, best = contact, (a, b)
+    if best is not None and nearest is not None and nearest.distance > TOUCHING:
+        return dict(zip(requests, best, strict=True))
     text = f"the goals of {' and '.join(map(repr, requests))} cannot be held at once"
     if nearest is None:
         return Outcome(ErrorCode.GOAL_IN_COLLISION, text)
-    how = "touch" if nearest.distance <= 0 else f"be {1000 * nearest.distance:.0f} mm apart"
     return Outcome(
         ErrorCode.GOAL_IN_COLLISION,
-        f"{text}: {nearest.body_a} and {nearest.body_b} would {how}",
+        f"{text}: {nearest.body_a} and {nearest.body_b} would touch",
         {"contacts": [nearest]},
     )
 

@@ -20,6 +20,6 @@ def announce(planner: str, function: Any) -> None:
 
 def _cached(function: Any) -> bool:
     """Whether there is an index file for it in Numba's cache folder."""
-    folder, code = Path(config.CACHE_DIR), function.py_func.__code__
+    folder, code = Path(vars(config)["CACHE_DIR"]), function.py_func.__code__
     pattern = f"{Path(code.co_filename).stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"
     return any(folder.rglob(pattern))

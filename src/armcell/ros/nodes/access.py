@@ -29,9 +29,17 @@ class CellAccess(Protocol):
         """
         ...
 
-    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
-        """Begin a trajectory_msgs/JointTrajectory.
+    def play(
+        self,
+        message: Any,
+        settings: ExecutionSettings = ExecutionSettings(),
+        planned_in: PlanningScene | None = None,
+    ) -> Work:
+        """Begin a trajectory_msgs/JointTrajectory. It ends where a change of the scene comes across its rest.
 
+        Args:
+            planned_in: the scene of its planning, with the contacts that belong to it; the present one where
+                nobody knows.
         Raises:
             InputError: it cannot be played.
         """

@@ -20,10 +20,12 @@ from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
-from armcell.ros.nodes.conductor import Conductor, Work, remaining
+from armcell.ros.nodes.conductor import Conductor, Steps, Work, remaining
 from armcell.ros.nodes.gripping import GripperNode, gripping
 from armcell.ros.nodes.states import RATE, StatePublisher
 from armcell.ros.nodes.together import contact_together
+from armcell.scene import PlanningScene
+from armcell.tasks.guard import CHANGED, PathGuard
 
 logger = logging.getLogger(__name__)
 TRAJECTORY = "/planned_trajectory"
@@ -110,10 +112,16 @@ class CellNode:
         self.conductor.stop()
 
     # --- playing, from any thread ---
-    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
+    def play(
+        self,
+        message: Any,
+        settings: ExecutionSettings = ExecutionSettings(),
+        planned_in: PlanningScene | None = None,
+    ) -> Work:
         """Begin a trajectory_msgs/JointTrajectory, when what moves the same joints has made way for it.
 
-        /trajectory_status tells of it. One without points stops its joints, or all where it names none.
+        /trajectory_status tells of it. One without points stops its joints, or all where it names none. It
+        ends where something comes across its rest (`PathGuard`, also for `planned_in`).
 
         Raises:
             InputError: what is wrong with the message.
@@ -131,13 +139,14 @@ class CellNode:
         if set(trajectory.joint_names) <= set(fingers):
             return self._close_or_open(trajectory, fingers)
 
-        def steps(driver: Any, cancel: threading.Event) -> Any:
+        def steps(driver: Any, cancel: threading.Event) -> Steps:
             # Where it is now decides, not where it was when the message came.
             now = trajectory_from_message(message, model, driver.joint_state())
             work.trajectory = now
             self.say(f"executing {len(now.times)} points, {now.duration:.2f} s")
             self.live.ctx.announce(now)
-            return playing(driver, now, settings, cancel)
+            guard = PathGuard(self.live.ctx, now, planned_in, cancel)
+            return guard.judged((yield from playing(driver, now, settings, guard)))
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
         return self._put_beside(work, trajectory)
@@ -310,4 +319,5 @@ def _tolerances(goal: Any) -> ExecutionSettings:
 def _follow_code(result: ExecutionResult) -> int:
     if result.ok or result.code is ErrorCode.PREEMPTED:
         return SUCCESSFUL
-    return PATH_TOLERANCE_VIOLATED if "left the path" in result.message else GOAL_TOLERANCE_VIOLATED
+    left = "left the path" in result.message or result.code is CHANGED
+    return PATH_TOLERANCE_VIOLATED if left else GOAL_TOLERANCE_VIOLATED

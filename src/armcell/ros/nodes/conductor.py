@@ -178,9 +178,7 @@ class Conductor:
         while driver.now < end - 1e-9:
             while not self._calls.empty():
                 self._calls.get()()
-            self._begin()
-            for work in [w for w in self._running if w.steps is not None]:
-                self._step(work)
+            self._step_all()
             driver.advance(min(driver.period, end - driver.now))
             self._after_step()
 
@@ -222,6 +220,18 @@ class Conductor:
                 work.steps = work.make(_Some(self._driver, work.joints), work.cancel)  # type: ignore[arg-type]
             except Exception as error:
                 self._finish(work, None, error)
+
+    def _step_all(self) -> None:
+        """One step of every work. What takes over from one that has ended begins within the same period."""
+        stepped: list[Work] = []
+        while True:
+            self._begin()
+            due = [w for w in self._running if w.steps is not None and w not in stepped]
+            if not due:
+                return
+            for work in due:
+                self._step(work)
+            stepped += due
 
     def _step(self, work: Work) -> None:
         assert work.steps is not None

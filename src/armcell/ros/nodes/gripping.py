@@ -20,7 +20,7 @@ from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.conductor import Conductor, Steps, Work
-from armcell.scene import CollisionObject
+from armcell.scene import CollisionObject, PlanningScene
 
 logger = logging.getLogger(__name__)
 TOPIC = "/gripper_command"
@@ -61,6 +61,18 @@ def gripping(driver: Any, gripper: Gripper, width: float, force: float, cancel: 
             text = f"holds {reading.held}" if reading.held else f"stands at {reading.width * 1000:.1f} mm"
             return ExecutionResult(ErrorCode.SUCCESS, text, evidence, began, now)
         yield
+
+
+def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[CollisionObject]:
+    """Movable objects whose bounding box, grown by a margin [m], holds the tcp."""
+    tcp = scene.frame_pose(gripper.tcp_link).translation
+    found = []
+    for item in scene.objects.values():
+        low, high = item.bounds()
+        point = item.T_world_object.inv().apply(tcp)
+        if item.movable and np.all(point >= low - margin) and np.all(point <= high + margin):
+            found.append(item)
+    return found
 
 
 class GripperNode:
@@ -169,7 +181,7 @@ class GripperNode:
 
     def _close_around(self, gripper: Gripper) -> None:
         reading = self._live.driver.gripper(gripper.name)
-        between = self._between(gripper, 0.0)
+        between = around_tcp(self._live.scene(), gripper, 0.0)
         if reading.held or reading.width < 0.5 * gripper.max_width or not between:
             return
         item = between[0]
@@ -180,19 +192,7 @@ class GripperNode:
         make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: E731
         self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))
 
-    def _between(self, gripper: Gripper, margin: float) -> list[CollisionObject]:
-        """Movable objects whose bounding box, grown by a margin [m], holds the tcp."""
-        scene = self._live.scene()
-        tcp = scene.frame_pose(gripper.tcp_link).translation
-        found = []
-        for item in scene.objects.values():
-            low, high = item.bounds()
-            point = item.T_world_object.inv().apply(tcp)
-            if item.movable and np.all(point >= low - margin) and np.all(point <= high + margin):
-                found.append(item)
-        return found
-
     def _expect_contact(self, gripper: Gripper) -> None:
         """Fingers that close around something are meant to touch it."""
-        for item in self._between(gripper, NEAR):
+        for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.driver.expect_contact(item.name, gripper.finger_links)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -25,7 +24,7 @@ class LocalCell:
     """
 
     def __init__(self, node: CellNode):
-        self._node, self._edit = node, threading.Lock()
+        self._node = node
         self._widths: dict[str, float] = {}  # by object, of the fingers when it was grasped
 
     @property
@@ -56,21 +55,17 @@ class LocalCell:
             self._widths[reading.held] = reading.width
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        with self._edit:
-            changed = make(self.scene())
-            return self._node.conductor.call(lambda: self._take(changed))
+        self.scene()  # what the grippers hold is known from them, now
+        self._node.live.ctx.change_scene(make)  # in this thread: a message's mesh takes time
+        return self.scene()
 
-    def _take(self, scene: PlanningScene) -> PlanningScene:
-        """What the grippers hold is known from them: the world keeps the object itself."""
-        ctx = self._node.live.ctx
-        for name in ctx.holding:
-            if name in scene.attached:
-                scene = scene.with_detached(name)
-        ctx.change_scene(scene)
-        return self._now()
-
-    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
-        return self._node.play(message, settings)
+    def play(
+        self,
+        message: Any,
+        settings: ExecutionSettings = ExecutionSettings(),
+        planned_in: PlanningScene | None = None,
+    ) -> Work:
+        return self._node.play(message, settings, planned_in)
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
         return self._node.grippers.drive(gripper, width, force)

@@ -342,8 +342,8 @@ class MoveGroupNode:
         for _ in range(attempts):
             self.feedback(goal, "MoveGroup", "PLANNING")
             try:
-                scene = self.start_scene(request, goal.cancel)
-                scene = scene.apply(diff_from_message(options.planning_scene_diff, scene))
+                measured = self.start_scene(request, goal.cancel)
+                scene = measured.apply(diff_from_message(options.planning_scene_diff, measured))
             except InputError as error:
                 outcome = Outcome(ErrorCode.FAILURE, str(error))
                 break
@@ -360,7 +360,9 @@ class MoveGroupNode:
             if not found.ok or options.plan_only:
                 break
             self.feedback(goal, "MoveGroup", "MONITOR")
-            outcome = self.executed(response.trajectory, goal.cancel)
+            allowed = {**measured.allowed_pairs, **scene.allowed_pairs}
+            planned_in = replace(measured, allowed_pairs=allowed)
+            outcome = self.executed(response.trajectory, goal.cancel, planned_in)
             result.executed_trajectory = response.trajectory
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 break
@@ -374,15 +376,18 @@ class MoveGroupNode:
         self.feedback(goal, "ExecuteTrajectory", "IDLE")
         return done(outcome, self.new("ExecuteTrajectoryResult", self.code(outcome.code)))
 
-    def executed(self, trajectory: Any, cancel: threading.Event) -> Outcome:
-        """Execute a moveit_msgs/RobotTrajectory to its end."""
+    def executed(
+        self, trajectory: Any, cancel: threading.Event, planned_in: PlanningScene | None = None
+    ) -> Outcome:
+        """Execute a moveit_msgs/RobotTrajectory to its end, or until the scene's changes come across it."""
         if trajectory.multi_dof_joint_trajectory.points:
             return Outcome(ErrorCode.FAILURE, "multi-DOF trajectories are not executed")
         if not trajectory.joint_trajectory.points:
             return Outcome(ErrorCode.SUCCESS, "empty trajectory")
         with self.stoppable(cancel):
             try:
-                return waited(self.cell.play(trajectory.joint_trajectory), cancel)
+                work = self.cell.play(trajectory.joint_trajectory, planned_in=planned_in)
+                return waited(work, cancel)
             except InputError as error:
                 logger.warning("trajectory refused: %s", error)
                 return Outcome(ErrorCode.CONTROL_FAILED, str(error))

@@ -29,6 +29,7 @@ from armcell.ros.moveit_convert.states import trajectory_message
 from armcell.ros.nodes.move_group import MoveGroupNode, code_of, done, waited
 from armcell.scene import PlanningScene
 from armcell.tasks import TaskSettings
+from armcell.tasks.guard import CHANGED
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.stages import (
     ChooseGivenGrasp,
@@ -123,6 +124,11 @@ class PickPlaceNode:
                 outcome = Outcome(ErrorCode.CONTROL_FAILED, f"lost {item} while lifting it")
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 return outcome
+            if outcome.code is CHANGED:  # the grasp is as good as it was; what is held stays so
+                if self._cell.held(gripper) == item:
+                    return outcome
+                logger.warning("pick %s: %s", item, outcome.message)
+                continue
             logger.warning(
                 "pick %s with grasp %s: %s; trying the next one", item, grasp.name, outcome.message
             )
@@ -238,12 +244,16 @@ class PickPlaceNode:
                 raise InputError("no place is given", cure="give locations, or name the support surface")
             support = scene.object(asked.support_surface_name)
             found: Sequence[Placement] = place_candidates(scene.object(item), support, None)
-            return [GivenPlace(p.name, p.T_world_object, down) for p in found]
+            return [GivenPlace(p.name, p.T_world_object, self._down_to(p)) for p in found]
         order = sorted(enumerate(asked.place_locations), key=lambda kv: -float(kv[1].quality))
         return [
             self._location(scene, str(i), message, item, gripper, bool(asked.place_eef), down)
             for i, message in order
         ]
+
+    def _down_to(self, place: Placement) -> Way:
+        x, y, z = (-self._settings.lower_distance * n for n in place.normal)
+        return Way((x, y, z))
 
     def _location(
         self,
@@ -303,7 +313,8 @@ class PickPlaceNode:
                 match step:
                     case Motion():
                         message = trajectory_message(bus.schema, self._node.header(), step.trajectory)
-                        outcome = waited(cell.play(message), goal.cancel)
+                        work = cell.play(message, planned_in=step.planned_in)
+                        outcome = waited(work, goal.cancel)
                     case Grip():
                         outcome = waited(cell.drive(step.gripper, step.width, step.force), goal.cancel)
                     case Hold() | StillHeld():

@@ -7,9 +7,10 @@ That is Unity, or `armcell sim`, in its own process. What happened to a motion i
 from __future__ import annotations
 
 import logging
+import re
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from dataclasses import replace
 from typing import Any
 
@@ -20,12 +21,16 @@ from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointState
 from armcell.model import Gripper, RobotModel
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus
+from armcell.ros.complaints import Complaints
 from armcell.ros.convert import pose_from_message, trajectory_from_message
 from armcell.ros.moveit_convert.states import joint_state_from_message
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.conductor import Work
 from armcell.ros.nodes.gripping import TOPIC as GRIPPER
+from armcell.ros.nodes.gripping import around_tcp
+from armcell.ros.units import check_near, unit_fault
 from armcell.scene import WORLD, PlanningScene
+from armcell.tasks.guard import PathGuard
 
 logger = logging.getLogger(__name__)
 STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint states
@@ -85,6 +90,8 @@ class RemoteCell:
             for g in grippers
         }
         self._said: list[str] = []
+        self._complaints = Complaints()
+        self._refused = ""  # why the last joint states were not taken
         self._announces = False  # the simulator says when a motion begins
 
     def close(self) -> None:
@@ -93,6 +100,11 @@ class RemoteCell:
             member.close()
 
     # --- what comes in ---
+    def _complain(self, text: str) -> None:
+        """Thirty bad messages a second are one line in the log."""
+        if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
+            logger.warning("%s", text)
+
     def _on_joints(self, message: Any) -> None:
         try:
             state = joint_state_from_message(message, self.model)
@@ -103,11 +115,14 @@ class RemoteCell:
                 by_name = dict(zip(message.name, message.velocity))
                 velocities = np.array([float(by_name[n]) for n in state.joint_names])
             state = JointState(state.joint_names, state.positions, velocities)
+            if fault := unit_fault(self.model, state.joint_names, state.positions.tolist()):
+                raise InputError("positions far outside the limits", cure=fault)
         except InputError as error:
-            logger.warning("/joint_states: %s", error)
+            self._refused = f"; the last one was refused: {error}"
+            self._complain(f"/joint_states: {error}")
             return
         with self._lock:
-            self._joints, self._at = state, time.monotonic()
+            self._joints, self._at, self._refused = state, time.monotonic(), ""
 
     def _on_clock(self, message: Any) -> None:
         self._bus.clock.set(message.clock.to_sec())
@@ -125,8 +140,9 @@ class RemoteCell:
                 T = (SE3.identity() if known else self._scene.frame_pose(frame)) @ pose_from_message(
                     message.pose
                 )
+                check_near(T)
             except InputError as error:
-                logger.warning("pose of %s: %s", name, error)
+                self._complain(f"pose of {name}: {error}")
                 return
             with self._lock:
                 self._poses[name] = T
@@ -152,11 +168,13 @@ class RemoteCell:
             state, at = self._joints, self._at
         if state is None:
             raise InputError(
-                "no /joint_states yet", cure="is the simulator running, connected, and publishing them?"
+                f"no /joint_states yet{self._refused}",
+                cure="is the simulator running, connected, and publishing them?",
             )
         if time.monotonic() - at > STALE:
             raise InputError(
-                f"no /joint_states for {time.monotonic() - at:.1f} s", cure="the simulator stands or is gone"
+                f"no /joint_states for {time.monotonic() - at:.1f} s{self._refused}",
+                cure="the simulator stands or is gone",
             )
         return state
 
@@ -172,9 +190,9 @@ class RemoteCell:
             if name in scene.objects:
                 scene = scene.with_object_pose(name, T)
         for gripper in model.grippers.values():
-            item = self._between(scene, gripper)
-            if item is not None and self._grips(gripper, state):
-                scene = scene.with_attached(item, gripper.tcp_link, gripper.hand_links)
+            between = around_tcp(scene, gripper, HELD_MARGIN)
+            if between and self._grips(gripper, state):
+                scene = scene.with_attached(between[0].name, gripper.tcp_link, gripper.hand_links)
         return scene
 
     def _await_poses(self) -> None:
@@ -194,15 +212,6 @@ class RemoteCell:
         if target is None or gripper.joint_name not in state.joint_names:
             return False
         return gripper.width(state[gripper.joint_name]) > max(target, 0.0) + 0.002
-
-    def _between(self, scene: PlanningScene, gripper: Gripper) -> str | None:
-        tcp = scene.frame_pose(gripper.tcp_link).translation
-        for item in scene.objects.values():
-            low, high = item.bounds()
-            point = item.T_world_object.inv().apply(tcp)
-            if item.movable and np.all(point >= low - HELD_MARGIN) and np.all(point <= high + HELD_MARGIN):
-                return item.name
-        return None
 
     def held(self, gripper: Gripper) -> str | None:
         bodies = self.scene().attached
@@ -262,7 +271,32 @@ class RemoteCell:
         others[0].wait(0.05)
         return False
 
-    def play(self, message: Any, settings: ExecutionSettings = ExecutionSettings()) -> Work:
+    # --- what a guard asks ---
+    @property
+    def base(self) -> PlanningScene:
+        with self._lock:
+            return self._scene
+
+    def measured(self) -> Set[str]:
+        with self._lock:
+            return set(self._poses)
+
+    def clock(self) -> float:
+        return time.monotonic()
+
+    @property
+    def keeps_time(self) -> bool:
+        return False  # whether the simulator does is not known
+
+    def emit(self, kind: str, text: str, **data: Any) -> None:
+        logger.warning("%s: %s", kind, text)
+
+    def play(
+        self,
+        message: Any,
+        settings: ExecutionSettings = ExecutionSettings(),
+        planned_in: PlanningScene | None = None,
+    ) -> Work:
         trajectory = trajectory_from_message(message, self.model, self.joints())
         if not len(trajectory.times):
             joints = trajectory.joint_names or self.model.joint_names
@@ -273,7 +307,8 @@ class RemoteCell:
             with self._lock:
                 self._said.clear()
             self._trajectories.publish(message)
-            return self._follow(work, trajectory)
+            guard = PathGuard(self, trajectory, planned_in, work.cancel)
+            return guard.judged(self._follow(trajectory, guard))
 
         return self._begin(Work("trajectory", trajectory.joint_names, trajectory=trajectory), follow)
 
@@ -291,12 +326,12 @@ class RemoteCell:
                 cure="plan again from its state",
             )
 
-    def _follow(self, work: Work, trajectory: JointTrajectory) -> ExecutionResult:
+    def _follow(self, trajectory: JointTrajectory, cancel: threading.Event) -> ExecutionResult:
         names, end = trajectory.joint_names, trajectory.positions[-1]
         give_up = time.monotonic() + FACTOR * trajectory.duration + GRACE
         error = np.inf
         while time.monotonic() < give_up and not self._closed.is_set():
-            if work.cancel.is_set():
+            if cancel.is_set():
                 self.stop_joints(names)
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
             with self._lock:

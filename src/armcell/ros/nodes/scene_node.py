@@ -9,6 +9,7 @@ from typing import Any
 
 from armcell.core import InputError
 from armcell.ros.bus import Bus
+from armcell.ros.complaints import Complaints
 from armcell.ros.moveit_convert import (
     Components,
     attached_changes,
@@ -36,6 +37,7 @@ class SceneNode:
     def __init__(self, cell: CellAccess, bus: Bus):
         self._cell, self._bus = cell, bus
         self._stop, self._changed = threading.Event(), threading.Event()
+        self._complaints = Complaints()
         self._out = [bus.advertise(name, "moveit_msgs/PlanningScene", latch=True) for name in MONITORED]
         self._members: list[Any] = [
             bus.serve("/get_planning_scene", "moveit_msgs/GetPlanningScene", self._get),
@@ -99,7 +101,8 @@ class SceneNode:
             try:
                 self._change(diff, message)
             except InputError as error:
-                logger.warning("%s refused: %s", message._type, error)
+                if self._complaints.is_new(f"{message._type}: {error}"):
+                    logger.warning("%s refused: %s", message._type, error)
 
         return take
 

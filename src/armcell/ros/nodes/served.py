@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from contextlib import ExitStack
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 
 from armcell.cell import Cell, LiveCell
 from armcell.planning import prepare, warm_up
@@ -53,19 +54,23 @@ class ServedCell:
         except BaseException as error:  # said by whoever waits for it
             self.failure = error
 
-    def start(self, poll: float = 0.1) -> None:
+    def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
         """Connect the cell and serve it; returns when it is ready.
 
+        Args:
+            layer: around "drivers" and "planner" (`cell.health`).
         Raises:
             What made it end, where it ended before it was ready.
         """
         describe(self.bus, self.live.model)
-        self.thread.start()
-        while not self.node.ready.wait(poll):
-            if not self.thread.is_alive():
-                raise self.failure or RuntimeError("the cell ended before it was ready")
-        if self._plan:
-            _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
+        with layer("drivers"):
+            self.thread.start()
+            while not self.node.ready.wait(poll):
+                if not self.thread.is_alive():
+                    raise self.failure or RuntimeError("the cell ended before it was ready")
+        with layer("planner"):
+            if self._plan:
+                _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
 
     def close(self) -> None:
         """Stop what moves and leave the bus."""

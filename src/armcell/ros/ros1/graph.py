@@ -59,10 +59,10 @@ class Ros1Graph:
     ):
         self.bus, self.settings, self._on_end = bus, settings, on_end
         self.master: Ros1Master | None = None  # our own
-        self.node: Ros1Node = None  # type: ignore[assignment]  # from `start` on
-        self.bridge: BusBridge = None  # type: ignore[assignment]
+        self.node: Ros1Node  # this and the next from `start` on
+        self.bridge: BusBridge
         self.ended, self.reason = threading.Event(), ""
-        self.rosout: RosOut = None  # type: ignore[assignment]
+        self.rosout: RosOut | None = None
         self._stack = ExitStack()
 
     def start(self) -> None:
@@ -80,9 +80,9 @@ class Ros1Graph:
             node.start()
             self._join_parameters(stack, names)
             # The bus's own names are without the namespace, that of the node, too.
-            self.rosout = RosOut(self.bus, f"/{settings.name}", aggregate=self.master is not None)
-            stack.callback(self.rosout.close)
-            self.rosout.start()
+            self.rosout = rosout = RosOut(self.bus, f"/{settings.name}", aggregate=self.master is not None)
+            stack.callback(rosout.close)
+            rosout.start()
             self._follow_clock(stack)
             self.bridge = BusBridge(self.bus, node, names)
             stack.callback(self.bridge.close)

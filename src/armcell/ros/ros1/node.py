@@ -17,6 +17,7 @@ from typing import Any
 from armcell.core import InputError
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError
+from armcell.ros.complaints import Complaints
 from armcell.ros.names import resolve
 from armcell.ros.ros1 import rpc
 from armcell.ros.ros1.header import Fields, encoded, receive
@@ -33,7 +34,6 @@ from armcell.ros.schema import Schema
 logger = logging.getLogger(__name__)
 CONNECTORS = 16  # connections that are being made at one time
 MAX_SUBSCRIBERS = 2048  # connections of all topics together
-MAX_COMPLAINTS = 100  # different ones that are logged
 
 
 class Ros1Node:
@@ -55,14 +55,15 @@ class Ros1Node:
         self._publications: dict[str, Publication] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._services: dict[str, ServedService] = {}
-        self.mistakes = 0  # connections that were refused or made no sense
-        self._complaints: set[str] = set()
+        self._complaints = Complaints()
         self._reactor = Reactor(f"ros1 {self.name}")
         self._executor = ThreadPoolExecutor(CONNECTORS, f"ros1 connect {self.name}")
         self._caller = Caller(self.name, schema, settings.timeout, settings.max_message)
         self._rpc = RpcServer(settings.bind, 0, self._methods(), f"ros1 xml-rpc {self.name}")
         self._tcpros = Listener(settings.bind, 0, self._connected, f"ros1 tcpros {self.name}")
-        self.registrar: Registrar = None  # type: ignore[assignment]  # from `start` on
+        self.registrar = Registrar(
+            self.master, self.name, lambda: self.uri, settings.timeout, self._publishers_are, self._end
+        )
         self._closed = False
 
     # --- life ---
@@ -86,9 +87,6 @@ class Ros1Node:
         self._rpc.start()
         self._tcpros.start()
         self._reactor.start()
-        self.registrar = Registrar(
-            self.master, self.name, self.uri, self.settings.timeout, self._publishers_are, self._end
-        )
         self.registrar.start()
 
     def close(self) -> None:
@@ -97,8 +95,7 @@ class Ros1Node:
             if self._closed:
                 return
             self._closed = True
-        if self.registrar is not None:
-            self.registrar.close()
+        self.registrar.close()
         self._caller.close()
         self._rpc.close()
         self._tcpros.close()
@@ -115,6 +112,11 @@ class Ros1Node:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    @property
+    def mistakes(self) -> int:
+        """Connections that were refused or made no sense."""
+        return self._complaints.total
 
     @property
     def uri(self) -> str:
@@ -298,7 +300,7 @@ class Ros1Node:
         self._on_shutdown(reason)
 
     def _publisher_update(self, caller: str, topic: str, publishers: list[str]) -> Answer:
-        self._publishers_are(topic, publishers)
+        self.registrar.publishers_are(topic, publishers)
         return 1, "", 0
 
     def _publishers_are(self, topic: str, uris: list[str]) -> None:
@@ -375,11 +377,5 @@ class Ros1Node:
 
     def _complain(self, peer: str, text: str) -> None:
         """Log once per kind, count all."""
-        kind = re.sub(r"[0-9]+", "", text[:200])
-        with self._lock:
-            self.mistakes += 1
-            first = kind not in self._complaints and len(self._complaints) < MAX_COMPLAINTS
-            if first:
-                self._complaints.add(kind)
-        if first:
+        if self._complaints.is_new(re.sub(r"[0-9]+", "", text[:200])):
             logger.warning("TCPROS: %s: %s", peer, " ".join(text[:400].split()))

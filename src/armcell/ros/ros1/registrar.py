@@ -13,6 +13,7 @@ from armcell.ros.ros1.rpc import ERROR, RpcError, ask
 
 logger = logging.getLogger(__name__)
 CHECK_PERIOD = 1.0  # [s] between two looks whether the master still knows us
+OVERTAKEN = 10  # times to ask again; then the news stands
 GOODBYE = 1.0  # [s] for each word with the master while closing
 
 
@@ -31,13 +32,14 @@ class Registrar:
     """Runs from `start` to `close`.
 
     Args:
-        caller, uri: the node's name and the address of its XML-RPC server.
+        caller: the node's name.
+        uri: gives the address of its XML-RPC server, which is known once it has started.
         on_publishers: told the publishers of a topic that was subscribed to.
         on_replaced: told when another node has taken the name.
     """
 
     def __init__(
-        self, master: str, caller: str, uri: str, timeout: float,
+        self, master: str, caller: str, uri: Callable[[], str], timeout: float,
         on_publishers: Callable[[str, list[str]], None], on_replaced: Callable[[str], None],
     ):  # fmt: skip
         self.master, self._caller, self._uri, self._timeout = master, caller, uri, timeout
@@ -46,6 +48,8 @@ class Registrar:
         self._wanted: dict[Entry, str] = {}  # to type, or a service's address
         self._done: dict[Entry, str] = {}
         self._refused: set[Entry] = set()
+        self._telling = threading.Lock()
+        self._asking, self._overtaken = "", False  # a topic, and whether news of it came in the meantime
         self._stop = False
         self.on_return: Callable[[], None] = lambda: None  # called when a new master knows nothing of us
         self.reachable = True
@@ -65,6 +69,13 @@ class Registrar:
         with self._changed:
             self._wanted.pop(Entry(kind, name), None)
             self._changed.notify_all()
+
+    def publishers_are(self, topic: str, uris: list[str]) -> None:
+        """The master's news."""
+        with self._telling:
+            if topic == self._asking:
+                self._overtaken = True
+            self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
         """Whether the master knows everything, after waiting for that."""
@@ -99,12 +110,13 @@ class Registrar:
                 changed = self._changed.wait_for(lambda: self._differences() or self._stop, CHECK_PERIOD)
                 if self._stop:
                     return
-                todo = self._differences()
             try:
-                if not (changed and self.reachable):
+                # Before news, too: a master that came back unnoticed would know the news alone and so
+                # seem to know us.
+                if self._done or not (changed and self.reachable):
                     self._check()
-                    with self._changed:
-                        todo = self._differences()
+                with self._changed:
+                    todo = self._differences()
                 for entry, what in todo:
                     if self._stop:
                         return
@@ -120,7 +132,10 @@ class Registrar:
                 self._changed.notify_all()
             return
         try:
-            answer = self._tell("register", entry, what, self._timeout)
+            if entry.kind is Kind.SUBSCRIBER:
+                self._subscribe(entry, what)
+            else:
+                self._tell("register", entry, what, self._timeout)
         except RpcError as error:
             if error.code is None:
                 raise
@@ -132,15 +147,25 @@ class Registrar:
         with self._changed:
             self._done[entry] = what
             self._changed.notify_all()
-        if entry.kind is Kind.SUBSCRIBER and isinstance(answer, list):
-            self._on_publishers(entry.name, [str(uri) for uri in answer])
+
+    def _subscribe(self, entry: Entry, what: str) -> None:
+        """Register, until no news of the master has overtaken its answer: which is newer, nobody can say."""
+        for _ in range(OVERTAKEN):
+            with self._telling:
+                self._asking, self._overtaken = entry.name, False
+            answer = self._tell("register", entry, what, self._timeout)
+            with self._telling:
+                if not self._overtaken:
+                    if isinstance(answer, list):
+                        self._on_publishers(entry.name, [str(uri) for uri in answer])
+                    return
 
     def _tell(self, verb: str, entry: Entry, what: str, timeout: float) -> object:
         arguments = [self._caller, entry.name]
         if verb == "register":
-            arguments += [what, self._uri]
+            arguments += [what, self._uri()]
         else:
-            arguments.append(what if entry.kind is Kind.SERVICE else self._uri)
+            arguments.append(what if entry.kind is Kind.SERVICE else self._uri())
         return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
@@ -158,7 +183,7 @@ class Registrar:
             with self._changed:
                 self._done.clear()
             self.on_return()
-        elif known not in (None, self._uri):
+        elif known not in (None, self._uri()):
             self._on_replaced(f"another node has the name {self._caller} now")
 
     def _lost(self, error: RpcError) -> None:

@@ -13,6 +13,7 @@ from typing import Protocol
 
 from armcell.core import ArmcellError, InputError
 from armcell.ros.codec import WireError
+from armcell.ros.complaints import Complaints
 from armcell.ros.ros1.header import LENGTH, Fields, encoded, receive
 from armcell.ros.ros1.publication import ANY
 from armcell.ros.ros1.reactor import Reactor
@@ -20,7 +21,6 @@ from armcell.ros.ros1.rpc import RpcError, ask
 
 logger = logging.getLogger(__name__)
 RECEIVE_BYTES = 256 << 10
-MAX_SAID = 100  # different complaints of one topic that are logged
 FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] between two attempts, doubled each time
 
 
@@ -56,7 +56,7 @@ class Subscription:
         self._own_uri, self._executor = own_uri, executor
         self._lock = threading.Lock()
         self._links: dict[str, PublisherLink] = {}
-        self._said: set[str] = set()
+        self._complaints = Complaints()
         self._closed = False
 
     def links(self) -> list[PublisherLink]:
@@ -88,11 +88,7 @@ class Subscription:
                 self._executor.submit(link.connect)
 
     def say_once(self, text: str) -> None:
-        with self._lock:
-            first = text not in self._said and len(self._said) < MAX_SAID
-            if first:
-                self._said.add(text)
-        if first:
+        if self._complaints.is_new(text):
             logger.warning("%s: %s", self.topic, text)
 
     def close(self) -> None:
@@ -111,7 +107,7 @@ class PublisherLink:
     def __init__(self, subscription: Subscription, uri: str):
         self.uri, self._of = uri, subscription
         self.number = next(self._numbers)
-        self.sock: socket.socket = None  # type: ignore[assignment]  # once connected
+        self.sock: socket.socket  # once connected
         self.publisher = ""  # the other node's name
         self.received = self.received_bytes = 0
         self.connected = False

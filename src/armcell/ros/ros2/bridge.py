@@ -147,7 +147,7 @@ class Ros2Bridge:
             len(self._servers),
             len(self._actions),
             context.dropped,
-            sum(context.complaints.values()),
+            context.complaints.total,
         )
 
     def topics(self) -> dict[str, str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from armcell.ros.bus import Bus
+from armcell.ros.complaints import Complaints
 from armcell.ros.ros2.codec import Ros2Codec
 from armcell.ros.ros2.dds import Participant, Reader, Sample, Writer
 from armcell.ros.ros2.graph import Announcer, Graph
@@ -36,7 +36,7 @@ class Context:
         self.participant = Participant(reach, codec)
         self.graph = Graph(self.participant, codec)
         self.announcer = Announcer(self.participant, codec, node)
-        self.complaints: Counter[str] = Counter()
+        self.complaints = Complaints(MAX_COMPLAINTS)
         self.dropped = 0
         self._lock = threading.Lock()
         self._calls = 0
@@ -53,12 +53,7 @@ class Context:
 
     def complain(self, kind: str, text: str) -> None:
         """Log something once per kind; count the rest."""
-        with self._lock:
-            if kind not in self.complaints and len(self.complaints) >= MAX_COMPLAINTS:
-                kind = "more"
-            self.complaints[kind] += 1
-            first = self.complaints[kind] == 1
-        if first:
+        if self.complaints.is_new(kind):
             logger.warning("%s", text[:400])
 
     def has_dropped(self) -> None:
@@ -101,6 +96,8 @@ class Context:
         try:
             self._workers.submit(self._run, run, arguments)
         except RuntimeError:  # shut down
+            with self._lock:
+                self._calls -= 1
             return False
         return True
 

@@ -84,7 +84,7 @@ def library() -> SimpleNamespace:
         MissingExtraError: cyclonedds is not installed.
     """
     try:
-        from cyclonedds import _clayer, builtin
+        from cyclonedds import _clayer, builtin  # pyright: ignore[reportAttributeAccessIssue]
         from cyclonedds.internal import DDS
         from cyclonedds.qos import _CQos
     except ImportError:

@@ -12,10 +12,10 @@ import threading
 import time
 from typing import Any
 
+from armcell.core import ArmcellError
 from armcell.ros.actions import MAX_GOALS, State
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.context import Context
-from armcell.ros.ros2.dds import DdsError
 from armcell.ros.ros2.qos import DEFAULT, LATCHED
 from armcell.ros.ros2.services import Asked, Server
 
@@ -158,7 +158,7 @@ class ActionServing:
         while (message := self._inbox.get()) is not None:
             try:
                 self._on_message(message)
-            except DdsError as error:
+            except ArmcellError as error:
                 if not self._context.closed:
                     self._context.complain(f"action {self.name}", f"action {self.name}: {error}")
 

@@ -19,6 +19,7 @@ from typing import Any
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import Attachment, Bus, Publisher, Service, ServiceError
 from armcell.ros.codec import Codec
+from armcell.ros.complaints import Complaints
 from armcell.ros.names import resolve
 from armcell.ros.tcp.frames import CommandError, Frame, command, head, parameters
 from armcell.ros.tcp.link import Link
@@ -27,7 +28,6 @@ logger = logging.getLogger(__name__)
 WORKERS = 4  # service calls of one peer at a time
 MAX_CALLS = 64  # waiting and running
 MAX_REGISTRATIONS = 4096
-MAX_COMPLAINTS = 100  # different ones per connection
 SHOWN = 200  # characters of a peer's text in a log
 
 Params = dict[str, Any]
@@ -44,14 +44,14 @@ class Peer:
     def __init__(self, bus: Bus, codec: Codec, address: str, service_timeout: float, terminate: bool = False):
         self.bus, self.codec, self.address = bus, codec, address
         self.terminate = terminate
-        self.link: Link = None  # type: ignore[assignment]  # there before anything runs
+        self.link: Link  # whoever makes a peer sets it, before anything runs
         self.offered: dict[str, Attachment] = {}  # by the peer's own spelling of the name
         self.taken: dict[str, Publisher] = {}
         self.remote: dict[str, Service] = {}
         self.service_types: dict[str, str] = {}  # bus services the peer said it will call
         self.received: Counter[str] = Counter()
         self.sent: Counter[str] = Counter()
-        self.complaints: Counter[str] = Counter()
+        self.complaints = Complaints()
         self._service_timeout = service_timeout
         self._pending: tuple[bool, int] | None = None  # (is a request, srv_id): the next frame's meaning
         self._numbers = itertools.count(1001)
@@ -71,12 +71,7 @@ class Peer:
 
     def complain(self, kind: str, text: str) -> None:
         """Tell the peer and log it, once per kind; count the rest."""
-        with self._lock:
-            if kind not in self.complaints and len(self.complaints) >= MAX_COMPLAINTS:
-                kind = "more"
-            self.complaints[kind] += 1
-            first = self.complaints[kind] == 1
-        if first:
+        if self.complaints.is_new(kind):
             logger.warning("%s: %s", self.address, text[: 2 * SHOWN])
             self.tell_error(text)
 
@@ -216,6 +211,8 @@ class Peer:
         topic = frame.destination
         publisher = self.taken.get(topic)
         if publisher is None:
+            if self.link.is_over:  # what was on its way when the connection ended
+                return
             known = ", ".join(sorted(self.taken)[:20]) or "none"
             self.complain(
                 f"topic {topic}", f"{topic[:80]!r} is not registered for publishing; registered: {known}"

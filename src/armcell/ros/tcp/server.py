@@ -234,7 +234,7 @@ class _Session(Peer):
             dict(self.sent),
             sum(self.link.outbox.dropped.values()),
             self.link.outbox.waiting_bytes,
-            sum(self.complaints.values()),
+            self.complaints.total,
         )
 
     # --- the handshake: the first frame a client gets says which encoding it will get ---

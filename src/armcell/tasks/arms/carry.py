@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -12,31 +13,32 @@ from numpy.typing import NDArray
 from armcell.collision import neighbours
 from armcell.collision.arms import Arms, merged, without_arm
 from armcell.control.admittance import Admittance, AdmittanceSettings
-from armcell.control.coupled import execute_coupled
 from armcell.core import (
     SE3,
     SO3,
     CartesianRequest,
     ErrorCode,
-    Goal,
     InputError,
     JointGoal,
     JointState,
     JointTrajectory,
     Outcome,
-    PlanRequest,
+    PlanResult,
 )
 from armcell.core.checks import require
 from armcell.grasping import grip_force, pre_opening
 from armcell.kinematics import ik_solver, kinematic_tree
-from armcell.planning import plan_cartesian, plan_together
-from armcell.planning.arms.carry import Carried, plan_carry
+from armcell.planning import plan_cartesian
+from armcell.planning.arms.carried import Carried
+from armcell.planning.arms.carry import plan_carry
 from armcell.scene import PlanningScene
+from armcell.tasks.arms.coupled import move_together, play
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import staged
 from armcell.timing import reversed_in_time, synchronized
 
 Array = NDArray[np.float64]
+GRASPS = 6  # that a way round is searched for with, where no grasp can go straight
 SLIP_EVERY = 10  # ticks between two looks at where the object is in the hand
 DONE = Outcome(ErrorCode.SUCCESS)
 
@@ -52,12 +54,14 @@ class CarrySettings:
     max_turn: float = 1.7453e-3  # [rad] of the same: 0.1 degree
     max_squeeze: float = 30.0  # [N] that the hands push or pull against each other: more stops both arms
     approach: float = 0.1  # [m] straight before the grasp
+    planning_time: float = 10.0  # [s] for ways round obstacles; 0: only straight ways are taken
     settle: float = 0.4  # [s] after closing and after opening
     admittance: AdmittanceSettings = AdmittanceSettings()
 
     def __post_init__(self) -> None:
         for name in ("max_off", "max_turn", "max_squeeze", "approach", "max_speed"):
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
+        require(self.planning_time >= 0, f"planning_time is {self.planning_time:g}, it must be at least 0")
 
 
 @dataclass
@@ -125,26 +129,42 @@ class Carrying:
         """Both arms to the ends, together, and close.
 
         Args:
-            route: poses the object will be carried through; postures that cannot are not taken.
+            route: poses the object will be carried through; postures that cannot are not taken. Those that
+                can go straight come first, then those for which a way round is found.
         """
         if self._held is not None:
             raise InputError(f"{self.item!r} is in both hands already")
         scene = self.ctx.scene()
-        why = "no grasp was tried"
+        why, others = "no grasp was tried", []
         for hands in self._hands(scene):
             if isinstance(hands, str):
                 why = hands
                 continue
-            approaches, at_grasp, grasps = hands
             if route:
-                trial = self._attached(scene.with_state(at_grasp))
-                carried = Carried(self.item, grasps, self.tips)
-                ahead = self._plan(trial, carried, scene.object(self.item).T_world_object, route)
+                ahead = self._ahead(scene, hands, route, 0.0)
                 if not ahead.ok:
                     why = ahead.message
+                    others.append(hands)
                     continue
-            return self._take(approaches, why)
+            return self._take(hands[0], why)
+        end = time.monotonic() + self.settings.planning_time
+        others = others[:GRASPS]
+        for k, hands in enumerate(others):
+            seconds = (end - time.monotonic()) / (len(others) - k)
+            if seconds <= 0 or self.ctx.cancel.is_set():
+                break
+            ahead = self._ahead(scene, hands, route, seconds)
+            if ahead.ok:
+                return self._take(hands[0], why)
+            why = ahead.message
         return self._told(Outcome(ErrorCode.PLANNING_FAILED, f"grasp {self.item} with both arms: {why}"))
+
+    def _ahead(self, scene: PlanningScene, hands, route: Sequence[SE3], seconds: float) -> PlanResult:
+        """The motion along a route with these hands (see `_hands`), if there is one."""
+        _, at_grasp, grasps = hands
+        trial = self._attached(scene.with_state(at_grasp))
+        carried = Carried(self.item, grasps, self.tips)
+        return self._plan(trial, carried, scene.object(self.item).T_world_object, route, seconds)
 
     def _hands(self, scene: PlanningScene):
         """Approaches of both arms that can be made together, with the state at the grasp; or why not."""
@@ -255,11 +275,11 @@ class Carrying:
 
     # --- with the object ---
     def move(self, *poses: SE3, name: str = "carry") -> Outcome:
-        """Carry the object through poses (T_world_object), at rest in each."""
+        """Carry the object through poses (T_world_object), at rest in each: straight, or round obstacles."""
         held = self._known()
         start = self._hands_at(held.q)[self.groups[0]] @ held.carried.grasps[self.groups[0]].inv()
         scene = self._attached(self.ctx.scene().with_state(JointState(self.names, held.q)))
-        result = self._plan(scene, held.carried, start, poses)
+        result = self._plan(scene, held.carried, start, poses, self.settings.planning_time)
         report = StageReport(name, "carry", result.planning_time)
         if not result.ok or result.trajectory is None:
             return self._told(Outcome(result.code, f"{name}: {result.message}", result.evidence))
@@ -323,13 +343,22 @@ class Carrying:
     def _attached(self, scene: PlanningScene) -> PlanningScene:
         """The object in the first hand; both hands and what it rests on may touch it."""
         first, second = (self.grippers[g] for g in self.groups)
-        supports = self._held.supports if self._held is not None else neighbours(scene, self.item)
+        supports = self._supports(scene)
         scene = scene.with_attached(self.item, first.tcp_link, first.hand_links)
         return scene.with_allowed(self.item, (*second.hand_links, *supports))
 
-    def _plan(self, scene: PlanningScene, carried: Carried, start: SE3, poses: Sequence[SE3]):
-        s = self.settings
-        return plan_carry(scene, self.both, carried, start, poses, s.velocity, s.acceleration, s.max_speed)
+    def _supports(self, scene: PlanningScene) -> tuple[str, ...]:
+        """What the object lies on, or lay on when it was taken."""
+        return self._held.supports if self._held is not None else tuple(neighbours(scene, self.item))
+
+    def _plan(
+        self, scene: PlanningScene, carried: Carried, start: SE3, poses: Sequence[SE3], seconds: float
+    ) -> PlanResult:
+        s, rests_on = self.settings, self._supports(self.ctx.scene())
+        return plan_carry(
+            scene, self.both, carried, start, poses, s.velocity, s.acceleration, s.max_speed, rests_on,
+            seconds, self.ctx.seed, self.ctx.cancel,
+        )  # fmt: skip
 
     def _hands_at(self, q: Array) -> dict[str, SE3]:
         full = self.ctx.driver.joint_state().positions.copy()
@@ -421,7 +450,7 @@ class Carrying:
     ) -> Outcome:  # fmt: skip
         return play(
             self.ctx,
-            _reordered(trajectory, self.names),
+            trajectory.reindexed(self.names),
             report or StageReport(name, "cartesian"),
             correct,
             watch,
@@ -431,51 +460,7 @@ class Carrying:
         return replace(outcome, evidence={**outcome.evidence, **self.record.as_dict()})
 
 
-def move_together(
-    ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
-) -> Outcome:
-    """Two arms to a goal each; they start and arrive together."""
-    s, scene = ctx.settings, ctx.scene()
-    template = PlanRequest(
-        next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
-        velocity_scaling=s.free.velocity, acceleration_scaling=s.free.acceleration, seed=ctx.seed,
-    )  # fmt: skip
-    pair = plan_together(scene, goals, both, template=template)
-    if not pair.ok or pair.trajectory is None:
-        ctx.emit("error", f"{name}: {pair.message}")
-        return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
-    report = StageReport(name, pair.how, pair.planning_time)
-    return play(ctx, _reordered(pair.trajectory, scene.model.group(both).joint_names), report)
-
-
-def play(
-    ctx: TaskContext, trajectory: JointTrajectory, report: StageReport,
-    correct: Callable | None = None, watch: Callable | None = None,
-) -> Outcome:  # fmt: skip
-    """A motion of coupled arms as a stage."""
-
-    def act() -> Outcome:
-        ctx.announce(trajectory)
-        return execute_coupled(
-            ctx.driver, trajectory, correct, watch, settings=ctx.settings.execution, cancel=ctx.cancel,
-            progress=lambda _: ctx.observe(),
-        )  # fmt: skip
-
-    return staged(ctx, report, act)
-
-
 def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
     """A pose moved in world directions and turned about the vertical through its origin."""
     turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
     return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))
-
-
-def _reordered(trajectory: JointTrajectory, names: tuple[str, ...]) -> JointTrajectory:
-    if trajectory.joint_names == names:
-        return trajectory
-    at = [trajectory.joint_names.index(n) for n in names]
-    v, a = trajectory.velocities, trajectory.accelerations
-    return JointTrajectory(
-        names, trajectory.times, trajectory.positions[:, at],
-        None if v is None else v[:, at], None if a is None else a[:, at],
-    )  # fmt: skip

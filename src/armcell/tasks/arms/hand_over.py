@@ -12,6 +12,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
+from armcell.tasks.interfaces import holding
 from armcell.tasks.recipes import planned
 from armcell.tasks.search import Draft, Planning, Stage
 from armcell.tasks.stages import ChooseGrasp, Close, Connect, Planned, Straight
@@ -85,6 +86,11 @@ class Meet:
     giver: Gripper
     poses: tuple[SE3, ...]
     name: str = "meeting"
+    gives = ("candidate", "meeting")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (holding(self.object),)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         scene, tcp = draft.scene, self.giver.tcp_link
@@ -105,6 +111,10 @@ class Offer:
     object: str
     giver: Gripper
     name: str = "offer"
+
+    @property
+    def takes(self) -> tuple[str, ...]:
+        return (holding(self.object),)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         scene = draft.scene.with_detached(self.object)

@@ -14,6 +14,7 @@ from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.core.checks import require
 from armcell.kinematics import kinematic_tree
 from armcell.tasks.context import StageReport, TaskContext
+from armcell.tasks.guard import guarded
 from armcell.tasks.steps import staged
 from armcell.timing.chords import chords
 
@@ -74,9 +75,12 @@ def screw(
 
     def act() -> Outcome:
         ctx.announce(trajectory)
-        result = execute_coupled(
-            ctx.driver, trajectory, turning.correct, turning.watch, settings=ctx.settings.execution,
-            cancel=ctx.cancel, progress=lambda _: ctx.observe(),
+        result = guarded(
+            ctx, trajectory, ctx.cancel,
+            lambda stop: execute_coupled(
+                ctx.driver, trajectory, turning.correct, turning.watch, settings=ctx.settings.execution,
+                cancel=stop, progress=lambda _: ctx.observe(),
+            ),
         )  # fmt: skip
         return replace(result, evidence={**result.evidence, **turning.evidence()})
 

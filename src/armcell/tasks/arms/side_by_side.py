@@ -66,6 +66,7 @@ def side_by_side(
         return run
 
     contexts = {group: ArmContext(ctx, group, ctx.driver, traffic) for group in groups}
+    ctx.at_work = tuple(contexts.values())
     cancelled = ctx.cancel.is_set()
     try:
         run_by_turns(
@@ -80,6 +81,7 @@ def side_by_side(
             ctx.reports += mine.reports
         ctx.reports.sort(key=lambda r: r.started_s)
         ctx.holding = {name: held for mine in contexts.values() for name, held in mine.holding.items()}
+        ctx.at_work = ()
     first = min(
         (o for o in outcomes.values() if not o.ok),
         key=lambda o: o.code is ErrorCode.PREEMPTED,

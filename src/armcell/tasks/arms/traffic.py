@@ -8,7 +8,7 @@ later goes home, which is out of the other's way, and comes back when the other 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ from armcell.core import (
 )
 from armcell.planning import RunningMotion, plan_beside
 from armcell.scene import PlanningScene
+from armcell.tasks.guard import guarded
 
 if TYPE_CHECKING:
     from armcell.tasks.arms.context import ArmContext
@@ -52,6 +53,7 @@ class Traffic:
         self.made_way: dict[str, int] = dict.fromkeys(groups, 0)
         self.searched: dict[str, int] = dict.fromkeys(groups, 0)  # motions found in space and time
         self._met: dict[str, set[str]] = {}
+        self._heading: dict[str, str] = {}  # the zone that an arm has chosen to go to
 
     def other(self, group: str) -> str:
         return self.groups[1] if group == self.groups[0] else self.groups[0]
@@ -147,9 +149,10 @@ class Traffic:
         """A motion of the traffic's own (making way, coming back), begun now."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory)
-        done = execute(
-            ctx.driver, trajectory, ctx.settings.execution, ctx.cancel, progress=lambda _: ctx.observe()
-        )
+        done = guarded(
+            ctx, trajectory, ctx.cancel,
+            lambda stop: execute(ctx.driver, trajectory, ctx.settings.execution, stop, ctx.progress),
+        )  # fmt: skip
         self.rest(ctx)
         return done.ok
 
@@ -206,6 +209,19 @@ class Traffic:
         return Outcome(ErrorCode.TIMED_OUT, text, {"contact": proof.contact})
 
     # --- zones and meetings ---
+    def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
+        """The first item whose zone the other arm neither has, waits for nor is heading for; else the first.
+
+        Args:
+            items: what is left to do, not empty.
+            zone: where each is to go.
+        """
+        other = self.other(group)
+        busy = {name for name, queue in self.zones.items() if other in queue} | {self._heading.get(other)}
+        item = next((i for i in items if zone(i) not in busy), items[0])
+        self._heading[group] = zone(item)
+        return item
+
     @contextmanager
     def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
         """A zone for one arm at a time, in the order they asked.
@@ -229,6 +245,7 @@ class Traffic:
             yield
         finally:
             queue.remove(ctx.group)
+            self._heading.pop(ctx.group, None)
 
     def meet(self, ctx: ArmContext, name: str) -> None:
         """Wait until the other arm gets to the same point of its program, or has ended it."""

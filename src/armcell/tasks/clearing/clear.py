@@ -125,7 +125,7 @@ def clear_bin(
         _remember_heap(ctx, here)
         grasp, outcome = _pick(ctx, gripper, here, bin, tally, s)
         if grasp is not None and outcome.ok:
-            outcome = _put(ctx, gripper, grasp, here.ground, tray_ground, look_at_tray, tally, s)
+            outcome = _put(ctx, gripper, grasp, here.ground, bin, tray_ground, look_at_tray, tally, s)
         if outcome.code is ErrorCode.PREEMPTED:
             continue
         if outcome.ok:
@@ -137,7 +137,7 @@ def clear_bin(
             return _ended(tally, outcome.code, outcome.message)
 
 
-_FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE)
+_FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
 
 
 def _ended(tally: Tally, code: ErrorCode, message: str) -> Outcome:
@@ -223,11 +223,13 @@ def _look(ctx: TaskContext, look: Look, ground: Ground, s: ClearSettings) -> See
 def _remember_heap(ctx: TaskContext, seen: Seen) -> None:
     """What was seen, as points in the planning scene."""
     points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
-    scene = ctx.base
-    if HEAP in scene.objects:
-        scene = scene.without_object(HEAP)
-    cloud = PointCloud(points, 2 * seen.map.resolution)
-    ctx.change_scene(scene.with_object(CollisionObject.single(HEAP, cloud)))
+    cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
+
+    def remembered(scene: PlanningScene) -> PlanningScene:
+        scene = scene.without_object(HEAP) if HEAP in scene.objects else scene
+        return scene.with_object(cloud)
+
+    ctx.change_scene(remembered)
 
 
 # --- moving ---
@@ -236,7 +238,7 @@ def _pick(
 ) -> tuple[HeapGrasp | None, Outcome]:
     """The best grasp that can be reached, lifted; None where nothing was tried."""
     hand, grasps = hand_of(ctx.base.model, gripper), []
-    for how in (s.grasps, _closer(s.grasps)):
+    for how in (s.grasps, _closer(s.grasps, 2), _closer(s.grasps, 3)):
         grasps = grasps_from_above(here.map, here.labels, here.ground.floor, hand, s.force, how, tally.avoid)
         if grasps:
             break
@@ -268,18 +270,27 @@ def _pick(
     return grasp, outcome
 
 
-def _closer(settings: AboveSettings) -> AboveSettings:
-    """For what stands close to a wall: with less room, more turns, and corners too."""
+def _closer(settings: AboveSettings, times: int) -> AboveSettings:
+    """For what stands close to a wall: with so many times less room, more turns, and corners too."""
     return replace(
-        settings, room=settings.room / 2, turns=2 * settings.turns, least_touch=settings.least_touch / 2
+        settings,
+        room=settings.room / times,
+        turns=times * settings.turns,
+        least_touch=settings.least_touch / 2,
     )
 
 
 def _give_way(ctx: TaskContext, gripper: Gripper, opening: float, bin: str, s: ClearSettings) -> None:
-    """Open as far as there was room and go straight up, as far as it goes; then out of the camera's view."""
+    """Let go and go straight up, as far as it goes; then out of the camera's view.
+
+    The fingers open where they press on something, and no farther than there was room before they closed:
+    they may stand elsewhere by now, and what lay beside them too.
+    """
     empty_handed(ctx)
-    t = ctx.settings
-    Grip("open", gripper, opening, gripper.max_force, t.release_settle).perform(ctx)
+    t, reading = ctx.settings, ctx.driver.gripper(gripper.name)
+    if holds(reading, s.thinnest):
+        width = min(reading.width + t.release_margin, opening)
+        Grip("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
     touching = ((HEAP, gripper.hand_links), (bin, gripper.hand_links))
     up = Straight("retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift), allow=touching)
     draft, _ = planned(ctx, [up], "retreat")
@@ -299,17 +310,24 @@ def _out_of_view(ctx: TaskContext, gripper: Gripper) -> None:
 
 
 def _put(
-    ctx: TaskContext, gripper: Gripper, grasp: HeapGrasp, source: Ground, tray: Ground, look: Look,
+    ctx: TaskContext, gripper: Gripper, grasp: HeapGrasp, source: Ground, bin: str, tray: Ground, look: Look,
     tally: Tally, s: ClearSettings,
 ) -> Outcome:  # fmt: skip
-    """Let go of what is held where the tray is lowest."""
+    """Let go of what is held where the tray is lowest; FAILURE where it is full."""
     seen = _look(ctx, look, tray, s)
     if isinstance(seen, Outcome):
         return seen
+    spots = _lowest(seen, s)
+    if not spots or spots[0][2] > tray.floor + s.pile:
+        _lay_back(ctx, gripper, grasp, bin, s)
+        lowest = f"the lowest place is {1000 * (spots[0][2] - tray.floor):.0f} mm up, at most "
+        room = f"{lowest}{1000 * s.pile:.0f} mm are allowed" if spots else "it is too small"
+        text = f"full: no room {tray.name}, {room}; what was held lies {source.name} again"
+        return Outcome(ErrorCode.FAILURE, f"{text} (empty the tray, or a greater `pile`)")
     hang = float(grasp.T_object_tcp.translation[2]) - source.floor + s.gap
     t = ctx.settings
     stages: list[Stage] = [
-        ChooseSpot(_lowest(seen, s), hang, gripper, t.near, t.lower_distance),
+        ChooseSpot(spots, hang, gripper, t.near, t.lower_distance),
         Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
         Planned("lower", "after_lower"),
         OpenAbove(gripper, t.release_margin, t.release_settle, s.thinnest),
@@ -328,6 +346,17 @@ def _put(
         Grip("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
         _out_of_view(ctx, gripper)
     return outcome
+
+
+def _lay_back(ctx: TaskContext, gripper: Gripper, grasp: HeapGrasp, bin: str, s: ClearSettings) -> None:
+    """Down again, the way it was lifted, and open."""
+    touching = ((HELD, (HEAP, bin)), (HEAP, gripper.hand_links))
+    down = (0.0, 0.0, s.gap - s.lift)
+    stage = Straight("lay back", gripper.arm_group, gripper.tcp_link, ctx.settings.near, down, allow=touching)
+    draft, _ = planned(ctx, [stage], "lay back")
+    if draft is not None:
+        perform_all(ctx, draft.steps)
+    _give_way(ctx, gripper, grasp.opening, bin, s)
 
 
 def _lowest(tray: Seen, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:

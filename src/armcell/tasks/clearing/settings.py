@@ -19,6 +19,7 @@ class ClearSettings:
     hand_room: float = 0.12  # around the bin that the map shows too: where the hand's back will be
     gap: float = 0.012  # between what is held and what is under it when the fingers open
     spot_radius: float = 0.05  # around the middle of a place that shall be low
+    pile: float = 0.10  # above the tray's floor: where it is higher everywhere, the tray is full
     most_misses: int = 8  # picks in a row that bring nothing
     most_picks: int = 60
     thinnest: float = 0.0015  # fingers closer together hold nothing
@@ -26,7 +27,7 @@ class ClearSettings:
     grasps: AboveSettings = AboveSettings()
 
     def __post_init__(self) -> None:
-        for name in ("force", "lift", "above_floor", "resolution", "gap", "spot_radius", "max_age"):
+        for name in ("force", "lift", "above_floor", "resolution", "gap", "spot_radius", "pile", "max_age"):
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
         for name in ("most_misses", "most_picks"):
             require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")

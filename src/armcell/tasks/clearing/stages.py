@@ -13,11 +13,12 @@ from armcell.grasping import HeapGrasp
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.clearing.steps import HELD, Drop, Squeeze, StillThere
+from armcell.tasks.interfaces import holding
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.grasp import approaches, finger_state
+from armcell.tasks.stages.grasp import APPROACH, approaches, finger_state
 from armcell.tasks.stages.moves import shifted, straight, with_contacts
-from armcell.tasks.stages.place import ways_down
+from armcell.tasks.stages.place import DESCENT, ways_down
 
 HEAP = "heap"
 """Name in the planning scene of the points that a camera saw in the bin."""
@@ -33,6 +34,7 @@ class ChooseFromHeap:
     speed: Speed
     distance: float  # [m] of the approach
     name: str = "grasp"
+    gives = APPROACH
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         for grasp in self.grasps:
@@ -52,6 +54,8 @@ class CloseOnHeap:
     settle: float
     thinnest: float
     name: str = "close"
+    needs = ("grasp",)
+    gives = (holding(HELD),)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         grasp: HeapGrasp = draft.data["grasp"]
@@ -85,6 +89,7 @@ class ChooseSpot:
     distance: float  # [m] of the way down
     turns: int = 8
     name: str = "spot"
+    gives = DESCENT
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         gripper = self.gripper
@@ -111,6 +116,8 @@ class OpenAbove:
     settle: float
     thinnest: float
     name: str = "open"
+    needs = (holding(HELD),)
+    takes = (holding(HELD),)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         joint = draft.scene.state[self.gripper.joint_name]

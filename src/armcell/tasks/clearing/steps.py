@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from armcell.control import GripperReading
 from armcell.core import SE3, ErrorCode, Outcome, Shape
 from armcell.model import Gripper
-from armcell.scene import CollisionObject
+from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.tasks.steps import DONE, Grip, staged
+from armcell.tasks.steps import DONE, Grip, not_held, staged
 
 HELD = "held thing"
 """Name in the planning scene of what the hand holds."""
@@ -45,14 +45,15 @@ class Squeeze:
         reading = driver.gripper(name)
         if not holds(reading, self.thinnest):
             return Outcome(ErrorCode.CONTROL_FAILED, f"closed on nothing ({reading.width * 1000:.1f} mm)")
-        scene = ctx.scene()
-        T = scene.frame_pose(self.gripper.tcp_link) @ self.T_tcp_shape
-        item = CollisionObject.single(HELD, self.shape, T, movable=True)
-        scene = scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
-        ctx.change_scene(scene)
+        ctx.change_scene(self._held)
         width, force = reading.width * 1000, reading.force_per_finger
         ctx.emit("grasp", f"holds something {width:.0f} mm wide with {force:.0f} N per finger")
         return DONE
+
+    def _held(self, scene: PlanningScene) -> PlanningScene:
+        T = scene.frame_pose(self.gripper.tcp_link) @ self.T_tcp_shape
+        item = CollisionObject.single(HELD, self.shape, T, movable=True)
+        return scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +67,7 @@ class StillThere:
         reading = ctx.driver.gripper(self.gripper.name)
         if holds(reading, self.thinnest):
             return DONE
-        text = f"lost it: the fingers are {reading.width * 1000:.1f} mm apart and feel nothing"
-        ctx.emit("grasp", text)
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return not_held(ctx, f"lost it: the fingers are {reading.width * 1000:.1f} mm apart and feel nothing")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +91,9 @@ def holds(reading: GripperReading, thinnest: float) -> bool:
 
 def empty_handed(ctx: TaskContext) -> None:
     """The planning scene without what was held."""
-    scene = ctx.base
-    if HELD in scene.attached:
-        scene = scene.with_detached(HELD)
-    if HELD in scene.objects:
-        scene = scene.without_object(HELD)
-    ctx.change_scene(scene)
+
+    def empty(scene: PlanningScene) -> PlanningScene:
+        scene = scene.with_detached(HELD) if HELD in scene.attached else scene
+        return scene.without_object(HELD) if HELD in scene.objects else scene
+
+    ctx.change_scene(empty)

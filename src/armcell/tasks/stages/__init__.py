@@ -1,5 +1,6 @@
 """Stages that recipes are made of."""
 
+from armcell.tasks.stages.fingers import MoveGripper
 from armcell.tasks.stages.given import (
     ChooseGivenGrasp,
     ChooseGivenPlace,
@@ -10,7 +11,7 @@ from armcell.tasks.stages.given import (
     Way,
 )
 from armcell.tasks.stages.grasp import ChooseGrasp, Close, Planned
-from armcell.tasks.stages.moves import Connect, Straight
+from armcell.tasks.stages.moves import Connect, Do, Straight, Upright
 from armcell.tasks.stages.place import ChoosePlacement, ExpectSupport, Open
 
 __all__ = [
@@ -20,13 +21,16 @@ __all__ = [
     "ChoosePlacement",
     "Close",
     "Connect",
+    "Do",
     "ExpectSupport",
     "GivenGrasp",
     "GivenPlace",
     "Leave",
     "Lift",
+    "MoveGripper",
     "Open",
     "Planned",
     "Straight",
+    "Upright",
     "Way",
 ]

@@ -13,11 +13,12 @@ from armcell.core import SE3, ErrorCode, PlanResult
 from armcell.grasping import RELEASE_GAP, Grasp
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
+from armcell.tasks.interfaces import holding
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.grasp import approaches
+from armcell.tasks.stages.grasp import APPROACH, approaches
 from armcell.tasks.stages.moves import moved, straight, with_contacts
-from armcell.tasks.stages.place import ways_down
+from armcell.tasks.stages.place import DESCENT, ways_down
 from armcell.tasks.steps import Expect, StillHeld
 
 UNDER = 0.006  # [m] what is that near to a place is what the object will stand on
@@ -57,6 +58,7 @@ class ChooseGivenGrasp:
     grasps: tuple[GivenGrasp, ...]
     speed: Speed
     name: str = "grasp"
+    gives = APPROACH
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         for grasp in self.grasps:
@@ -77,6 +79,7 @@ class Lift:
     supports: tuple[str, ...]
     speed: Speed
     name: str = "lift"
+    needs = ("grasp",)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         grasp: GivenGrasp = draft.data["grasp"]
@@ -86,10 +89,7 @@ class Lift:
         result = grasp.way_out.judged(
             straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
         )
-        if not result.ok or result.trajectory is None:
-            planning.reject(self.name, grasp.name, result.message)
-            return
-        yield moved(draft, self.name, result)
+        yield from moved(draft, planning, self.name, result, planned_in=scene)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +111,11 @@ class ChooseGivenPlace:
     places: tuple[GivenPlace, ...]
     speed: Speed
     name: str = "placement"
+    gives = (*DESCENT, "place")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (holding(self.object),)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         for place in self.places:
@@ -144,6 +149,7 @@ class Leave:
     distance: float  # [m] where the place says nothing
     speed: Speed
     name: str = "retreat"
+    needs = ("place",)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         place: GivenPlace = draft.data["place"]
@@ -154,10 +160,7 @@ class Leave:
         away = place.away or Way((float(back[0]), float(back[1]), float(back[2])), self.distance / 2)
         target = _moved_by(tcp, away.offset)
         result = away.judged(straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed))
-        if not result.ok or result.trajectory is None:
-            planning.reject(self.name, place.name, result.message)
-            return
-        yield moved(draft, self.name, result)
+        yield from moved(draft, planning, self.name, result, planned_in=scene)
 
 
 def standing_on(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:

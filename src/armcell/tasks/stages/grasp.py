@@ -13,6 +13,7 @@ from armcell.grasping import Grasp, grasp_candidates, hand_of, how_near
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
+from armcell.tasks.interfaces import holding
 from armcell.tasks.proof import Proof, prove, varied
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
@@ -21,6 +22,10 @@ from armcell.tasks.steps import Expect, Grip, Hold, Motion, Watch
 from armcell.timing import reversed_in_time
 
 SOLUTIONS_PER_POSE = 3  # arm configurations tried for one pose
+APPROACH = ("grasp", "candidate", "pre_grasp", "approach", "after_approach")
+"""What `approaches` gives to later stages."""
+Sieve = Callable[[PlanningScene], Callable[[Grasp], str]]
+"""From a scene, what says of a grasp why what comes later cannot be done with it; empty where it may."""
 SECONDS_BESIDES = 3.0  # [s] of a pick that are the same for every grasp: so long is approaching and closing
 
 
@@ -34,19 +39,37 @@ class ChooseGrasp:
     distance: float  # [m] of the approach
     excluded: tuple[str, ...] = ()
     wider: int = 1  # so many times as many candidates, where what comes next allows few
+    among: tuple[str, ...] = ()  # names of the only grasps to be used; all where empty
+    sieve: Sieve | None = None  # asked before any arm
     name: str = "grasp"
+    gives = (*APPROACH, "proof")
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         item, s = draft.scene.object(self.object), planning.settings
         grasps, rejected = grasp_candidates(item, hand_of(draft.scene.model, self.gripper))
         grasps = [g for g in grasps if g.name not in self.excluded]
+        if self.among:
+            grasps, rejected = [g for g in grasps if g.name in self.among], []
         proofs: dict[str, Proof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(draft, planning, item, grasps)
+        if self.sieve is not None:
+            grasps = self._sifted(planning, grasps, self.sieve(draft.scene))
         for grasp in grasps[: s.max_candidates * self.wider]:
             yield from self._approaches(draft, planning, grasp, proofs.get(grasp.name))
         for rejection in sorted(rejected, key=how_near):  # after those that came farther
             planning.reject(self.name, rejection.name, rejection.reason)
+
+    def _sifted(
+        self, planning: Planning, grasps: list[Grasp], why_not: Callable[[Grasp], str]
+    ) -> list[Grasp]:
+        kept = []
+        for grasp in grasps:
+            if reason := why_not(grasp):
+                planning.reject(self.name, grasp.name, reason)
+            else:
+                kept.append(grasp)
+        return kept
 
     def _proven(
         self, draft: Draft, planning: Planning, item: CollisionObject, grasps: list[Grasp]
@@ -117,7 +140,9 @@ def approaches(
             grasp=grasp,
             candidate=grasp.name,
             pre_grasp=approach.positions[0],
-            approach=Motion("approach", approach, "cartesian", result.planning_time, result.min_clearance),
+            approach=Motion(
+                "approach", approach, "cartesian", result.planning_time, result.min_clearance, scene
+            ),
             after_approach=at_grasp,
         )
     if found:
@@ -132,6 +157,10 @@ class Planned:
     scene: str
     name: str = "planned"
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return self.motion, self.scene
+
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         yield draft.then(draft.data[self.motion], scene=draft.data[self.scene])
 
@@ -145,6 +174,11 @@ class Close:
     supports: tuple[str, ...]
     settle: float
     name: str = "close"
+    needs = ("grasp",)
+
+    @property
+    def gives(self) -> tuple[str, ...]:
+        return (holding(self.object),)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         grasp: Grasp = draft.data["grasp"]

@@ -2,26 +2,61 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armcell.core import (
     SE3,
+    SO3,
     CartesianRequest,
+    Constraints,
+    ErrorCode,
     Goal,
     JointGoal,
     JointState,
     NamedGoal,
+    OrientationConstraint,
+    Outcome,
     PlanRequest,
     PlanResult,
 )
+from armcell.core.checks import require
 from armcell.planning import plan, plan_cartesian
 from armcell.scene import PlanningScene
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
-from armcell.tasks.steps import Motion
+from armcell.tasks.steps import Motion, Step
+
+LEAST_LEFT = 0.1  # share of a plan's time for which it is not worth beginning again
+MOST_AGAIN = 20  # times that a plan is begun, should a planner wait for something that is not the processor
+SEED_STEP = 1_000_003
+
+
+@dataclass(frozen=True)
+class Upright:
+    """An object that may lean no farther [rad] on the way from how it stands or hangs when that begins."""
+
+    object: str
+    lean: float
+
+    def __post_init__(self) -> None:
+        require(0 < self.lean < np.pi / 2, f"lean is {self.lean:g} rad, it must be above 0 and below pi / 2")
+
+    def constraints(self, scene: PlanningScene) -> Constraints:
+        """With the object's axis that is nearest to the vertical kept near it; about it, it may turn."""
+        R = scene.object(self.object).T_world_object.rotation.matrix
+        k = int(np.argmax(np.abs(R[2])))
+        axis, up = R[:, k], np.array([0.0, 0.0, np.sign(R[2, k])])
+        across = np.cross(axis, up)
+        sine = float(np.linalg.norm(across))
+        turn = SO3.exp(across / sine * np.arctan2(sine, axis @ up)) if sine > 1e-9 else SO3.identity()
+        tolerance = [self.lean / np.sqrt(2)] * 3  # about two axes: together no more than `lean`
+        tolerance[k] = np.pi
+        x, y, z = tolerance
+        return Constraints(orientations=(OrientationConstraint(turn @ SO3(R), (x, y, z), link=self.object),))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +69,11 @@ class Connect:
     speed: Speed
     target: str | None = None
     goal: Goal | None = None
+    upright: Upright | None = None  # what is carried stays so all along the motion
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return () if self.goal is not None else (self.target or "a goal",)
 
     def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
         names = draft.scene.model.group(self.group).joint_names
@@ -43,12 +83,24 @@ class Connect:
             self.group, (goal,), planner_id=planning.settings.planner_id,
             planning_time=max(seconds, 0.01), velocity_scaling=self.speed.velocity,
             acceleration_scaling=self.speed.acceleration, seed=planning.seed,
+            path_constraints=self.upright.constraints(draft.scene) if self.upright else Constraints(),
         )  # fmt: skip
-        result = plan(draft.scene, request, planning.cancel)
-        if not result.ok or result.trajectory is None:
-            planning.reject(self.name, draft.data.get("candidate", ""), result.message, result)
-            return
-        yield moved(draft, self.name, result)
+        result = _planned(draft.scene, request, planning)
+        yield from moved(draft, planning, self.name, result, result)
+
+
+def _planned(scene: PlanningScene, request: PlanRequest, planning: Planning) -> PlanResult:
+    """A plan within so much CPU time. Planners look at the wall clock, which runs on while other programs
+    have the processor: what they did not get they get then, with other seeds."""
+    began = time.thread_time()
+    result = plan(scene, request, planning.cancel)
+    for again in range(1, MOST_AGAIN):
+        left = request.planning_time - (time.thread_time() - began)
+        if result.code is not ErrorCode.TIMED_OUT or left < LEAST_LEFT * request.planning_time:
+            break
+        seed = request.seed + again * SEED_STEP
+        result = plan(scene, replace(request, planning_time=left, seed=seed), planning.cancel)
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +119,18 @@ class Straight:
         scene = with_contacts(draft.scene, self.allow)
         target = shifted(scene.frame_pose(self.link), self.offset, self.in_tip_frame)
         result = straight(scene, self.group, self.link, target, self.speed)
-        if not result.ok or result.trajectory is None:
-            # Without the result: this start is the candidate's, in collision it is no reason to give up all.
-            planning.reject(self.name, draft.data.get("candidate", ""), result.message)
-            return
-        yield moved(draft, self.name, result)
+        yield from moved(draft, planning, self.name, result, planned_in=scene)
+
+
+@dataclass(frozen=True, eq=False)
+class Do:
+    """Steps that need no planning."""
+
+    name: str
+    steps: tuple[Step, ...]
+
+    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+        yield draft.then(*self.steps)
 
 
 def straight(scene: PlanningScene, group: str, link: str, target: SE3, speed: Speed) -> PlanResult:
@@ -95,12 +154,34 @@ def with_contacts(scene: PlanningScene, allow: tuple[tuple[str, tuple[str, ...]]
     return scene
 
 
-def moved(draft: Draft, name: str, result: PlanResult) -> Draft:
-    """The draft after a planned motion."""
+def moved(
+    draft: Draft, planning: Planning, name: str, result: PlanResult, outcome: Outcome | None = None,
+    planned_in: PlanningScene | None = None,
+) -> Iterator[Draft]:  # fmt: skip
+    """The draft after a planned motion, if that was found; else the candidate is rejected.
+
+    Args:
+        outcome: of a motion from where the robot is, for its code. Not of one from a candidate's state: that
+            such a start is in collision is no reason to give up all.
+        planned_in: the draft's scene with the contacts of this motion, where it has such.
+    """
     trajectory = result.trajectory
-    assert trajectory is not None
-    motion = Motion(name, trajectory, result.planner_id, result.planning_time, result.min_clearance)
-    return draft.then(motion, scene=draft.scene.with_state(trajectory.end))
+    if not result.ok or trajectory is None:
+        planning.reject(name, draft.data.get("candidate", ""), result.message, outcome)
+        return
+    scene = draft.scene if planned_in is None else planned_in
+    motion = Motion(name, trajectory, result.planner_id, result.planning_time, result.min_clearance, scene)
+    yield draft.then(motion, scene=draft.scene.with_state(trajectory.end))
 
 
-__all__ = ["Connect", "NamedGoal", "Straight", "moved", "shifted", "straight", "with_contacts"]
+__all__ = [
+    "Connect",
+    "Do",
+    "NamedGoal",
+    "Straight",
+    "Upright",
+    "moved",
+    "shifted",
+    "straight",
+    "with_contacts",
+]

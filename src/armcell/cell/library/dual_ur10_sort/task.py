@@ -12,9 +12,14 @@ SLOTS = [(x, y) for y in (0.055, -0.055) for x in (-0.11, 0.0, 0.11)]  # [m] on 
 def task(cell):
     taken = {"red_tray": [], "blue_tray": []}
 
+    def tray_of(cube):
+        return "red_tray" if "_red_" in cube else "blue_tray"
+
     def sort(arm, stream):
-        for cube in stream:
-            tray = "red_tray" if "_red_" in cube else "blue_tray"
+        while stream:
+            cube = arm.choose(stream, zone=tray_of)  # for the tray that the other arm is not going to
+            stream.remove(cube)
+            tray = tray_of(cube)
             checked(arm.pick(cube))
             with arm.reserve(tray):
                 slot = SLOTS[len(taken[tray])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,8 +31,25 @@ _CURES = {
 }
 
 
+class MotionLink(Protocol):
+    """What moves the arm: our program on the robot, or another library's; see `ProgramLink`."""
+
+    result: str
+
+    @property
+    def connected(self) -> bool: ...
+    def start(self) -> int: ...
+    def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None: ...
+    def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None: ...
+    def forward(self, trajectory: JointTrajectory, step: float) -> int: ...
+    def close_links(self) -> None: ...
+    def close(self) -> None: ...
+
+
 class UrArm:
     """Connects, forwards, streams, stops. One per robot."""
+
+    inputs: tuple[tuple[str, ...], ...] = INPUTS  # of RTDE, by recipe
 
     def __init__(
         self, name: str, joint_names: Sequence[str], settings: ArmSettings, limits: RealSettings,
@@ -41,15 +59,16 @@ class UrArm:
         self.settings, self.identity = settings, identity
         self._limits = limits
         self.step = 1.0 / identity.model.frequency  # [s]
-        self._rtde = RtdeClient(settings.host, identity.model.frequency, INPUTS, lambda _: on_state())
-        self._link = ProgramLink(
-            name, settings.host, settings.port, settings.own_host,
-            ProgramSettings(limits.watchdog, limits.stop_deceleration),
-        )  # fmt: skip
+        self._rtde = RtdeClient(settings.host, identity.model.frequency, self.inputs, lambda _: on_state())
+        self._link = self._made_link(ProgramSettings(limits.watchdog, limits.stop_deceleration))
         self.armed = False  # the program runs and the supervisor minds it
         self._session = 0
         self._streamed = 0.0  # when a servo target was last sent
         self._no_force = np.zeros(6)
+
+    def _made_link(self, settings: ProgramSettings) -> MotionLink:
+        own = self.settings
+        return ProgramLink(self.name, own.host, own.port, own.own_host, settings)
 
     # --- connection ---
     def connect(self) -> None:
@@ -65,7 +84,7 @@ class UrArm:
         """(Re)start our program on the robot; the connection to its state is made anew if it is gone."""
         if self._rtde.error is not None:
             self._rtde.close()
-            self._rtde = RtdeClient(self.settings.host, self.step**-1, INPUTS, self._rtde._on_state)
+            self._rtde = RtdeClient(self.settings.host, self.step**-1, self.inputs, self._rtde._on_state)
             self._rtde.connect()
         self._session = self._link.start()
         self.armed = True
@@ -162,7 +181,7 @@ class UrArm:
     # --- motion ---
     def forward(self, trajectory: JointTrajectory) -> int:
         """Have the robot play a trajectory of its joints; returns the number it goes by."""
-        return self._link.forward(commands.split(trajectory, self.joint_names), self.step)
+        return self._link.forward(trajectory.reindexed(self.joint_names), self.step)
 
     def clock(self, number: int) -> float:
         """How far along a forwarded trajectory the robot is [s]; 0 while it has not begun it."""
@@ -181,7 +200,7 @@ class UrArm:
 
         To be sent again every period. Points of the same time keep several arms together.
         """
-        self._streamed = time.monotonic()
+        self._mark_streamed()
         assert self._rtde.last_two is not None
         before, state = self._rtde.last_two
         runs = state.output_double_register_25 > before.output_double_register_25
@@ -191,6 +210,9 @@ class UrArm:
         stamp = float(state.output_double_register_25) + pace * ahead
         fast = 1.0 / max(self.scaling, 0.05)  # on a slowed clock
         self._link.servo(q, np.asarray(v) * fast, stamp)
+
+    def _mark_streamed(self) -> None:
+        self._streamed = time.monotonic()
 
     @property
     def time_of_state(self) -> float:

@@ -12,23 +12,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.control.driver import DriverOptions, GripperReading, SeesNoContacts, drivers
 from armcell.control.drivers.ur.arm import UrArm
+from armcell.control.drivers.ur.calibration import HALF_TURN
 from armcell.control.drivers.ur.gripper import SocketGripper, ToolGripper, UrGripper
 from armcell.control.drivers.ur.heart import Heart
 from armcell.control.drivers.ur.identity import check_identity, check_ready, check_swapped, identify
-from armcell.control.drivers.ur.motion import Forwarded, Streamed
+from armcell.control.drivers.ur.motion import Commanded, Forwarded, Streamed
+from armcell.control.drivers.ur.rtde_arm import UrRtdeArm
+from armcell.control.drivers.ur.rtde_link import require_ur_rtde
 from armcell.control.drivers.ur.settings import real_settings
-from armcell.control.following import Following
+from armcell.control.following import Following, SentClock
 from armcell.control.safety import Fault, SafetyEvent, Supervisor
 from armcell.control.twin.guard import TwinGuard
 from armcell.control.twin.pinger import Pinger
-from armcell.core import SE3, SO3, InputError, JointState, JointTrajectory, Outcome
+from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 
 log = logging.getLogger(__name__)
 
-HALF_TURN = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))
 SEEN_LATE = 0.06  # [s] by which a measured state may be behind
+GRIPPER_SILENCE = 1.5  # [s] without a word of a gripper until the arms stop
 LONGEST_SKEW = 0.05  # [s] between the arms' states; beyond it the older one is taken as it is
 
 
@@ -63,6 +66,10 @@ class UrDriver(SeesNoContacts):
         Raises:
             InputError: wrong address, model or robot, local control, a stop, a port in use, with the cure.
         """
+        arm_kind = UrArm
+        if self.settings.backend == "ur_rtde":
+            require_ur_rtde()
+            arm_kind = UrRtdeArm
         self._began = self._advanced = time.monotonic()
         wanted = self.settings.arms
         found = {name: identify(arm.host) for name, arm in wanted.items()}
@@ -77,7 +84,7 @@ class UrDriver(SeesNoContacts):
             undo.callback(self._heart.stop)
             for name, arm in wanted.items():
                 joints = self._model.group(name).joint_names
-                made = UrArm(name, joints, arm, self.settings, found[name], self._look)
+                made = arm_kind(name, joints, arm, self.settings, found[name], self._look)
                 self.arms[name] = made
                 undo.callback(made.close)
                 made.connect()
@@ -148,8 +155,22 @@ class UrDriver(SeesNoContacts):
 
     def _look(self) -> None:
         supervisor = self._supervisor
-        if supervisor is not None:
-            supervisor.check()
+        if supervisor is not None and supervisor.check() is None:
+            died = self._died()
+            if died is not None:
+                supervisor.trip(died)
+
+    def _died(self) -> Fault | None:
+        """A part of this driver that has ended, or a gripper that tells nothing any more."""
+        arm = next(iter(self.arms), "")
+        if not self._heart.beats:
+            return Fault(arm, "heart stopped", "the driver's signs of life ended", "start armcell anew")
+        for name, gripper in self._grippers.items():
+            if gripper.silent > GRIPPER_SILENCE:
+                text = f"gripper {name!r} has told nothing for {gripper.silent:.1f} s"
+                group = self._model.gripper(name).arm_group
+                return Fault(group, "gripper lost", text, "look at its URCap and cable, then resume")
+        return None
 
     # --- state ---
     @property
@@ -211,18 +232,26 @@ class UrDriver(SeesNoContacts):
         if fault is not None:
             raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
         arms = self._arms_of(trajectory.joint_names)
-        following = (
-            Forwarded(arms[0], trajectory)
-            if len(arms) == 1
-            else Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
-        )
-        return following if self.guard is None else self._guarded(self.guard, following, trajectory, arms)
+        if len(arms) == 1:
+            return self._guarded(Forwarded(arms[0], trajectory), trajectory, arms)
+        streamed = Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
+        return self._guarded(streamed, trajectory, arms, streamed.sent_for)
+
+    def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
+        """As `Rehearsing.watch`."""
+        arms = self._arms_of(trajectory.joint_names)
+        moving = Commanded(lambda: self._due() + self.settings.stream_lead)
+        moving.watched = self._guarded(moving, trajectory, arms, moving.sent_for, forced)
+        return moving
 
     def _guarded(
-        self, guard: TwinGuard, following: Following, trajectory: JointTrajectory, arms: list[UrArm]
-    ) -> Following:
+        self, following: Following, trajectory: JointTrajectory, arms: list[UrArm],
+        sent_for: SentClock | None = None, forced: bool = False,
+    ) -> Following:  # fmt: skip
+        if self.guard is None:
+            return following
         assert self._supervisor is not None
-        return guard.watching(following, trajectory, arms, self._supervisor.trip)
+        return self.guard.watching(following, trajectory, arms, self._supervisor.trip, sent_for, forced)
 
     def _arms_of(self, joint_names: Iterable[str]) -> list[UrArm]:
         names = set(joint_names)
@@ -248,7 +277,8 @@ class UrDriver(SeesNoContacts):
 
     def fault(self) -> Fault | None:
         """Why nothing may move: what has stopped the arms and was not resumed."""
-        return self._supervisor.check() if self._supervisor is not None else None
+        self._look()
+        return self._supervisor.tripped if self._supervisor is not None else None
 
     @property
     def safety_events(self) -> list[SafetyEvent]:
@@ -263,6 +293,9 @@ class UrDriver(SeesNoContacts):
         """
         if self._supervisor is None or self._supervisor.check() is None:
             return
+        died = self._died()
+        if died is not None:
+            raise InputError(f"cannot resume: {died.arm}: {died.text}", cure=died.cure)
         for arm in self.arms.values():
             arm.prepare_resume()
         for arm in self.arms.values():

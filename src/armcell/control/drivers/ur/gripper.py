@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -13,6 +14,7 @@ from armcell.model import Gripper
 
 TOOL_INPUTS = 16  # bit of the tool's first digital input
 POLL = 0.05  # [s] between questions for the position
+RECONNECT = 0.5  # [s] that an attempt to connect anew may take
 
 
 class UrGripper(Protocol):
@@ -24,6 +26,11 @@ class UrGripper(Protocol):
         """Width [m] and whether something is held."""
         ...
 
+    @property
+    def silent(self) -> float:
+        """For how long it has told nothing [s]."""
+        ...
+
     def close(self) -> None: ...
 
 
@@ -32,9 +39,9 @@ class SocketGripper:
 
     def __init__(self, host: str, port: int, gripper: Gripper):
         self._gripper, self._lock = gripper, threading.Lock()
+        self._address = (host, port)
         try:
-            self._socket = socket.create_connection((host, port), 3.0)
-            self._file = self._socket.makefile("rwb")
+            self._connect(3.0)
             self._ask("SET ACT 1 GTO 1")
             self._reading = self._read_now()
         except (OSError, ArmcellError, ValueError) as error:
@@ -42,9 +49,13 @@ class SocketGripper:
                 f"no gripper at {host}:{port}: {error}",
                 cure="install the gripper's URCap, or choose 'gripper: {kind: tool_io}', or leave it out",
             ) from None
-        self._open = True
+        self._open, self._told = True, time.monotonic()
         self._thread = threading.Thread(target=self._watch, name=f"gripper {host}", daemon=True)
         self._thread.start()
+
+    def _connect(self, timeout: float) -> None:
+        self._socket = socket.create_connection(self._address, timeout)
+        self._file = self._socket.makefile("rwb")
 
     def _ask(self, text: str) -> str:
         with self._lock:
@@ -61,12 +72,20 @@ class SocketGripper:
         return (1.0 - position / 255) * self._gripper.max_width, holds
 
     def _watch(self) -> None:
+        """Asks again and again; a connection that broke is made anew, which moves nothing."""
         while self._open:
             try:
                 self._reading = self._read_now()
+                self._told = time.monotonic()
             except (OSError, ArmcellError, ValueError, IndexError):
-                return
+                with self._lock, contextlib.suppress(OSError):
+                    self._socket.close()
+                    self._connect(RECONNECT)
             time.sleep(POLL)
+
+    @property
+    def silent(self) -> float:
+        return time.monotonic() - self._told
 
     def drive(self, width: float, force: float) -> None:
         position = round(255 * (1.0 - width / self._gripper.max_width))
@@ -95,6 +114,10 @@ class ToolGripper:
     def drive(self, width: float, force: float) -> None:
         self._closed = width < 0.5 * self._gripper.max_width
         self._arm.set_tool_output(0, self._closed)
+
+    @property
+    def silent(self) -> float:
+        return 0.0  # it is told with the arm's state, which is watched
 
     def read(self) -> tuple[float, bool]:
         holds = self._arm.digital_input(TOOL_INPUTS)

@@ -25,6 +25,10 @@ class Heart:
         self._beating = False
         self._thread.join(timeout=1.0)
 
+    @property
+    def beats(self) -> bool:
+        return self._thread.is_alive()
+
     def _run(self) -> None:
         while self._beating:
             self._beat()

@@ -1,4 +1,6 @@
-"""A trajectory under way on real arms: played by one robot itself, or streamed to several by one clock."""
+"""A trajectory under way on real arms: played by one robot itself, streamed to several by one clock, or
+commanded point by point from elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
+from armcell.control.driver import Array
 from armcell.control.drivers.ur.arm import UrArm
 from armcell.control.drivers.ur.program import CANCELLED, DONE, RUNNING
+from armcell.control.following import Following, SentClock
 from armcell.control.safety import Fault
 from armcell.core import JointTrajectory
 
@@ -42,6 +46,7 @@ class Streamed:
         self._lead = lead  # [s] by which points are ahead of when they are to be reached
         self._arms, self._trajectory, self._fault = arms, trajectory, fault
         self._clock, self._state = 0.0, RUNNING
+        self.sent_for = SentClock()
         self.sent_at: list[float] = []  # when points were sent [s, monotonic]
         self._cancel = threading.Event()
         threading.Thread(target=self._stream, name="ur stream", daemon=True).start()
@@ -56,6 +61,7 @@ class Streamed:
             scaling = min(arm.scaling for arm in self._arms)
             q, v, _ = self._trajectory.sample(first + self._clock)
             self.sent_at.append(time.monotonic())
+            self.sent_for.sent(due + self._lead, self._clock)
             for arm, own in zip(self._arms, columns):
                 arm.servo(q[own], v[own] * scaling, due + self._lead)
             if self._clock >= duration:
@@ -70,7 +76,7 @@ class Streamed:
             arm.cancel()
 
     def clock(self) -> float:
-        return self._clock
+        return self.sent_for.at(time.monotonic())[0]
 
     def state(self) -> str:
         return self._state
@@ -80,3 +86,38 @@ class Streamed:
 
     def cancel(self) -> None:
         self._cancel.set()
+
+
+class Commanded:
+    """Commanded point by point from elsewhere, which tells of each.
+
+    Args:
+        due: when the next point is for [s, monotonic].
+    """
+
+    def __init__(self, due: Callable[[], float]):
+        self._due, self._state = due, RUNNING
+        self.sent_for = SentClock()
+        self.watched: Following = self  # what compares it, if anything does
+
+    def sent(self, clock: float, off: Array) -> None:
+        self.sent_for.sent(self._due(), clock, off)
+
+    def look(self) -> None:
+        self.watched.clock()
+
+    def end(self, how: str) -> None:
+        self._state = how
+        self.watched.state()
+
+    def clock(self) -> float:
+        return self.sent_for.at(time.monotonic())[0]
+
+    def state(self) -> str:
+        return self._state
+
+    def paused(self) -> bool:
+        return False
+
+    def cancel(self) -> None:
+        pass  # who commands it does that

@@ -220,13 +220,3 @@ def _exactly(link: socket.socket, count: int) -> bytes:
             raise ArmcellError("closed")
         data += part
     return data
-
-
-def split(trajectory: JointTrajectory, names: Sequence[str]) -> JointTrajectory:
-    """The part of a trajectory that belongs to these joints, in their order."""
-    columns = [trajectory.joint_names.index(n) for n in names]
-    part = lambda a: None if a is None else np.asarray(a)[:, columns]  # noqa: E731
-    return JointTrajectory(
-        tuple(names), trajectory.times, np.asarray(trajectory.positions)[:, columns],
-        part(trajectory.velocities), part(trajectory.accelerations),
-    )  # fmt: skip

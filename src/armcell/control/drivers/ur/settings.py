@@ -43,6 +43,10 @@ class RealSettings(_Strict):
     """All real arms of a cell, by planning group, and what bounds them."""
 
     arms: dict[str, ArmSettings] = Field(min_length=1)
+    backend: Literal["own", "ur_rtde"] = "own"  # what moves them: our program on the robot, or that library
+    calibration: Literal["compare", "apply"] = (
+        "compare"  # the robots' own geometry: only looked at, or planned with
+    )
     max_state_age: float = Field(0.05, gt=0)  # [s] while an arm moves
     max_silence: float = Field(1.0, gt=0)  # [s] while it rests
     max_tracking_error: float = Field(0.1, gt=0)  # [rad] target against actual

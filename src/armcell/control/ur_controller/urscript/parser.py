@@ -1,8 +1,8 @@
 """Reads URScript into a small syntax tree.
 
 Grammar: Universal Robots, "The URScript Programming Language", without switch and struct. A line's end is
-not needed between statements, and may stand behind `=`: ur_rtde's script has both. A tree's nodes are tuples
-whose first item is their kind.
+not needed between statements, and may stand behind `=` (ur_rtde's script has both) or behind an operator
+(UR's external control). A tree's nodes are tuples whose first item is their kind.
 """
 
 from __future__ import annotations
@@ -220,6 +220,8 @@ def _expression(t: _Tokens, level: int = 0, nesting: int = 0) -> Node:
     left = _expression(t, level + 1, nesting)
     while t.kind in _LEVELS[level]:
         sign = t.next()
+        while t.take("\n"):  # an operator at a line's end: the next line goes on
+            pass
         left = ("op", sign, left, _expression(t, level + 1, nesting))
     return left
 

@@ -1,0 +1,179 @@
+"""Run all benchmarks in turn and write docs/benchmarks.md: what they print, machine, versions, date.
+
+    python -m benchmarks                        # everything, some hours
+    python -m benchmarks --quick                # a few runs of each, for a look at whether they still work
+    python -m benchmarks --only campaign wires
+
+What was printed is kept in benchmarks/results/all.json, one entry per benchmark; the page is made from it,
+so benchmarks can be run on different days. Nothing else should run on the machine meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "benchmarks.md"
+KEPT = ROOT / "benchmarks" / "results" / "all.json"
+PACKAGES = (
+    "mujoco", "coal", "ompl", "numba", "numpy", "pin", "toppra", "ruckig", "roboplan", "ray",
+    "opencv-python-headless",
+)  # fmt: skip
+REASON = 2  # exit status of a benchmark that cannot run here and says why
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """`python -m benchmarks.<name>`, with the arguments of a quick look; `page`: what it writes itself."""
+
+    name: str
+    title: str
+    quick: tuple[str, ...] = ()
+    page: str | None = None
+
+
+BENCHMARKS = (
+    Benchmark("planning", "Planning beside others", ("--quick",), "benchmarks_planning.md"),
+    Benchmark(
+        "planners",
+        "Every planner",
+        ("--seeds", "1", "--seconds", "1", "--out", os.devnull),
+        "benchmarks_planners.md",
+    ),
+    Benchmark("cartesian", "Straight lines"),
+    Benchmark("constraints", "Path constraints", ("--runs", "3", "--rejection", "2")),
+    Benchmark("kernel_truth", "The kernel against exact meshes", ("--samples", "20000")),
+    Benchmark("perception", "Perception", ("--scenes", "5")),
+    Benchmark("wires", "The ROS-TCP wire", ("--seconds", "5")),
+    Benchmark("two_arms", "Two arms", ("--runs", "1", "--recheck", "1", "--batches", "1")),
+    Benchmark("carry", "Carrying round obstacles", ("--scenes", "4", "--recheck", "1", "--physics", "1")),
+    Benchmark("ur_stops", "Stops of two emulated UR10", ("--count", "4")),
+    Benchmark("twin_guard", "The twin guard", ("--clean", "4", "--rounds", "1")),
+    Benchmark("campaign", "Campaigns", ("--trials", "10", "--kills", "3")),
+)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    names = [benchmark.name for benchmark in BENCHMARKS]
+    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=", ".join(names))
+    parser.add_argument("--quick", action="store_true", help="a few runs of each; the page is not written")
+    given = parser.parse_args()
+    wanted = [benchmark for benchmark in BENCHMARKS if benchmark.name in (given.only or names)]
+    kept: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    failed = []
+    for benchmark in wanted:
+        found = run(benchmark, given.quick)
+        if found["status"] not in (0, REASON):
+            failed.append(benchmark.name)
+        if not given.quick:
+            kept[benchmark.name] = found
+            KEPT.parent.mkdir(exist_ok=True)
+            KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+            PAGE.write_text(page(kept), encoding="utf-8")
+    print(f"failed: {', '.join(failed)}" if failed else f"{len(wanted)} benchmarks ran", flush=True)
+    return 1 if failed else 0
+
+
+def run(benchmark: Benchmark, quick: bool) -> dict[str, Any]:
+    """Run one, with its output on the terminal as well."""
+    words = [sys.executable, "-m", f"benchmarks.{benchmark.name}", *(benchmark.quick if quick else ())]
+    print(f"\n== {benchmark.title} ({benchmark.name})", flush=True)
+    load, began, lines = os.getloadavg()[0], time.monotonic(), []
+    with subprocess.Popen(
+        words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+        env={**os.environ, "COLUMNS": "120", "PYTHONUNBUFFERED": "1"},
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        for line in process.stdout:
+            sys.stdout.write(line)
+            sys.stdout.flush()
+            lines.append(line.rstrip())
+    return {
+        "status": process.returncode, "seconds": time.monotonic() - began, "load": load, "printed": lines,
+        "date": time.strftime("%Y-%m-%d"), "machine": machine(), "versions": versions(),
+    }  # fmt: skip
+
+
+def machine() -> str:
+    names = [
+        line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")
+    ]
+    memory = [int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")]
+    told = [names[0] if names else platform.machine(), f"{os.cpu_count()} cores"]
+    told += [f"{memory[0] / 2**20:.0f} GiB"] if memory else []
+    return ", ".join([*told, platform.platform(terse=True)])
+
+
+def _lines(file: str) -> list[str]:
+    try:
+        return Path(file).read_text().splitlines()
+    except OSError:
+        return []
+
+
+def versions() -> str:
+    found = [f"Python {platform.python_version()}"]
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            found.append(f"no {package}")
+    return ", ".join(found)
+
+
+# --- the page ---
+def page(kept: dict[str, Any]) -> str:
+    """docs/benchmarks.md."""
+    parts = [
+        "# Benchmarks",
+        "`make bench` runs everything in `benchmarks/` in turn and writes this page: what each prints. "
+        '`ONLY="campaign wires"` runs some, `SIZE=quick` a few runs of each without writing anything.',
+    ]
+    for benchmark in BENCHMARKS:
+        parts += [f"## {benchmark.title}", *section(benchmark, kept.get(benchmark.name))]
+    return "\n\n".join(parts) + "\n"
+
+
+def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
+    where = [f"Tables and pictures: [{benchmark.title}]({benchmark.page})."] if benchmark.page else []
+    if found is None:
+        return [*where, f"Not run here yet: `make bench ONLY={benchmark.name}`."]
+    how = (
+        f"{found['date']}, {found['seconds'] / 60:.1f} minutes, load before {found['load']:.1f}. "
+        f"{found['machine']}. {found['versions']}."
+    )
+    if found["status"] == REASON:
+        return [*where, how, f"Left out: {' '.join(found['printed'][-1:])}"]
+    if found["status"] != 0:
+        how += f" It failed (status {found['status']})."
+    plain, table = split(found["printed"])
+    told = [] if benchmark.page else (["```\n" + "\n".join(plain) + "\n```"] if plain else [])
+    return [*where, how, *told, *(["\n".join(table)] if table and not benchmark.page else [])]
+
+
+def split(lines: list[str]) -> tuple[list[str], list[str]]:
+    """What is printed as it is, and the Markdown table at its end, if there is one."""
+    end = len(lines)
+    while end and not lines[end - 1].strip():
+        end -= 1
+    first = end
+    while first and lines[first - 1].startswith("|"):
+        first -= 1
+    return [line for line in lines[:first] if line.strip()], lines[first:end]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,38 @@
+"""The robots' own geometry in a cell's scene: the block `real: {calibration: apply}`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from armcell.control.drivers.ur.calibration import calibrated
+from armcell.control.drivers.ur.identity import Identity, check_identity, check_swapped, identify
+from armcell.control.drivers.ur.settings import RealSettings, real_settings
+from armcell.model import RobotModel
+from armcell.scene import PlanningScene
+
+
+def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
+    """The scene with the geometry that the robots tell of themselves, where the cell file asks for it.
+
+    Raises:
+        InputError: a robot does not answer or is another one, or its geometry does not fit the model.
+    """
+    settings = real_settings(real, scene.model)
+    if settings.calibration != "apply":
+        return scene
+    found = {name: identify(arm.host) for name, arm in settings.arms.items()}
+    check_swapped(settings.arms, found)
+    return replace(scene, model=with_geometry(scene.model, settings, found))
+
+
+def with_geometry(model: RobotModel, settings: RealSettings, found: Mapping[str, Identity]) -> RobotModel:
+    """The model with every arm's own geometry.
+
+    Raises:
+        InputError: an arm is another one than the cell file names, or does not fit the model.
+    """
+    for group, identity in found.items():
+        check_identity(group, settings.arms[group], identity)
+        model = calibrated(model, group, identity.model.dh, identity.geometry)
+    return model

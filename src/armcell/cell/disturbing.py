@@ -1,0 +1,43 @@
+"""The block `disturbances` of a cell file, checked and in SI units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from armcell.cell.schema import CellSpec
+from armcell.control.disturbances import Disturbances, Push
+from armcell.core import InputError, UnknownNameError
+from armcell.model import RobotModel
+
+
+def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbances:
+    """
+    Raises:
+        UnknownNameError: a joint, link or object that there is not.
+        InputError: a fixed object, a joint that does not turn.
+    """
+    given = spec.disturbances
+    fingers = {g.joint_name for g in model.grippers.values()}
+    turning = [n for n in model.joint_names if n not in fingers and model.joints[n].type != "prismatic"]
+    for name in given.joint_offset_deg:
+        if name not in turning:
+            place = "disturbances/joint_offset_deg"
+            raise UnknownNameError("turning joint of an arm", name, turning, file=file, element=place)
+    movable = [name for name, item in spec.objects.items() if item.movable]
+    for name, push in given.pushes.items():
+        if push.on in model.links or push.on in movable:
+            continue
+        place = f"disturbances/pushes/{name}"
+        if push.on in spec.objects:
+            raise InputError(
+                f"the object {push.on!r} is fixed", file=file, element=place, cure="give it 'movable: true'"
+            )
+        raise UnknownNameError("link or object", push.on, [*model.links, *movable], file=file, element=place)
+    return Disturbances(
+        {name: float(np.deg2rad(value)) for name, value in given.joint_offset_deg.items()},
+        float(np.deg2rad(given.joint_noise_deg)),
+        given.latency,
+        tuple(Push(push.on, push.at, push.duration, push.force) for push in given.pushes.values()),
+    )

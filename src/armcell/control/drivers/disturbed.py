@@ -1,0 +1,114 @@
+"""The simulated robot with something wrong with it: encoders that are off, noise, latency, pushes.
+
+What physics does is true; what the driver says and takes is as a real controller's would be: joint positions
+in the encoders' frame, commands that act late. Object poses and slip stay true.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.control.disturbances import Disturbances
+from armcell.control.driver import Array, DriverOptions
+from armcell.control.drivers.sim import SimDriver
+from armcell.core import JointState
+from armcell.scene import PlanningScene
+
+
+class DisturbedSim(SimDriver):
+    """`SimDriver` with `Disturbances`."""
+
+    def __init__(self, scene: PlanningScene, options: DriverOptions, disturbances: Disturbances):
+        super().__init__(scene, options)
+        self.disturbances = disturbances
+        model = scene.model
+        fingers = {g.joint_name for g in model.grippers.values()}
+        self._arm = np.array([n not in fingers for n in model.joint_names])
+        self._offset = np.array([disturbances.joint_offsets.get(n, 0.0) for n in model.joint_names])
+        self._offset_of = dict(zip(model.joint_names, self._offset.tolist(), strict=True))
+        self._late: deque[tuple[int, tuple[str, ...], Array, Array]] = deque()
+        self._steps = 0  # taken so far
+        step = self._settings.timestep
+        self._pushes = [  # from which step, until which
+            (first := round(push.at / step), first + max(round(push.duration / step), 1), push)
+            for push in disturbances.pushes
+        ]
+
+    def __enter__(self) -> DisturbedSim:
+        super().__enter__()
+        model = self._scene.model
+        self.world.set_positions(np.clip(self._scene.positions + self._offset, model.lower, model.upper))
+        self._late.clear()
+        self._steps = 0
+        return self
+
+    # --- what it says ---
+    def joint_state(self) -> JointState:
+        state = self.world.joint_state()
+        noise = np.zeros(len(self._offset))
+        if self.disturbances.joint_noise:  # of the time, not of how often it is asked
+            rng = np.random.default_rng((self._options.seed, self._steps))
+            noise = self._arm * rng.normal(0.0, self.disturbances.joint_noise, len(self._offset))
+        return replace(state, positions=state.positions - self._offset + noise)
+
+    def targets(self) -> JointState | None:
+        target = self.world.arm_target()
+        return replace(target, positions=target.positions - self._offsets(target.joint_names))
+
+    def _offsets(self, names: tuple[str, ...]) -> Array:
+        return np.array([self._offset_of[n] for n in names])
+
+    # --- what it takes ---
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
+        names = tuple(joint_names)
+        q, v = np.array(positions, dtype=float), np.array(velocities, dtype=float)
+        due = self._steps + round(self.disturbances.latency / self._settings.timestep)
+        self._late.append((due, names, q + self._offsets(names), v))
+        self._act()
+        return JointState(names, q, v, time=self.now)
+
+    def stop(self) -> None:
+        state = self.joint_state()
+        names = tuple(n for n, arm in zip(state.joint_names, self._arm, strict=True) if arm)
+        self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
+
+    def _act(self) -> None:
+        """The commands whose time has come."""
+        while self._late and self._late[0][0] <= self._steps:
+            _, names, q, v = self._late.popleft()
+            self.world.set_arm_target(names, q, v)
+
+    # --- time ---
+    def advance(self, duration: float) -> None:
+        end = self._steps + max(round(duration / self._settings.timestep), 1)
+        while self._steps < end:
+            self._act()
+            self._push()
+            until = min((step for step in self._events() if step > self._steps), default=end)
+            self.world.step(min(until, end) - self._steps)
+            self._steps = min(until, end)
+        self._act()
+        self._pacer.wait_until(self.world.time)
+
+    def _events(self) -> Iterator[int]:
+        """Steps at which something changes."""
+        if self._late:
+            yield self._late[0][0]
+        for first, last, _ in self._pushes:
+            yield from (first, last)
+
+    def _push(self) -> None:
+        if not self._pushes:
+            return
+        forces = self.world.mj_data.xfrc_applied
+        forces[:] = 0.0
+        for first, last, push in self._pushes:
+            if first <= self._steps < last:
+                forces[self.world.built.body[push.on], :3] += push.force

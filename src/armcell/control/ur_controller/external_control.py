@@ -1,0 +1,103 @@
+"""UR's URCap "External Control": a program on the pendant whose text is asked of a computer.
+
+The computer's script sender (port 50002 of UR's ROS drivers) gets the line `request_program` and answers with
+URScript; that program then connects back to the computer's reverse, trajectory and script command ports.
+
+Source: UniversalRobots/Universal_Robots_Client_Library, doc/architecture/script_sender.rst.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from armcell.control.ur_controller.network import Link, Network
+from armcell.control.ur_controller.programs import run_script
+from armcell.control.ur_controller.robot import Robot
+from armcell.control.ur_controller.urscript.parser import MAX_SCRIPT
+from armcell.core import InputError
+
+NAME = "external_control.urp"
+SCRIPT_SENDER = 50002
+LAST_LINE = b"# NODE_CONTROL_LOOP_ENDS"
+PATIENCE = 2.0  # [s] for the first byte
+SILENCE = 0.3  # [s] without another byte: the text is whole
+
+
+@dataclass(frozen=True)
+class RemoteHost:
+    """What the URCap's installation page asks for: where the script sender is."""
+
+    address: str
+    port: int = SCRIPT_SENDER
+
+    @staticmethod
+    def parse(text: str) -> RemoteHost:
+        """
+        Raises:
+            InputError: not ADDRESS or ADDRESS:PORT.
+        """
+        address, _, port = text.partition(":")
+        if not address or (port and not (port.isdigit() and 0 < int(port) < 65536)):
+            raise InputError(f"{text!r} is no address of a script sender", cure="such as 127.0.0.1:50002")
+        return RemoteHost(address, int(port) if port else SCRIPT_SENDER)
+
+
+class ExternalControl:
+    """The pendant's program `external_control.urp`: `load` it, `play` it."""
+
+    def __init__(self, robot: Robot, network: Network, remote: RemoteHost | None):
+        self._robot, self._network, self._remote = robot, network, remote
+        self.loaded = False
+        self._link: Link | None = None
+        self._size, self._since = 0, 0.0
+
+    def load(self, name: str) -> bool:
+        """Whether there is such a program: only with a remote host, and only this one."""
+        if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
+            return False
+        self._robot.end_program()
+        self.loaded = True
+        return True
+
+    def play(self) -> bool:
+        """Ask for the program; it starts when it has come."""
+        if (
+            not self.loaded
+            or self._remote is None
+            or not self._robot.may_run
+            or self._robot.machine is not None
+        ):
+            return False
+        self.stop()
+        link = self._network.connect(self._remote.address, self._remote.port)
+        if link is None:
+            self._robot.popup(
+                f"External Control: nobody at {self._remote.address}:{self._remote.port} sends a program"
+            )
+            return False
+        link.send(b"request_program\n")
+        self._link, self._size, self._since = link, 0, self._robot.time
+        return True
+
+    def stop(self) -> None:
+        """Do not wait for a program any more."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def step(self) -> None:
+        """To be called once a control step."""
+        link, now = self._link, self._robot.time
+        if link is None:
+            return
+        if len(link.received) != self._size:
+            self._size, self._since = len(link.received), now
+        silent = now - self._since > (SILENCE if self._size else PATIENCE)
+        if not (silent or not link.open or LAST_LINE in link.received or self._size > MAX_SCRIPT):
+            return
+        text = bytes(link.received).decode("utf-8", "replace")
+        self.stop()
+        if not text.strip():
+            self._robot.popup("External Control: no program came")
+        else:
+            run_script(self._robot, self._network, text, NAME)

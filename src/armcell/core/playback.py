@@ -1,0 +1,79 @@
+"""`Playback`: a trajectory read at many times, one after the other."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core.errors import InputError
+from armcell.core.joints import JointTrajectory
+
+Array = NDArray[np.float64]
+
+
+class Playback:
+    """Reads what `JointTrajectory.sample` does, many times faster, and no accelerations.
+
+    Between two points, position and velocity are polynomials of the time since the first of them. Their
+    coefficients are worked out once, for all intervals.
+
+    Attributes:
+        duration: of the trajectory [s].
+    """
+
+    def __init__(self, trajectory: JointTrajectory):
+        t, n = trajectory, len(trajectory.joint_names)
+        if len(t.times) == 0:
+            raise InputError("an empty trajectory has no position at any time")
+        self._n, self._times, self.duration = n, t.times.tolist(), t.duration
+        self._first, self._last = t.positions[0], t.positions[-1]
+        p0, d = t.positions[:-1], np.diff(t.positions, axis=0)
+        h = np.diff(t.times)[:, None]
+        c = np.zeros((len(h), 6, n))  # of 1, s, ..., s^5
+        c[:, 0] = p0
+        if t.velocities is None:
+            c[:, 1] = d / h
+        elif t.accelerations is None:
+            v0, v1 = t.velocities[:-1], t.velocities[1:]
+            c[:, 1] = v0
+            c[:, 2] = (3 * d / h - 2 * v0 - v1) / h
+            c[:, 3] = (v0 + v1 - 2 * d / h) / h**2
+        else:
+            v0, v1, a0, a1 = t.velocities[:-1], t.velocities[1:], t.accelerations[:-1], t.accelerations[1:]
+            c[:, 1], c[:, 2] = v0, a0 / 2
+            c[:, 3] = (20 * d - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
+            c[:, 4] = (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
+            c[:, 5] = (12 * d - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5)
+        slopes = np.zeros_like(c)
+        slopes[:, :5] = c[:, 1:] * np.arange(1.0, 6.0)[:, None]
+        self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
+
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Position and velocity (n,) at time t [s], held at both ends."""
+        positions, velocities = self.at_times([t])
+        return positions[0], velocities[0]
+
+    def at_times(self, times: Sequence[float]) -> tuple[Array, Array]:
+        """Positions and velocities (k, n) at times (k,) [s], held at both ends."""
+        known, n = self._times, self._n
+        rows, inside, powers = [], [], []
+        for row, t in enumerate(times):
+            if known[0] < t < known[-1]:
+                i = bisect_right(known, t) - 1
+                s = t - known[i]
+                ss = s * s
+                rows.append(row)
+                inside.append(i)
+                powers.append((1.0, s, ss, ss * s, ss * ss, ss * ss * s))
+        if len(rows) == len(times):
+            both = (np.array(powers)[:, None] @ self._coefficients[inside])[:, 0]
+            return both[:, :n], both[:, n:]
+        positions = np.array([self._first if t <= known[0] else self._last for t in times])
+        velocities = np.zeros_like(positions)
+        if rows:
+            both = (np.array(powers)[:, None] @ self._coefficients[inside])[:, 0]
+            positions[rows], velocities[rows] = both[:, :n], both[:, n:]
+        return positions, velocities

@@ -1,0 +1,154 @@
+"""A compiled MuJoCo model, and the table of what is where in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.model import Gripper, RobotModel
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.sim.objects import belt_name, slide_name, turn_name, weld_name
+from armcell.sim.robot import finger_weights, servo_force, tendon_name
+from armcell.sim.settings import PhysicsSettings
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class GripperIndex:
+    """One gripper's servo. The servo's length is the driven joint's position (mean over the fingers)."""
+
+    gripper: Gripper
+    ctrl: int
+    joints: tuple[tuple[int, float], ...]  # (index in qpos, weight): the servo's length is their weighted sum
+    lower: float  # [m] of the driven joint
+    upper: float
+    max_speed: float  # [m/s] of the driven joint
+    max_force: float  # [N] per finger
+    finger_owners: tuple[int, ...]
+    tcp_body: int
+
+    def length(self, qpos: Array) -> float:
+        """Of the servo at a state. (MuJoCo's own is one step old after a step.)"""
+        return sum(weight * float(qpos[i]) for i, weight in self.joints)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltModel:
+    """A compiled model with indices by name. `owners` are links, then objects."""
+
+    scene: PlanningScene
+    spec: mujoco.MjSpec
+    mj: mujoco.MjModel
+    owners: tuple[str, ...]
+    owner_index: dict[str, int]
+    link_count: int
+    geom_owner: Ints  # (ngeom,) index in owners, -1 for none
+    body: dict[str, int]  # by link or object name
+    joint_qpos: dict[str, int]  # movable joints, mimic included
+    joint_dof: dict[str, int]
+    qpos: Ints  # (dof,) actuated joints in the model's order
+    dofs: Ints  # (dof,)
+    pos_ctrl: Ints  # (dof,) control index of the position (or torque) input, -1 for a gripper's joint
+    vel_ctrl: Ints  # (dof,) of the velocity input, -1 where there is none
+    grippers: dict[str, GripperIndex]
+    object_qpos: dict[str, int]  # movable objects: start of x, y, z, qw, qx, qy, qz
+    belts: tuple[tuple[int, int, float], ...]  # index in qpos, in qvel, speed [m/s]
+    threaded: dict[str, tuple[int, int]]  # objects screwed into others: slide and turn
+    object_dof: dict[str, int]
+    objects: dict[str, CollisionObject]  # attached ones included, at their initial poses
+    welds: dict[tuple[str, str], int]  # equality by (object, gripper)
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Objects whose pose changes."""
+        return (*self.object_qpos, *self.threaded)
+
+
+def indexed(
+    scene: PlanningScene,
+    settings: PhysicsSettings,
+    spec: mujoco.MjSpec,
+    mj: mujoco.MjModel,
+    objects: dict[str, CollisionObject],
+) -> BuiltModel:
+    model = scene.model
+    owners = (*model.links, *objects)
+    owner_index = {name: i for i, name in enumerate(owners)}
+    body = {name: mj.body(name).id for name in owners}
+    owner_of_body = np.full(mj.nbody, -1)
+    for name, i in body.items():
+        owner_of_body[i] = owner_index[name]
+    joints = {name: mj.joint(name) for name in model.movable_joint_names}
+    joint_qpos = {name: int(j.qposadr[0]) for name, j in joints.items()}
+    joint_dof = {name: int(j.dofadr[0]) for name, j in joints.items()}
+    driven = {g.joint_name for g in model.grippers.values()}
+    # pid actuators have two controls each, so the actuator's number is not the control's
+    first = {n: int(mj.actuator_ctrladr[mj.actuator(n).id]) for n in model.joint_names if n not in driven}
+    free = {
+        n: mj.joint(f"{n}:free")
+        for n, o in objects.items()
+        if o.thread is None and (o.movable or n in scene.attached)
+    }
+    return BuiltModel(
+        scene=scene,
+        spec=spec,
+        mj=mj,
+        owners=owners,
+        owner_index=owner_index,
+        link_count=len(model.links),
+        geom_owner=owner_of_body[mj.geom_bodyid],
+        body=body,
+        joint_qpos=joint_qpos,
+        joint_dof=joint_dof,
+        qpos=_ints(joint_qpos[n] for n in model.joint_names),
+        dofs=_ints(joint_dof[n] for n in model.joint_names),
+        pos_ctrl=_ints(first.get(n, -1) for n in model.joint_names),
+        vel_ctrl=_ints(
+            first[n] + 1 if n in first and settings.arm_control == "pid" else -1 for n in model.joint_names
+        ),
+        grippers={
+            g.name: _gripper_index(mj, model, g, settings, owner_index) for g in model.grippers.values()
+        },
+        object_qpos={n: int(j.qposadr[0]) for n, j in free.items()},
+        belts=tuple(
+            (int(j.qposadr[0]), int(j.dofadr[0]), float(np.linalg.norm(o.belt)))
+            for n, o in objects.items()
+            if o.belt is not None and (j := mj.joint(belt_name(n))) is not None
+        ),
+        threaded={
+            n: (int(mj.joint(slide_name(n)).qposadr[0]), int(mj.joint(turn_name(n)).qposadr[0]))
+            for n, o in objects.items()
+            if o.thread is not None
+        },
+        object_dof={n: int(j.dofadr[0]) for n, j in free.items()},
+        objects=objects,
+        welds={(n, g): mj.equality(weld_name(n, g)).id for n in free for g in model.grippers},
+    )
+
+
+def _ints(values: Iterable[int]) -> Ints:
+    return np.array(list(values), dtype=np.int64)
+
+
+def _gripper_index(
+    mj: mujoco.MjModel, model: RobotModel, gripper: Gripper, settings: PhysicsSettings, owners: dict[str, int]
+) -> GripperIndex:
+    limits = model.joints[gripper.joint_name].limits
+    actuator = mj.actuator(tendon_name(gripper.name)).id
+    return GripperIndex(
+        gripper=gripper,
+        ctrl=int(mj.actuator_ctrladr[actuator]),
+        joints=tuple((int(mj.joint(n).qposadr[0]), w) for n, w in finger_weights(model, gripper.joint_name)),
+        lower=limits.lower,
+        upper=limits.upper,
+        max_speed=min(limits.velocity, settings.finger_speed),
+        max_force=servo_force(gripper, settings) / abs(gripper.width_per_joint),
+        finger_owners=tuple(owners[n] for n in gripper.finger_links),
+        tcp_body=mj.body(gripper.tcp_link).id,
+    )

@@ -1,0 +1,98 @@
+"""Objects in a MuJoCo model: fixed, free, on a belt, screwed into others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from armcell.collision.convex import convex_pieces
+from armcell.collision.decompose import object_pieces
+from armcell.core import SE3
+from armcell.scene import CollisionObject, Thread, solid_inertia
+from armcell.sim.settings import PhysicsSettings
+from armcell.sim.shapes import OBJECT_GROUP, GeomAdder, full_inertia
+
+_BELT_MASS = 1e5  # [kg] what lies on a belt does not slow it down
+
+
+def add_object(
+    spec: mujoco.MjSpec, adder: GeomAdder, item: CollisionObject, attached: bool, settings: PhysicsSettings,
+    into: Any = None, T_world_into: SE3 | None = None,
+) -> Any:  # fmt: skip
+    T = item.T_world_object if T_world_into is None else T_world_into.inv() @ item.T_world_object
+    body = (into or spec.worldbody).add_body(name=item.name, pos=T.translation, quat=T.quat_wxyz)
+    material = item.material
+    values: dict[str, Any] = {
+        "rgba": item.color,
+        "group": OBJECT_GROUP,
+        "density": 0.0,
+        "friction": [material.friction, material.torsional_friction, material.rolling_friction],
+    }
+    free = item.movable or attached
+    if free:
+        if item.thread is None:
+            body.add_freejoint(name=f"{item.name}:free")
+        else:
+            _add_thread(spec, body, item.name, item.thread)
+        centre, inertia = solid_inertia(item.shapes, item.mass_kg)
+        body.explicitinertial = True
+        body.mass, body.ipos, body.fullinertia = item.mass_kg, centre, full_inertia(inertia)
+        values |= {
+            "priority": 1,
+            "condim": settings.object_condim,
+            "solref": settings.object_solref,
+            "solimp": settings.object_solimp,
+        }
+    elif item.belt is not None:
+        _add_belt(body, item.name, item.belt)
+    for i, (shape, T_object_shape) in enumerate(item.shapes):
+        split = object_pieces if free else convex_pieces
+        adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", split, **values)
+    return body
+
+
+def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
+    """A joint along the belt's way. Before every step it is put back and given the belt's speed, so that the
+    body stays where it is and what touches it feels a surface that moves."""
+    speed = float(np.linalg.norm(velocity))
+    body.add_joint(name=belt_name(name), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.asarray(velocity) / speed)
+    body.explicitinertial = True
+    body.mass, body.inertia = _BELT_MASS, [_BELT_MASS] * 3
+    body.gravcomp = 1.0
+
+
+def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
+    """A turn and a slide about the body's z axis, coupled by the pitch."""
+    per_radian = thread.pitch / (2 * np.pi)
+    turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
+    # The engine makes a coupling as soft as both joints are light, so both get some inertia of their own.
+    for kind, joint, low, loss, armature in (
+        (mujoco.mjtJoint.mjJNT_SLIDE, slide_name(name), -thread.travel, 0.0, 1.0),
+        (mujoco.mjtJoint.mjJNT_HINGE, turn_name(name), -turns, thread.torque, 0.02),
+    ):
+        body.add_joint(
+            name=joint, type=kind, axis=axis, limited=True, range=[low, -low * 0.1], frictionloss=loss,
+            armature=armature, damping=[1e-3, 0.0, 0.0],
+        )  # fmt: skip
+    spec.add_equality(
+        name=f"{name}:thread", type=mujoco.mjtEq.mjEQ_JOINT, name1=slide_name(name), name2=turn_name(name),
+        data=[0.0, per_radian] + [0.0] * 10, solref=[0.004, 1.0], solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
+    )  # fmt: skip
+
+
+def belt_name(name: str) -> str:
+    return f"{name}:belt"
+
+
+def slide_name(name: str) -> str:
+    return f"{name}:slide"
+
+
+def turn_name(name: str) -> str:
+    return f"{name}:turn"
+
+
+def weld_name(item: str, gripper: str) -> str:
+    return f"{item}:{gripper}:weld"

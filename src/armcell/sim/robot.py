@@ -1,0 +1,185 @@
+"""The robot in a MuJoCo model: bodies, joints, what its links look like, its servos."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from armcell.model import Gripper, Joint, Link, RobotModel
+from armcell.model.assets import DEFAULT_COLOR
+from armcell.scene import WORLD, PlanningScene
+from armcell.sim.settings import PhysicsSettings
+from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP, GeomAdder, full_inertia
+from armcell.sim.visuals import visual_parts
+
+_TINY_MASS, _TINY_INERTIA = 1e-4, 1e-7
+
+
+def add_robot(
+    spec: mujoco.MjSpec, adder: GeomAdder, model: RobotModel, settings: PhysicsSettings, visuals: bool
+) -> dict[str, Any]:
+    # several robots composed have a root of their own, which is MuJoCo's: the world
+    root = spec.worldbody if model.root_link == WORLD else spec.worldbody.add_body(name=model.root_link)
+    bodies = {model.root_link: root}
+    for joint in model.joints.values():
+        T = joint.T_parent_joint
+        body = bodies[joint.parent].add_body(name=joint.child, pos=T.translation, quat=T.quat_wxyz)
+        bodies[joint.child] = body
+        if joint.movable:
+            _add_joint(body, joint, settings)
+    massless = _massless_carriers(model)
+    for name, body in bodies.items():
+        link = model.links[name]
+        if name != WORLD:
+            body.gravcomp = settings.gravity_compensation  # real arms compensate their own weight
+            _set_inertia(body, link, name in massless)
+        _add_link_geoms(adder, body, link, visuals)
+    for joint in model.joints.values():
+        if joint.mimic is not None:
+            spec.add_equality(
+                name=f"{joint.name}:mimic",
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                name1=joint.name,
+                name2=joint.mimic.joint,
+                data=[joint.mimic.offset, joint.mimic.multiplier] + [0.0] * 10,
+                solref=settings.object_solref,
+                solimp=settings.object_solimp,
+            )
+    return bodies
+
+
+def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
+    types = mujoco.mjtJoint
+    limited = bool(np.isfinite(joint.limits.lower) and np.isfinite(joint.limits.upper))
+    body.add_joint(
+        name=joint.name,
+        type=types.mjJNT_SLIDE if joint.type == "prismatic" else types.mjJNT_HINGE,
+        axis=joint.axis,
+        limited=limited,
+        range=[joint.limits.lower, joint.limits.upper] if limited else [0.0, 0.0],
+        armature=settings.armature,
+        damping=[max(settings.joint_damping, joint.damping), 0.0, 0.0],  # linear, then higher powers of speed
+        frictionloss=joint.friction,
+        # the engine's soft stops would let a closing finger sink millimetres into its limit
+        solref_limit=settings.object_solref,
+        solimp_limit=settings.object_solimp,
+    )
+
+
+def _massless_carriers(model: RobotModel) -> set[str]:
+    """Links moved by a joint which, with all that is fixed to them, weigh nothing (MuJoCo forbids that)."""
+    found = set()
+    for group in model.rigid_groups:
+        heavy = any((i := model.links[n].inertial) is not None and i.mass > 0 for n in group)
+        if not heavy and model.root_link not in group:
+            found |= {n for n in group if model.parent_joint[n].movable}
+    return found
+
+
+def _set_inertia(body: Any, link: Link, carrier: bool) -> None:
+    body.explicitinertial = True
+    inertial = link.inertial
+    if inertial is None or inertial.mass <= 0:
+        if carrier:
+            body.mass, body.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
+        else:
+            body.mass, body.inertia = 0.0, [0.0] * 3
+        return
+    R = inertial.T_link_com.rotation.matrix
+    inertia = R @ inertial.inertia @ R.T
+    if np.linalg.eigvalsh(inertia)[0] <= 0:  # some URDFs give a mass and no inertia
+        inertia = inertia + np.eye(3) * _TINY_INERTIA
+    body.mass = inertial.mass
+    body.ipos = inertial.T_link_com.translation
+    body.fullinertia = full_inertia(inertia)
+
+
+def _add_link_geoms(adder: GeomAdder, body: Any, link: Link, visuals: bool) -> None:
+    color = next((v.color for v in link.visuals if v.color is not None), DEFAULT_COLOR)
+    group = COLLISION_GROUP if link.visuals else OBJECT_GROUP
+    for i, solid in enumerate(link.collisions):
+        adder.add_solid(
+            body, solid.shape, solid.T_link_shape, f"{link.name}:{i}", group=group, rgba=color, density=0.0
+        )
+    if not visuals:
+        return
+    looks = {"contype": 0, "conaffinity": 0, "group": VISUAL_GROUP, "density": 0.0}
+    for i, visual in enumerate(link.visuals):
+        name = f"{link.name}:visual{i}"
+        if visual.shape is not None:
+            rgba = visual.color or DEFAULT_COLOR
+            adder.add_solid(body, visual.shape, visual.T_link_visual, name, rgba=rgba, **looks)
+        for k, (mesh, rgba) in enumerate(visual_parts(visual)):
+            adder.add_mesh(body, mesh, visual.T_link_visual, f"{name}.{k}", rgba=rgba, **looks)
+
+
+def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
+    """Link pairs that may touch: the model's, the scene's, and always links joined by one joint.
+
+    Neighbours' hulls overlap at their joint, so there a contact would mean nothing.
+    """
+    model = scene.model
+    group_of = {name: i for i, group in enumerate(model.rigid_groups) for name in group}
+    joined = {frozenset((group_of[j.parent], group_of[j.child])) for j in model.joints.values() if j.movable}
+    solid = [name for name, link in model.links.items() if link.collisions]
+    for a, b in combinations(solid, 2):
+        groups = frozenset((group_of[a], group_of[b]))
+        if len(groups) == 1 or groups in joined or scene.is_allowed(a, b):
+            spec.add_exclude(name=f"{a}|{b}", bodyname1=a, bodyname2=b)
+
+
+def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsSettings) -> None:
+    driven = {g.joint_name for g in model.grippers.values()}
+    for name in model.joint_names:
+        if name in driven:
+            continue
+        joint = model.joints[name]
+        slide = joint.type == "prismatic"
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        # A weak joint with a strong joint's gains would saturate at every small error and chatter.
+        weak = min(1.0, joint.limits.effort / settings.full_gain_effort)
+        kp = weak * (settings.slide_kp if slide else settings.arm_kp)
+        kv = weak * (settings.slide_kv if slide else settings.arm_kv)
+        if settings.arm_control == "pid":
+            actuator.set_to_pid(kp=kp, kv=kv)
+        elif settings.arm_control == "position":
+            actuator.set_to_position(kp=kp, kv=kv)
+        else:
+            actuator.set_to_motor()
+        if np.isfinite(joint.limits.effort) and joint.limits.effort > 0:
+            actuator.forcelimited = True
+            actuator.forcerange = [-joint.limits.effort, joint.limits.effort]
+
+
+def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings) -> None:
+    tendon = spec.add_tendon(name=tendon_name(gripper.name))
+    for joint, weight in finger_weights(model, gripper.joint_name):
+        tendon.wrap_joint(joint, weight)
+    actuator = spec.add_actuator(
+        name=tendon_name(gripper.name), target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON
+    )
+    actuator.set_to_position(kp=settings.gripper_kp, kv=settings.gripper_kv)
+    limit = servo_force(gripper, settings)
+    actuator.forcelimited = True
+    actuator.forcerange = [-limit, limit]
+
+
+def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
+    """The driven joint and those that mimic it, weighted so that their sum is the mean finger position."""
+    found = [(driven, 1.0)]
+    for joint in model.joints.values():
+        if joint.mimic is not None and joint.mimic.joint == driven and joint.mimic.multiplier != 0:
+            found.append((joint.name, joint.mimic.multiplier))
+    return [(name, 1.0 / (len(found) * multiplier)) for name, multiplier in found]
+
+
+def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
+    """Largest force of the servo [N]: a servo force f gives each finger f / |width_per_joint|."""
+    return min(settings.gripper_force, gripper.max_force * abs(gripper.width_per_joint))
+
+
+def tendon_name(gripper: str) -> str:
+    return f"{gripper}:grip"

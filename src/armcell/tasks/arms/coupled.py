@@ -1,0 +1,48 @@
+"""Motions of two arms on one clock: to a goal each, or along a trajectory of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from armcell.control.coupled import execute_coupled
+from armcell.core import Goal, JointTrajectory, Outcome, PlanRequest
+from armcell.planning import plan_together
+from armcell.tasks.context import StageReport, TaskContext
+from armcell.tasks.guard import guarded
+from armcell.tasks.steps import staged
+
+
+def move_together(
+    ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
+) -> Outcome:
+    """Two arms to a goal each; they start and arrive together."""
+    s, scene = ctx.settings, ctx.scene()
+    template = PlanRequest(
+        next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
+        velocity_scaling=s.free.velocity, acceleration_scaling=s.free.acceleration, seed=ctx.seed,
+    )  # fmt: skip
+    pair = plan_together(scene, goals, both, template=template)
+    if not pair.ok or pair.trajectory is None:
+        ctx.emit("error", f"{name}: {pair.message}")
+        return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
+    report = StageReport(name, pair.how, pair.planning_time)
+    return play(ctx, pair.trajectory.reindexed(scene.model.group(both).joint_names), report)
+
+
+def play(
+    ctx: TaskContext, trajectory: JointTrajectory, report: StageReport,
+    correct: Callable | None = None, watch: Callable | None = None,
+) -> Outcome:  # fmt: skip
+    """A motion of coupled arms as a stage."""
+
+    def act() -> Outcome:
+        ctx.announce(trajectory)
+        return guarded(
+            ctx, trajectory, ctx.cancel,
+            lambda stop: execute_coupled(
+                ctx.driver, trajectory, correct, watch, settings=ctx.settings.execution, cancel=stop,
+                progress=lambda _: ctx.observe(),
+            ),
+        )  # fmt: skip
+
+    return staged(ctx, report, act)

@@ -1,0 +1,209 @@
+"""Sorting by what a camera sees: each thing to the place for its colour, or for its shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from armcell.core import ErrorCode, InputError, Outcome, UnknownNameError
+from armcell.core.checks import require
+from armcell.grasping import support_surface
+from armcell.model import Gripper
+from armcell.perception import SeenObject, Sight, colour_name
+from armcell.scene import PlanningScene
+from armcell.tasks.context import TaskContext
+from armcell.tasks.recipes import back_off, move_to, pick, place, release
+
+Kind = Callable[[SeenObject], str]
+"""What a seen thing is sorted by."""
+
+KINDS: Mapping[str, Kind] = {
+    "colour": lambda thing: colour_name(thing.color),
+    "shape": lambda thing: thing.kind,
+}
+"""`colour`: red, orange, yellow, green, cyan, blue, purple, black, grey, white. `shape`: box, cylinder,
+sphere, mesh, compound."""
+GRID = 0.02  # [m] between the spots of a place that are looked at
+SPOTS = 4  # of them that are tried
+
+
+@dataclass(frozen=True)
+class SortSettings:
+    """How long to go on."""
+
+    tries: int = 3  # picks of one thing
+    most_picks: int = 60
+    rest: str = "home"  # named state of the arm in which it is out of the camera's sight; empty: where it is
+
+    def __post_init__(self) -> None:
+        for name in ("tries", "most_picks"):
+            require(getattr(self, name) >= 1, f"{name} is {getattr(self, name)}, it must be at least 1")
+
+
+@dataclass
+class _Tally:
+    """What came of it, for the evidence."""
+
+    sorted: dict[str, list[str]] = field(default_factory=dict)  # things by place, as seen last
+    other: dict[str, str] = field(default_factory=dict)  # what has no place, by name
+    failures: dict[str, list[str]] = field(default_factory=dict)  # reasons, by thing
+    picks: int = 0
+
+
+def sort(
+    ctx: TaskContext,
+    gripper: Gripper,
+    look: Callable[[], Sight],
+    into: Mapping[str, str],
+    by: str | Kind = "colour",
+    settings: SortSettings = SortSettings(),
+) -> Outcome:
+    """Put every thing that is seen where its kind belongs, until a look finds all of them there.
+
+    After each thing the camera looks again: what slipped or was moved meanwhile is seen where it is.
+
+    Args:
+        look: with the arm at rest; it must tell the planning scene where things are (`LiveCell.look` does).
+        into: names of objects to put things on, by kind; what is of no such kind is left where it is.
+        by: "colour", "shape", or a function of the seen thing.
+    Returns:
+        SUCCESS when everything of these kinds lies in its place. Evidence: `sorted` (names by place), `other`
+        (kinds of what has no place), `failures` (reasons by thing), `picks`.
+    Raises:
+        UnknownNameError: no such place, or nothing of that name to sort by.
+    """
+    kind = by if callable(by) else _kind(by)
+    _check(ctx.scene(), into)
+    tally = _Tally()
+    while True:
+        seen = _look(ctx, gripper, look, settings)
+        if not isinstance(seen, Sight):
+            return seen
+        todo = _todo(ctx.scene(), seen, kind, into, tally)
+        open_ = [(t, place) for t, place in todo if len(tally.failures.get(t.name, ())) < settings.tries]
+        if not open_ or tally.picks >= settings.most_picks:
+            return _ended(tally, todo, seen, settings)
+        thing, place_on = open_[0]
+        ctx.emit("note", f"{thing.name} is {kind(thing)}: to {place_on}")
+        tally.picks += 1
+        outcome = _carry(ctx, gripper, thing.name, place_on)
+        if outcome.code is ErrorCode.PREEMPTED:
+            return outcome
+        if not outcome.ok:
+            tally.failures.setdefault(thing.name, []).append(outcome.message)
+
+
+def _kind(name: str) -> Kind:
+    if name not in KINDS:
+        raise UnknownNameError("thing to sort by", name, KINDS)
+    return KINDS[name]
+
+
+def _check(scene: PlanningScene, into: Mapping[str, str]) -> None:
+    require(bool(into), "nothing says where things are to go")
+    for place_on in into.values():
+        support_surface(scene.object(place_on))
+
+
+def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: SortSettings) -> Sight | Outcome:
+    """What is seen with the arm out of the way."""
+    if s.rest:
+        moved = move_to(ctx, gripper.arm_group, s.rest)
+        if not moved.ok:
+            return moved
+    ctx.advance(0.1)  # a picture of the arm as it stands
+    sight = look()
+    if sight.plane is None:
+        return Outcome(sight.code, sight.message, sight.evidence)
+    return sight
+
+
+def _todo(
+    scene: PlanningScene, seen: Sight, kind: Kind, into: Mapping[str, str], tally: _Tally
+) -> list[tuple[SeenObject, str]]:
+    """Things that do not lie where they belong, with where that is."""
+    tally.sorted, tally.other, todo = {place_on: [] for place_on in into.values()}, {}, []
+    for thing in seen.objects:
+        what = kind(thing)
+        if what not in into:
+            tally.other[thing.name] = what
+        elif _lies_on(scene, thing, into[what]):
+            tally.sorted[into[what]].append(thing.name)
+        elif thing.name in scene.objects:
+            todo.append((thing, into[what]))
+        else:  # seen, but none that the cell knows
+            tally.other[thing.name] = f"{what}, of no known shape"
+    return todo
+
+
+def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
+    """Whether the middle of a thing is above a place."""
+    frame, size_x, size_y = support_surface(scene.object(place_on))
+    middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
+    x, y, z = frame.inv().apply(middle)
+    return bool(abs(x) < size_x / 2 and abs(y) < size_y / 2 and z > -0.005)
+
+
+def _carry(ctx: TaskContext, gripper: Gripper, item: str, place_on: str) -> Outcome:
+    """Pick one thing and put it down; what cannot be put down is let go where it can be picked again."""
+    outcome = pick(ctx, item, gripper)
+    if not outcome.ok:
+        return outcome
+    for spot in _spots(ctx.scene(), item, place_on):
+        try:
+            outcome = place(ctx, item, place_on, at=spot)
+        except InputError as error:  # it does not fit there as it is held
+            outcome = Outcome(ErrorCode.PLANNING_FAILED, str(error))
+        if outcome.code is not ErrorCode.PLANNING_FAILED:
+            break
+    if not outcome.ok and outcome.code is not ErrorCode.PREEMPTED:
+        if item in ctx.holding:
+            release(ctx, gripper)
+        back_off(ctx, item, gripper)
+    return outcome
+
+
+def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, float]]:
+    """Points of a place's surface [m, from its middle], those with the most room around them first.
+
+    On an empty place that is a corner, so that there is room for others.
+    """
+    frame, size_x, size_y = support_surface(scene.object(place_on))
+    low, high = scene.object(item).bounds()
+    half = float(np.linalg.norm(high - low)) / 2  # however it is turned
+    x, y = (np.arange(-r, r + 1e-9, GRID) for r in (max(size_x / 2 - half, 0), max(size_y / 2 - half, 0)))
+    spots = np.array([(a, b) for a in x for b in y])
+    near = [
+        frame.inv().apply(other.T_world_object.translation)[:2]
+        for name, other in scene.objects.items()
+        if other.movable and name != item
+    ]
+    room = np.full(len(spots), 0.3)  # [m] what is farther away counts no more
+    for middle in near:
+        room = np.minimum(room, np.linalg.norm(spots - middle, axis=1))
+    found: list[tuple[float, float]] = []
+    for k in np.argsort(-room, kind="stable"):
+        if all(np.linalg.norm(spots[k] - other) > half for other in found):
+            found.append((float(spots[k][0]), float(spots[k][1])))
+    return found[:SPOTS]
+
+
+def _ended(tally: _Tally, todo: list[tuple[SeenObject, str]], seen: Sight, settings: SortSettings) -> Outcome:
+    evidence = {
+        "sorted": tally.sorted, "other": tally.other, "failures": tally.failures, "picks": tally.picks,
+    }  # fmt: skip
+    strangers = [n for names in tally.sorted.values() for n in names if not seen[n].known]
+    missing = seen.missing[len(strangers) :]  # where it belongs, but taken for something else
+    if not todo and not missing:
+        return Outcome(ErrorCode.SUCCESS, "", evidence)
+    reasons = [
+        f"{thing.name} is not on {place_on}: {(tally.failures.get(thing.name) or ['not tried'])[-1]}"
+        for thing, place_on in todo
+    ]
+    if missing:
+        reasons.append(f"{', '.join(missing)} not seen any more")
+    if tally.picks >= settings.most_picks:
+        reasons.insert(0, f"given up after {tally.picks} picks")
+    return Outcome(ErrorCode.FAILURE, "; ".join(reasons), evidence)

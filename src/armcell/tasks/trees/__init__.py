@@ -1,0 +1,41 @@
+"""Recipes and stages as nodes of py_trees' behaviour trees, so that recovery logic can be drawn and changed.
+
+Needs the extra `trees` (pip install 'armcell[trees]').
+"""
+
+from armcell.core import MissingExtraError
+
+try:
+    import py_trees  # noqa: F401
+except ImportError:
+    raise MissingExtraError("py_trees", "trees") from None
+
+from armcell.tasks.trees.draw import as_dot, drawn, reasons
+from armcell.tasks.trees.nodes import Act, Check, run
+from armcell.tasks.trees.recipes import (
+    held,
+    looking,
+    moving_to,
+    performing,
+    picking,
+    placing,
+    rests_on,
+    transferring,
+)
+
+__all__ = [
+    "Act",
+    "Check",
+    "as_dot",
+    "drawn",
+    "held",
+    "looking",
+    "moving_to",
+    "performing",
+    "picking",
+    "placing",
+    "reasons",
+    "rests_on",
+    "run",
+    "transferring",
+]

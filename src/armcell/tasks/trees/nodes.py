@@ -1,0 +1,172 @@
+"""Two kinds of nodes: what takes time (a recipe, many ticks long) and what is known at once (a check)."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from weakref import WeakKeyDictionary
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+
+from armcell.core import ErrorCode, Event, InputError, JointTrajectory, Outcome, StateSample
+from armcell.core.checks import require
+from armcell.tasks.context import TaskContext
+from armcell.tasks.trees.draw import reasons
+
+TICK = 0.1  # [s] of the driver's clock that a node may take before it gives the tree its turn
+Recipe = Callable[[TaskContext], Outcome]
+
+_at_work: WeakKeyDictionary[TaskContext, Behaviour] = WeakKeyDictionary()
+"""The node that moves a cell just now: one at a time, or its clock would run past the other's motion."""
+
+
+class Act(Behaviour):
+    """A recipe: RUNNING while it goes on, then SUCCESS or FAILURE with its reason as the feedback message.
+
+    A tick lasts until `tick` seconds of the driver's clock have passed or the recipe has ended; planning
+    takes no time of that clock. The recipe runs in a thread of its own, but only while a tick waits for it:
+    the same seed gives the same run. Where the tree turns to something else, the arm is stopped.
+
+    Attributes:
+        outcome: of the last time it ended; None before that.
+    """
+
+    def __init__(self, name: str, ctx: TaskContext, recipe: Recipe, tick: float = TICK):
+        super().__init__(name)
+        require(tick > 0, f"tick is {tick:g} s, it must be positive")
+        self.ctx = ctx
+        self.outcome: Outcome | None = None
+        self._recipe, self._tick = recipe, tick
+        self._turn: _Turn | None = None
+
+    def initialise(self) -> None:
+        other = _at_work.get(self.ctx)
+        if other is not None:
+            raise InputError(
+                f"{self.name!r} and {other.name!r} would move the same cell at once",
+                cure="two arms at once: cell.side_by_side, as one node",
+            )
+        _at_work[self.ctx] = self
+        self.feedback_message = ""
+        self._turn = _Turn(self.ctx, self._recipe)
+
+    def update(self) -> Status:
+        assert self._turn is not None
+        try:
+            outcome = self._turn.step(self._tick)
+        except InputError as error:  # what a recipe refuses is a reason as any other, to a tree
+            outcome = Outcome(ErrorCode.FAILURE, str(error))
+        if outcome is None:
+            self.feedback_message = self._turn.stage
+            return Status.RUNNING
+        self.outcome, self._turn = outcome, None
+        self.feedback_message = "" if outcome.ok else outcome.message or outcome.code.name
+        return Status.SUCCESS if outcome.ok else Status.FAILURE
+
+    def terminate(self, new_status: Status) -> None:
+        """The recipe has ended, or is ended because the tree turned away from it."""
+        if self._turn is not None:
+            self._turn.stop()
+            self._turn = None
+        if _at_work.get(self.ctx) is self:
+            del _at_work[self.ctx]
+
+
+class Check(Behaviour):
+    """Something that is known at once: a question to the scene, or a look with a camera."""
+
+    def __init__(self, name: str, ask: Callable[[], Outcome]):
+        super().__init__(name)
+        self._ask = ask
+        self.outcome: Outcome | None = None
+
+    def update(self) -> Status:
+        self.outcome = self._ask()
+        self.feedback_message = "" if self.outcome.ok else self.outcome.message
+        return Status.SUCCESS if self.outcome.ok else Status.FAILURE
+
+
+class _Turn:
+    """A recipe in a thread that works only while `step` waits for it. It observes its cell to know when."""
+
+    def __init__(self, ctx: TaskContext, recipe: Recipe):
+        self.stage = ""  # that is performed
+        self._ctx, self._recipe = ctx, recipe
+        self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
+        self._until = 0.0
+        self._outcome: Outcome | None = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="behaviour tree", daemon=True)
+        self._thread.start()
+        ctx.observers.append(self)
+
+    def step(self, duration: float) -> Outcome | None:
+        """Let it work for so long [s of the driver's clock]; its outcome if it has ended."""
+        self._until = self._ctx.driver.now + duration
+        self._go.release()
+        self._back.acquire()
+        if self._outcome is None and self._error is None:
+            return None
+        self._leave()
+        if self._error is not None:
+            raise self._error
+        return self._outcome
+
+    def stop(self) -> None:
+        """Cancel it and wait until it has ended."""
+        if not self._thread.is_alive():
+            return
+        cancelled = self._ctx.cancel.is_set()
+        self._ctx.cancel.set()
+        self._until = float("inf")
+        self._go.release()
+        self._leave()
+        if not cancelled:
+            self._ctx.cancel.clear()
+
+    def _leave(self) -> None:
+        self._thread.join()
+        if self in self._ctx.observers:
+            self._ctx.observers.remove(self)
+
+    def _run(self) -> None:
+        self._go.acquire()
+        try:
+            self._outcome = self._recipe(self._ctx)
+        except BaseException as error:  # raised again in the tree's thread
+            self._error = error
+        self._back.release()
+
+    # --- as an observer ---
+    def on_state(self, sample: StateSample) -> None:
+        if threading.current_thread() is self._thread and sample.time >= self._until:
+            self._back.release()
+            self._go.acquire()
+
+    def on_event(self, event: Event) -> None:
+        if event.kind == "stage" and event.data.get("phase") == "begin":
+            self.stage = event.text
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None: ...
+
+
+def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
+    """Tick a tree until it has succeeded or failed.
+
+    Returns:
+        SUCCESS, FAILURE with the reasons of the nodes that failed, or TIMED_OUT. Evidence: `ticks`.
+    """
+    ticks = 0
+    try:
+        while ticks < most_ticks:
+            root.tick_once()
+            ticks += 1
+            if root.status is Status.SUCCESS:
+                return Outcome(ErrorCode.SUCCESS, "", {"ticks": ticks})
+            if root.status is not Status.RUNNING:
+                return Outcome(ErrorCode.FAILURE, "; ".join(reasons(root)), {"ticks": ticks})
+    finally:
+        if root.status is Status.RUNNING:
+            root.stop(Status.INVALID)
+    return Outcome(ErrorCode.TIMED_OUT, f"still running after {ticks} ticks", {"ticks": ticks})

@@ -1,0 +1,122 @@
+"""The recipes as nodes, and moving an object in spite of what goes wrong as a tree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from py_trees.behaviour import Behaviour
+from py_trees.composites import Selector
+from py_trees.composites import Sequence as InTurn
+from py_trees.decorators import Retry, SuccessIsFailure
+
+from armcell.collision import neighbours
+from armcell.core import ErrorCode, Goal, Outcome
+from armcell.grasping import surface_for
+from armcell.model import Gripper
+from armcell.tasks import recipes
+from armcell.tasks.context import TaskContext
+from armcell.tasks.recovery import Look, RecoverySettings
+from armcell.tasks.search import Stage
+from armcell.tasks.steps import DONE, perform_all
+from armcell.tasks.trees.nodes import Act, Check
+
+Vector = tuple[float, float, float]
+
+
+def picking(ctx: TaskContext, item: str, gripper: Gripper, ahead: Sequence[Stage] = ()) -> Act:
+    """`pick` as a node."""
+    return Act(f"pick {item}", ctx, lambda c: recipes.pick(c, item, gripper, ahead=ahead))
+
+
+def placing(
+    ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, up: Vector | None = None
+) -> Act:
+    """`place` as a node."""
+    return Act(f"place {item} on {on}", ctx, lambda c: recipes.place(c, item, on, at, up))
+
+
+def moving_to(ctx: TaskContext, group: str, goal: Goal | str) -> Act:
+    """`move_to` as a node."""
+    name = goal if isinstance(goal, str) else type(goal).__name__
+    return Act(f"move to {name}", ctx, lambda c: recipes.move_to(c, group, goal))
+
+
+def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequence[Stage]]) -> Act:
+    """Any stages as a node: made, planned and performed when the tree comes to it."""
+
+    def act(c: TaskContext) -> Outcome:
+        draft, outcome = recipes.planned(c, stages(c), name)
+        return outcome if draft is None else perform_all(c, draft.steps)
+
+    return Act(name, ctx, act)
+
+
+def looking(name: str, look: Look) -> Check:
+    """A look with a camera as a node, e.g. `looking("look", lambda: cell.look("above"))`."""
+    return Check(name, look)
+
+
+def held(ctx: TaskContext, item: str) -> Check:
+    """Whether an object is in a hand: held by the task, and still felt."""
+
+    def ask() -> Outcome:
+        holding = ctx.holding.get(item)
+        if holding is not None and ctx.driver.gripper(holding.gripper.name).held == item:
+            return DONE
+        return Outcome(ErrorCode.FAILURE, f"no hand holds {item}")
+
+    return Check(f"{item} held?", ask)
+
+
+def rests_on(
+    ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
+) -> Check:
+    """Whether an object stands on another one, and near a point of its surface [m]."""
+
+    def ask() -> Outcome:
+        scene = ctx.scene()
+        if item in ctx.holding or item not in scene.objects:
+            return Outcome(ErrorCode.FAILURE, f"{item} is {'held' if item in ctx.holding else 'not seen'}")
+        if on not in neighbours(scene, item):
+            return Outcome(ErrorCode.FAILURE, f"{item} does not stand on {on}")
+        if at is not None:
+            frame = surface_for(scene.object(item), scene.object(on))[0]
+            where = frame.inv().apply(scene.object(item).T_world_object.translation)[:2]
+            away = float(np.linalg.norm(where - np.asarray(at)))
+            if away > tolerance:
+                return Outcome(ErrorCode.FAILURE, f"{item} is {away * 1000:.0f} mm from its place on {on}")
+        return DONE
+
+    return Check(f"{item} on {on}?", ask)
+
+
+def transferring(
+    ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
+    up: Vector | None = None, look: Look | None = None, settings: RecoverySettings = RecoverySettings(),
+) -> Behaviour:  # fmt: skip
+    """What `transfer` does, as a tree: until the object stands there, from wherever it is.
+
+    It tries `settings.tries` times; between two tries things come to rest and the open hand steps back.
+    """
+    fetch: Behaviour = picking(ctx, item, gripper)
+    if look is not None:
+        fetch = InTurn(f"find and pick {item}", memory=True, children=[looking("look", look), fetch])
+    in_hand = Selector(f"get {item}", memory=True, children=[held(ctx, item), fetch])
+    there = rests_on(ctx, item, on, at, settings.tolerance)
+    way = InTurn(
+        f"bring {item}", memory=True,
+        children=[in_hand, placing(ctx, item, on, at, up), rests_on(ctx, item, on, at, settings.tolerance)],
+    )  # fmt: skip
+
+    def rest(c: TaskContext) -> Outcome:
+        c.advance(settings.settle)
+        if item not in c.holding and item in c.scene().objects:
+            recipes.back_off(c, item, gripper)
+        return DONE
+
+    again = SuccessIsFailure("and again", Act("come to rest", ctx, rest))
+    return Retry(
+        f"{settings.tries} times", Selector(f"{item} to {on}", memory=True, children=[there, way, again]),
+        settings.tries,
+    )  # fmt: skip

@@ -1,0 +1,40 @@
+"""`make bench` runs every benchmark that there is, and its page says what they printed."""
+
+import sys
+from pathlib import Path
+
+from benchmarks import __main__ as everything
+
+FOLDER = Path(everything.__file__).parent
+
+
+def test_every_benchmark_is_run():
+    files = {f.stem for f in FOLDER.glob("*.py")} | {f.parent.name for f in FOLDER.glob("*/__main__.py")}
+    assert {b.name for b in everything.BENCHMARKS} == files - {"__init__", "__main__"}
+
+
+def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
+    """With a benchmark of its own, in a process as the others."""
+    (tmp_path / "benchmarks").mkdir()
+    (tmp_path / "benchmarks" / "__init__.py").touch()
+    text = "import sys\nprint('a line')\nprint('| a | b |\\n|---|---|\\n| 1 | 2 |')\nsys.exit({})\n"
+    for name, status in (("good", 0), ("bad", 3), ("unable", 2)):
+        (tmp_path / "benchmarks" / f"{name}.py").write_text(text.format(status))
+    table = tuple(everything.Benchmark(name, name.title()) for name in ("good", "bad", "unable", "later"))
+    monkeypatch.setattr(everything, "ROOT", tmp_path)
+    monkeypatch.setattr(everything, "BENCHMARKS", table)
+    monkeypatch.setattr(everything, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(everything, "KEPT", tmp_path / "results" / "all.json")
+    for only, status in ((["good"], 0), (["bad"], 1), (["unable"], 0)):
+        monkeypatch.setattr(sys, "argv", ["benchmarks", "--only", *only])
+        assert everything.main() == status
+    page = (tmp_path / "page.md").read_text()
+    good, bad, unable, later = page.split("\n## ")[1:]
+    assert (
+        "```\na line\n```\n\n| a | b |\n|---|---|\n| 1 | 2 |" in good
+        and "mujoco" in good
+        and "failed" not in good
+    )
+    assert "It failed (status 3)" in bad and "Left out: | 1 | 2 |" in unable
+    assert "make bench ONLY=later" in later
+    assert capfd.readouterr().out.count("a line") == 3

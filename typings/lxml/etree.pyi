@@ -1,0 +1,4 @@
+# lxml ships no type stubs: everything in it is Any.
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
