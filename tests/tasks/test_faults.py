@@ -59,6 +59,21 @@ def test_the_object_is_gone_for_good():
         assert not cell.ctx.holding
 
 
+def test_the_object_is_not_where_the_scene_has_it():
+    """As on a real arm without a camera: the hand stands around nothing."""
+    with live("sim") as cell:
+        believed = cell.driver.object_poses()
+        teleport(cell, -0.12, 0.0)
+        cell.ctx.driver.object_poses = lambda: believed
+        outcome = cell.arm.pick("cube")
+        assert outcome.code is ErrorCode.CONTROL_FAILED
+        assert "nothing is between the fingers" in outcome.message
+        x, y, z = believed["cube"].translation
+        assert f"the scene has cube at {x:.3f} {y:.3f} {z:.3f}" in outcome.message
+        assert stages(cell).count("close") == SETTINGS.attempts  # each time the hand found its way out
+        assert not cell.ctx.holding
+
+
 def test_every_attempt_fails_and_each_had_another_grasp():
     """Forces are chosen for a friction of 0.05 at least; below that the fingers slide off each time.
 

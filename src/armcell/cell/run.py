@@ -19,9 +19,11 @@ from armcell.tasks import TaskFailed
 PLACEMENT_TOLERANCE = 0.005  # [m]
 
 
-def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]:
+def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
     """Perform the cell's task on a live cell.
 
+    Args:
+        seed: the draw that the cell was connected with; None where things are as the cell file says.
     Returns:
         The run as JSON-ready data; the same seed gives the same but for `*planning_time_s` and `wall_time_s`.
     Raises:
@@ -49,7 +51,7 @@ def run_task(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]
     return _result(cell, live, seed, mode, outcome, placements, time.monotonic() - began)
 
 
-def _run_script(cell: Cell, live: LiveCell, seed: int, mode: str) -> dict[str, Any]:
+def _run_script(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
     task = load_script(cell.spec.script or "", cell.file)
     began = time.monotonic()
     try:
@@ -77,7 +79,7 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _result(
-    cell: Cell, live: LiveCell, seed: int, mode: str, outcome: Outcome,
+    cell: Cell, live: LiveCell, seed: int | None, mode: str, outcome: Outcome,
     placements: list[tuple[str, Placement]], wall: float,
 ) -> dict[str, Any]:  # fmt: skip
     live.ctx.report_news()
@@ -103,7 +105,7 @@ def _result(
         "cell": cell.name,
         "mode": mode,
         "seed": seed,
-        "randomized": cell.draw(seed),
+        "randomized": {} if seed is None else cell.draw(seed),
         "stages": reports,
         "slip_m": max(held) if held else None,  # during the hold
         "max_stage_slip_m": max(slips) if slips else None,

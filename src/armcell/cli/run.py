@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
+from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of, gate_words
 from armcell.cli.ros1 import OWN_MASTER
 from armcell.core import Event, JointTrajectory, Observer, StateSample
@@ -39,7 +40,7 @@ def run(
         False, "--ros1", help="For a script: it and its cell join the ROS 1 graph at ROS_MASTER_URI."
     ),
     own_master: bool | None = OWN_MASTER,
-    seed: int = typer.Option(0, min=0, help="Draw of the randomised values, and seed of the planners."),
+    seed: int | None = SEED,
     mode: str = typer.Option(
         "sim", help="sim: physics. fake: follows exactly, no physics. real: the cell's real arms."
     ),
@@ -97,7 +98,7 @@ def run(
             cell,
             in_cell,
             arguments or [],
-            seed,
+            drawn(seed, mode),
             mode,
             time_scale,
             auto_grip,
@@ -107,6 +108,7 @@ def run(
             ros1,
             own_master,
         )
+    seed = drawn(seed, mode)
     if ros1 or own_master is not None:
         raise typer.BadParameter("--ros1 is for scripts; a cell is served to ROS 1 by `armcell serve --ros1`")
     if arguments:
@@ -182,7 +184,8 @@ def run(
                 live.ctx.emit("note", gate_words(passed))
             result = {**run_task(loaded, live, seed, mode), **passed, "layers": health.now(live)}
         sets = [part for one in set_ for part in ("--set", one)]
-        result["command"] = shlex.join(["armcell", "run", cell, "--seed", str(seed), "--mode", mode, *sets])
+        draw = [] if seed is None else ["--seed", str(seed)]
+        result["command"] = shlex.join(["armcell", "run", cell, *draw, "--mode", mode, *sets])
         if progress is not None:
             progress.stop()
         report = _written(recorder, result, json_file)
@@ -238,7 +241,8 @@ def _print(result: dict[str, Any], report: Path | None) -> None:
     ill = [f"{name} {state}" for name, state in result["layers"].items() if state != "ok"]
     console.print("layers: " + ("; ".join(ill) or "all ok"), markup=False, highlight=False)
     if result["success"]:
-        console.print(f"[green]success[/green] (seed {result['seed']})")
+        draw = "things where the cell file says" if result["seed"] is None else f"seed {result['seed']}"
+        console.print(f"[green]success[/green] ({draw})")
     else:
         console.print(f"[red]failed[/red]: {result['error_name']}: ", end="")
         console.print(result["message"], markup=False)

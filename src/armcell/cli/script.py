@@ -16,8 +16,8 @@ from armcell.core import InputError, Observer
 
 
 def run_script_command(
-    script: str, cell: str | None, arguments: list[str], seed: int, mode: str, time_scale: float | None,
-    auto_grip: bool | None, view: bool, port: int, without_gate: str | None,
+    script: str, cell: str | None, arguments: list[str], seed: int | None, mode: str,
+    time_scale: float | None, auto_grip: bool | None, view: bool, port: int, without_gate: str | None,
     ros1: bool = False, own_master: bool | None = None,
 ) -> int:  # fmt: skip
     """Run a rospy / moveit_commander script unchanged against a cell; its exit status.

@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from armcell.cli.console import console, err, errors
+from armcell.cli.draw import SEED, drawn
 from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
@@ -24,7 +25,6 @@ from armcell.core import InputError
 REFRESH = 1.0  # [s]
 CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file.")
 MODE = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics.")
-SEED = typer.Option(0, min=0, help="Draw of the randomised values.")
 SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: slow motion.")
 RATE = typer.Option(30.0, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
 SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
@@ -44,7 +44,7 @@ def serve(
     ),
     protocol: str = typer.Option("auto", help="auto (as each client speaks), ROS1 or ROS2."),
     mode: str = MODE,
-    seed: int = SEED,
+    seed: int | None = SEED,
     time_scale: float = SCALE,
     rate: float = RATE,
     types: Path | None = typer.Option(
@@ -88,7 +88,7 @@ def serve(
             return "  ".join(wire.status() for wire in wires)
 
         if plan_only:
-            return _plan_only(cell, bus, seed, seconds, status, ready)
+            return _plan_only(cell, bus, seed or 0, seconds, status, ready)
         return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready, True, auto_grip)
 
 
@@ -122,7 +122,7 @@ def sim(
     domain: int | None = DOMAIN,
     protocol: str = typer.Option("ROS1", help="Of an endpoint older than 0.7; later ones say it themselves."),
     mode: str = MODE,
-    seed: int = SEED,
+    seed: int | None = SEED,
     time_scale: float = SCALE,
     rate: float = RATE,
     seconds: float | None = SECONDS,
@@ -180,7 +180,7 @@ def sim(
 
 
 def _sim_node(
-    cell: str, joins: list[Callable[[ExitStack, Any], Wire]], mode: str, seed: int, time_scale: float,
+    cell: str, joins: list[Callable[[ExitStack, Any], Wire]], mode: str, seed: int | None, time_scale: float,
     rate: float, seconds: float | None,
 ) -> int:  # fmt: skip
     from armcell.ros import Bus
@@ -212,7 +212,7 @@ def address(text: str) -> tuple[str, int]:
 
 
 def _run(
-    cell: str, bus: Any, mode: str, seed: int, time_scale: float, rate: float, seconds: float | None,
+    cell: str, bus: Any, mode: str, seed: int | None, time_scale: float, rate: float, seconds: float | None,
     status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
     auto_grip: bool = False,
 ) -> int:  # fmt: skip
@@ -221,7 +221,7 @@ def _run(
 
     tell = partial(errors.print, markup=False, highlight=False)
     loaded, health = first_layers(cell, mode, tell)
-    live = loaded.connect(mode, seed, time_scale=time_scale)
+    live = loaded.connect(mode, drawn(seed, mode), time_scale=time_scale)
     served = ServedCell(live, bus, rate, plan, auto_grip)
 
     def all_status() -> str:

@@ -16,7 +16,9 @@ FORMAT = 1
 """Of what stands in a record beside the ROS messages."""
 
 
-def about_run(cell: Cell, seed: int, mode: str, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def about_run(
+    cell: Cell, seed: int | None, mode: str, values: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """JSON-ready: the whole cell (with its other values), seed, mode, hashes, versions, machine."""
     return {
         "format": FORMAT,

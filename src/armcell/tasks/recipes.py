@@ -34,7 +34,7 @@ from armcell.tasks.stages import (
     Upright,
 )
 from armcell.tasks.stages.grasp import Sieve
-from armcell.tasks.steps import DONE, CheckGrasp, Dwell, Expect, Grip, perform_all
+from armcell.tasks.steps import DONE, EMPTY, CheckGrasp, Dwell, Expect, Grip, perform_all
 from armcell.tasks.task import Task
 
 Vector = tuple[float, float, float]
@@ -58,12 +58,14 @@ def pick(
         InputError: no such object, not movable, or the gripper already holds something.
     """
     _check_free(ctx, item, gripper)
-    s, outcome = ctx.settings, DONE
+    s, outcome, before = ctx.settings, DONE, ""
     for _ in range(s.attempts):
         stages = pick_stages(ctx.scene(), item, gripper, s, excluded, ahead)
         draft, outcome = planned(ctx, stages, f"pick {item}")
         if draft is None:
-            return outcome
+            return (
+                replace(outcome, message=f"{outcome.message}; before that: {before}") if before else outcome
+            )
         outcome = perform_all(ctx, draft.steps)
         chosen = {"grasp": draft.data["grasp"], "proof": draft.data["proof"]}
         outcome = replace(outcome, evidence={**outcome.evidence, **chosen})
@@ -76,13 +78,13 @@ def pick(
             if _is_near(ctx, item, gripper):
                 back_off(ctx, item, gripper)
             continue
-        excluded = (*excluded, draft.data["grasp"].name)
+        excluded, before = (*excluded, draft.data["grasp"].name), outcome.message
         held = ctx.holding.pop(item, None)
         ctx.driver.unwatch_object(item)
         ctx.emit("note", f"pick {item}: {outcome.message}; trying the next grasp")
         ctx.driver.command_gripper(gripper.name, gripper.max_width, gripper.max_force)
         ctx.advance(s.release_settle + 0.5)
-        if held is not None:
+        if held is not None or (EMPTY in outcome.evidence and _is_near(ctx, item, gripper)):
             back_off(ctx, item, gripper)
     return outcome
 

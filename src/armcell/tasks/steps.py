@@ -15,6 +15,7 @@ from armcell.tasks.guard import PathGuard
 
 DONE = Outcome(ErrorCode.SUCCESS)
 LOST_FOR = 0.1  # [s] that nothing has been felt between the fingers
+EMPTY = "empty"  # in the evidence of what ended with an empty hand
 LOOK_AT_HANDS = 0.019  # [s] between two looks at what they hold
 
 
@@ -166,7 +167,9 @@ class Hold:
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held != self.object:
             between = f"{reading.held} is" if reading.held else "nothing is"
+            x, y, z = ctx.scene().object(self.object).T_world_object.translation
             text = f"grasp failed: {between} between the fingers ({reading.width * 1000:.1f} mm apart)"
+            text += f"; the scene has {self.object} at {x:.3f} {y:.3f} {z:.3f}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
         ctx.holding[self.object] = Holding(self.object, self.gripper, T)
@@ -276,7 +279,7 @@ class Dwell:
 def not_held(ctx: TaskContext, text: str) -> Outcome:
     """What a step ends with where a hand has not, or no longer, what it should have."""
     ctx.emit("grasp", text)
-    return Outcome(ErrorCode.CONTROL_FAILED, text)
+    return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:

@@ -31,13 +31,25 @@ def test_the_same_task_on_a_robot_over_the_wire(cell, tmp_path):
     file, host = cell
     with emulator("--cell", "six_axis_pick", "--seed", "0", hosts=[host]):
         out = tmp_path / "result.json"
-        real = ["--mode", "real", "--without-gate", "an emulator"]
+        real = ["--seed", "0", "--mode", "real", "--without-gate", "an emulator"]
         assert main(["run", str(file), *real, "--headless", "--json", str(out)]) == 0
         messages = dashboard(host, "armcell messages")[0]
     result = json.loads(out.read_text())
     assert result["success"] and result["mode"] == "real"
     assert [s["name"] for s in result["stages"]].count("open") == 2
     assert "protective stop" not in messages  # physics saw no unwanted touch
+
+
+def test_no_draw_moves_the_things_of_a_real_cell(cell, tmp_path):
+    """The commands of docs/real_ur.md, which give no seed: things are where the cell file says."""
+    file, host = cell
+    with emulator("--cell", "six_axis_pick", hosts=[host]):
+        out = tmp_path / "result.json"
+        real = ["--mode", "real", "--without-gate", "an emulator"]
+        assert main(["run", str(file), *real, "--headless", "--json", str(out)]) == 0
+    result = json.loads(out.read_text())
+    assert result["success"] and result["seed"] is None and result["randomized"] == {}
+    assert "--seed" not in result["command"]
 
 
 def test_bring_up(cell, tmp_path, capsys):
