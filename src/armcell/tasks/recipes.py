@@ -63,9 +63,8 @@ def pick(
         stages = pick_stages(ctx.scene(), item, gripper, s, excluded, ahead)
         draft, outcome = planned(ctx, stages, f"pick {item}")
         if draft is None:
-            return (
-                replace(outcome, message=f"{outcome.message}; before that: {before}") if before else outcome
-            )
+            text = f"{outcome.message}; before that: {before}" if before else outcome.message
+            return replace(outcome, message=text)
         outcome = perform_all(ctx, draft.steps)
         chosen = {"grasp": draft.data["grasp"], "proof": draft.data["proof"]}
         outcome = replace(outcome, evidence={**outcome.evidence, **chosen})
