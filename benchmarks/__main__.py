@@ -4,8 +4,8 @@
     python -m benchmarks --quick                # a few runs of each, for a look at whether they still work
     python -m benchmarks --only campaign wires
 
-What was printed is kept in benchmarks/results/all.json, one entry per benchmark; the page is made from it,
-so benchmarks can be run on different days. Nothing else should run on the machine meanwhile.
+What was printed is kept in benchmarks/kept.json, one entry per benchmark; the page is made from it, so
+benchmarks can be run on different days and by different people: commit both. Nothing else should run on the machine meanwhile.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
-KEPT = ROOT / "benchmarks" / "results" / "all.json"
+KEPT = ROOT / "benchmarks" / "kept.json"
 PACKAGES = (
     "mujoco", "coal", "ompl", "numba", "numpy", "pin", "toppra", "ruckig", "roboplan", "ray",
     "opencv-python-headless",
@@ -80,7 +80,6 @@ def main() -> int:
             failed.append(benchmark.name)
         if not given.quick:
             kept[benchmark.name] = found
-            KEPT.parent.mkdir(exist_ok=True)
             KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
             PAGE.write_text(page(kept), encoding="utf-8")
     print(f"failed: {', '.join(failed)}" if failed else f"{len(wanted)} benchmarks ran", flush=True)

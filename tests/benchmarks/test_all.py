@@ -24,7 +24,7 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(everything, "ROOT", tmp_path)
     monkeypatch.setattr(everything, "BENCHMARKS", table)
     monkeypatch.setattr(everything, "PAGE", tmp_path / "page.md")
-    monkeypatch.setattr(everything, "KEPT", tmp_path / "results" / "all.json")
+    monkeypatch.setattr(everything, "KEPT", tmp_path / "kept.json")
     for only, status in ((["good"], 0), (["bad"], 1), (["unable"], 0)):
         monkeypatch.setattr(sys, "argv", ["benchmarks", "--only", *only])
         assert everything.main() == status

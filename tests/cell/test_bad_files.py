@@ -63,6 +63,9 @@ BAD = {
     "pick object": (HEAD + CUBE + "task: [{pick: cub}]\n", "task/0", "did you mean 'cube'"),
     "place on": (HEAD + CUBE + "task: [{place: {object: cube, on: tabel}}]\n", "task/0", "mean 'table'"),
     "place without on": (HEAD + CUBE + "task: [{place: {object: cube}}]\n", "task/0/place/on", "required"),
+    "transfer": (HEAD + CUBE + "task: [{transfer: {object: cub, on: cube}}]\n", "task/0", "mean 'cube'"),
+    "transfer look": (
+        HEAD + CUBE + "task: [{transfer: {object: cube, on: cube, look: eye}}]\n", "task/0", "camera 'eye'"),
     "two steps in one": (HEAD + CUBE + "task: [{pick: cube, hold: 1}]\n", "task/0", "exactly one"),
     "negative hold": (HEAD + "task: [{hold: -1}]\n", "task/0/hold", "greater"),
     "wrong type": (thing("sphere: big"), "objects/a/sphere", "number"),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.tasks.helpers import AtStage, teleport
 
 import armcell
 from armcell.cell import load, run_task
@@ -171,3 +172,21 @@ def test_after_a_stop_nothing_moves_before_resume():
         assert np.array_equal(live.driver.joint_state().positions, before)
         live.resume()
         assert live.arm.move_to("extended").ok
+
+
+def test_transfer_in_a_file_picks_up_again_what_was_lost(tmp_path):
+    """And turns it as the file says."""
+    head, task, _ = FILE.read_text().partition("task:")
+    file = tmp_path / "cell.yaml"
+    file.write_text(f"{head}{task}\n  - transfer: {{object: cube, on: tray, at: [0.02, 0], up: [1, 0, 0]}}\n")
+    cell = load(file)
+    with cell.connect("sim", seed=2) as live:
+        live.ctx.observers.append(AtStage("lift", lambda: teleport(live, -0.12, 0.0)))
+        result = run_task(cell, live, 2, "sim")
+        T = live.driver.object_poses()["cube"]
+    assert result["success"], result["message"]
+    assert [s["name"] for s in result["stages"]].count("lift") >= 2
+    assert T.rotation.matrix[2, 0] > 0.999  # the cube's x is up
+    assert result["placement_error_m"] <= 5e-3 and result["unwanted_contacts"] == []
+    tray = live.scene().object("tray").T_world_object
+    assert np.linalg.norm(T.translation[:2] - tray.translation[:2]) < 0.08

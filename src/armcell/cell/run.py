@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,8 @@ def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[st
             outcome = _perform(live, step)
         except InputError as error:  # the run so far is worth its report
             outcome = Outcome(ErrorCode.FAILURE, str(error))
-        if step.place and isinstance(target := outcome.evidence.get("placement"), Placement):
-            placements.append((step.place.object, target))
+        if step.goal and isinstance(target := outcome.evidence.get("placement"), Placement):
+            placements.append((step.goal.object, target))
         if not outcome.ok:
             break
     return _result(cell, live, seed, mode, outcome, placements, time.monotonic() - began)
@@ -70,7 +71,11 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
     if step.pick is not None:
         return live.arm.pick(step.pick)
     if step.place is not None:
-        return live.arm.place(step.place.object, on=step.place.on, at=step.place.at)
+        return live.arm.place(step.place.object, step.place.on, step.place.at, step.place.up)
+    if step.transfer is not None:
+        t = step.transfer
+        look = partial(live.look, t.look) if t.look is not None else None
+        return live.arm.transfer(t.object, t.on, t.at, t.up, look)
     if step.hold is not None:
         return live.arm.hold(step.hold)
     if step.look is not None:

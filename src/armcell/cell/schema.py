@@ -227,6 +227,11 @@ class PlaceSpec(Strict):
     object: str
     on: str
     at: tuple[float, float] | None = None  # [m] on the surface, from its centre
+    up: tuple[float, float, float] | None = None  # in the object's frame; None: as it stands
+
+
+class TransferSpec(PlaceSpec):
+    look: str | None = None  # camera that looks for the object before every pick
 
 
 class StepSpec(Strict):
@@ -234,16 +239,27 @@ class StepSpec(Strict):
 
     pick: str | None = None
     place: PlaceSpec | None = None
+    transfer: TransferSpec | None = None  # pick and place, again until it lies there
     hold: float | None = Field(None, ge=0)  # [s]
     move: str | None = None  # named state of the arm
     look: str | None = None  # camera
 
     @model_validator(mode="after")
     def _one(self):
-        given = [k for k in ("pick", "place", "hold", "move", "look") if getattr(self, k) is not None]
+        given = [k for k in type(self).model_fields if getattr(self, k) is not None]
         if len(given) != 1:
-            raise ValueError("needs exactly one of pick, place, hold, move, look")
+            raise ValueError(f"needs exactly one of {', '.join(type(self).model_fields)}")
         return self
+
+    @property
+    def goal(self) -> PlaceSpec | None:
+        """What is to lie where after this step."""
+        return self.place or self.transfer
+
+    @property
+    def camera(self) -> str | None:
+        """What is looked with."""
+        return self.transfer.look if self.transfer else self.look
 
 
 class PushSpec(Strict):

@@ -95,10 +95,11 @@ def _cameras(cell, scene) -> Iterator[Finding]:
 
 def _task(cell, scene) -> Iterator[Finding]:
     for step in cell.spec.task:
-        if step.pick is not None:
-            yield _pick(cell, scene, step.pick)
-        elif step.place is not None:
-            yield _place(scene, step.place.object, step.place.on, step.place.at)
+        item = step.transfer.object if step.transfer else step.pick
+        if item is not None:
+            yield _pick(cell, scene, item)
+        if step.goal is not None:
+            yield _place(scene, step.goal)
 
 
 def _pick(cell, scene, name: str) -> Finding:
@@ -119,15 +120,18 @@ def _pick(cell, scene, name: str) -> Finding:
     return _reach(cell, scene, name, gripper)
 
 
-def _place(scene, item: str, on: str, at) -> Finding:
+def _place(scene, goal) -> Finding:
     from armcell.core import InputError
     from armcell.grasping import place_candidates
 
+    what = f"place {goal.object}"
     try:
-        found = place_candidates(scene.object(item), scene.object(on), at)
+        found = place_candidates(scene.object(goal.object), scene.object(goal.on), goal.at, up=goal.up)
     except InputError as error:
-        return False, f"place {item}", str(error)
-    return True, f"place {item}", f"{len(found)} places on {on}"
+        return False, what, str(error)
+    if not found:
+        return False, what, f"does not stand on {goal.on} with {list(goal.up)} up"
+    return True, what, f"{len(found)} places on {goal.on}"
 
 
 def _reach(cell, scene, item: str, gripper) -> Finding:
