@@ -5,7 +5,8 @@
     python -m benchmarks --only campaign wires
 
 What was printed is kept in benchmarks/kept.json, one entry per benchmark; the page is made from it, so
-benchmarks can be run on different days and by different people: commit both. Nothing else should run on the machine meanwhile.
+benchmarks can be run on different days and by different people: commit both. Nothing else should run on the
+machine meanwhile.
 """
 
 from __future__ import annotations
