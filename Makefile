@@ -19,12 +19,21 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-# What the tests of ROS 1 talk to; it lives under /usr and is used through /usr/bin/python3.
+# What the interop tests talk to, as Debian has it. ROS lives under /usr and is used through /usr/bin/python3.
 ROS := python3-rospy python3-rosmaster python3-rostopic python3-rosservice python3-rosparam python3-rosnode \
        python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros rosout topic-tools \
        rviz xvfb
 ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros' \
              && test -x /usr/bin/rviz -a -x /usr/bin/Xvfb
+MONO := mono-mcs mono-runtime
+MONO_THERE := command -v mcs && command -v mono
+CHROMIUM := chromium
+CHROMIUM_THERE := command -v chromium || command -v chromium-browser || command -v google-chrome || command -v google-chrome-stable
+
+# $(call debian,name,VARIABLE): install $(VARIABLE) unless $(VARIABLE_THERE); where that cannot be, say so and go on.
+debian = { $($(2)_THERE); } >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+  && echo "Installing $(1) ..." && apt-get update -q && apt-get install -qy --no-install-recommends $($(2)); } \
+  || echo "$(1) cannot be installed from here; its tests are skipped. Cure: apt-get install $($(2))"
 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
@@ -41,10 +50,10 @@ fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at what the 
 bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (13 minutes; SECONDS_=600)
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),600)
 
-test-interop: $(VENV)/.stamp ## set up, then test against other programs: Debian's ROS 1 (installed where it can be), Mono, Chromium, Ray
-	@{ $(ROS_THERE); } 2>/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
-	  && echo "Installing Debian's ROS 1 ..." && apt-get update -q && apt-get install -qy --no-install-recommends $(ROS); } \
-	  || echo "Debian's ROS 1 cannot be installed from here; its tests are skipped. Cure: apt-get install $(ROS)"
+test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Mono, Chromium (from Debian, installed where that can be) and Ray
+	@$(call debian,Debian's ROS 1,ROS)
+	@$(call debian,Mono,MONO)
+	@$(call debian,Chromium,CHROMIUM)
 	$(PY) -m pytest -m interop -rs
 
 test-realtime: $(VENV)/.stamp ## set up, then test two emulated arms moved as one; nothing else should run meanwhile
