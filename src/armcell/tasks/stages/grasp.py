@@ -40,7 +40,7 @@ class ChooseGrasp:
     excluded: tuple[str, ...] = ()
     wider: int = 1  # so many times as many candidates, where what comes next allows few
     among: tuple[str, ...] = ()  # names of the only grasps to be used; all where empty
-    sieve: Sieve | None = None  # asked before any arm
+    sieve: Sieve | None = None  # asked before any arm and any proof
     name: str = "grasp"
     gives = (*APPROACH, "proof")
 
@@ -50,11 +50,11 @@ class ChooseGrasp:
         grasps = [g for g in grasps if g.name not in self.excluded]
         if self.among:
             grasps, rejected = [g for g in grasps if g.name in self.among], []
+        if self.sieve is not None:  # before any is proven: that takes longest
+            grasps = self._sifted(planning, grasps, self.sieve(draft.scene))
         proofs: dict[str, Proof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(draft, planning, item, grasps)
-        if self.sieve is not None:
-            grasps = self._sifted(planning, grasps, self.sieve(draft.scene))
         for grasp in grasps[: s.max_candidates * self.wider]:
             yield from self._approaches(draft, planning, grasp, proofs.get(grasp.name))
         for rejection in sorted(rejected, key=how_near):  # after those that came farther
