@@ -1,4 +1,4 @@
-"""Scores of predicted successes: what each is by definition, and that no object is judged by what it taught."""
+"""Scores of predicted successes: each by its definition, and no object judged by what it taught."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def trials():
 @pytest.mark.parametrize("name", ["a", "c"])
 def test_what_is_fitted_has_not_seen_the_object_it_is_asked_about(trials, name):
     epsilon, happened = trials
-    own = NAMES == name
+    own = name == NAMES
     other = np.where(own, 1 - happened, happened)
     for fitted in (lambda y: left_out_curve(NAMES, epsilon, y), lambda y: left_out_mean(NAMES, y)):
         before, after = fitted(happened), fitted(other)

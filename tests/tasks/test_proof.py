@@ -12,7 +12,7 @@ from armcell.core import SE3, Box, Cylinder
 from armcell.grasping import grasp_candidates, hand_of
 from armcell.model import hand_alone, load_robot
 from armcell.scene import CollisionObject, Material, library_object
-from armcell.tasks import Proof, prove, varied
+from armcell.tasks import NOISE, Proof, as_it_may_be, prove, varied
 
 ROBOTS = ("panda", "ur10_gripper")
 
@@ -76,6 +76,23 @@ def test_the_same_trials_are_remembered(robot, monkeypatch):
 def only_without_runs(model, gripper, item, runs, *_):
     assert not runs
     return []
+
+
+def test_an_object_may_be_otherwise_than_believed_but_stands_on_its_support():
+    item = cube(mass=0.4, material=Material(0.4)).at(SE3.from_xyz_rpy((0.5, 0.1, 0.2), (np.pi / 2, 0.0, 0.3)))
+    first, *others = as_it_may_be(item, 400, np.random.default_rng(0))
+    assert first.T_world_object.distance_to(item.T_world_object) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert (first.mass, first.material) == (0.4, item.material)
+    moved = np.array([o.T_world_object.translation - item.T_world_object.translation for o in others])
+    np.testing.assert_allclose(moved[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(moved[:, :2].std(0), NOISE.position, rtol=0.15)
+    turns = [(o.T_world_object.rotation @ item.T_world_object.rotation.inv()).log() for o in others]
+    np.testing.assert_allclose(np.array(turns)[:, :2], 0.0, atol=1e-9)
+    assert np.std(turns, axis=0)[2] == pytest.approx(NOISE.rotation, rel=0.15)
+    assert np.log([o.material.friction / 0.4 for o in others]).std() == pytest.approx(
+        NOISE.friction, rel=0.15
+    )
+    assert np.log([o.mass_kg / 0.4 for o in others]).std() == pytest.approx(NOISE.mass, rel=0.15)
 
 
 def test_varied_grasps_differ(robot):
