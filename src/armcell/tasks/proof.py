@@ -23,7 +23,7 @@ from armcell.sim import Trial, TrialSettings, run_trials
 MAX_SLIP, MAX_TURN = 0.008, 0.3  # [m], [rad] that an object may move in the hand and still be placed well
 SAME_PLACE, SAME_WAY = 0.012, 0.3  # [m], [rad] nearer to each other than this, two grasps count as one
 PRIOR_TRIALS, PRIOR_SHARE = 2.0, 0.97  # of grasps that pass the geometry so many hold (`bench grasp`)
-VERSION = 3  # to be raised when the same trials would end otherwise
+VERSION = 4  # to be raised when the same trials would end otherwise
 
 NOISE = Noise(position=0.001, rotation=0.02)
 
@@ -36,6 +36,7 @@ class Proof:
     successes: int
     trials: int
     slip: float  # [m] median, of the object's point between the pads
+    turn: float  # [rad] median
 
     @property
     def probability(self) -> float:
@@ -81,12 +82,12 @@ def prove(
     for n, i in enumerate(missing):
         own = results[n * trials : (n + 1) * trials]
         good = sum(not r.lost and r.slip <= MAX_SLIP and r.turn <= MAX_TURN for r in own)
-        slip = float(np.median([min(r.slip, 1.0) for r in own]))
-        counts, median = np.array([good, trials]), np.array(slip)
-        stored[i] = {"counts": counts, "slip": median}
-        keep("proofs", keys[i], counts=counts, slip=median)
+        moved = np.median([(min(r.slip, 1.0), min(r.turn, np.pi)) for r in own], axis=0)
+        counts = np.array([good, trials])
+        stored[i] = {"counts": counts, "moved": moved}
+        keep("proofs", keys[i], counts=counts, moved=moved)
     return [
-        Proof(grasp, int(kept["counts"][0]), int(kept["counts"][1]), float(kept["slip"]))
+        Proof(grasp, *kept["counts"].tolist(), *kept["moved"].tolist())
         for grasp, kept in zip(grasps, stored, strict=True)
         if kept is not None
     ]
