@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,8 @@ from armcell.core import SE3, Box, Cylinder
 from armcell.grasping import grasp_candidates, hand_of
 from armcell.model import hand_alone, load_robot
 from armcell.scene import CollisionObject, Material, library_object
-from armcell.tasks import NOISE, Proof, as_it_may_be, prove, varied
+from armcell.tasks import NOISE, Draft, Planning, Proof, as_it_may_be, prove, varied
+from armcell.tasks.stages import ChooseGrasp
 
 ROBOTS = ("panda", "ur10_gripper")
 
@@ -70,7 +72,7 @@ def test_the_same_trials_are_remembered(robot, monkeypatch):
     first = prove(model, gripper, item, grasps, trials=3)
     monkeypatch.setattr("armcell.tasks.proof.run_trials", only_without_runs)
     again = prove(model, gripper, item, grasps, trials=3)
-    assert [(p.successes, p.slip) for p in again] == [(p.successes, p.slip) for p in first]
+    assert [(p.successes, p.slip, p.turn) for p in again] == [(p.successes, p.slip, p.turn) for p in first]
 
 
 def only_without_runs(model, gripper, item, runs, *_):
@@ -107,6 +109,35 @@ def test_varied_grasps_differ(robot):
                 flat = abs(T.rotation.matrix[1, 1])
                 assert np.linalg.norm(T.translation) > 0.011 or T.rotation.matrix[2, 2] < 0.96 or flat < 0.96
     assert len(varied(grasps[:2], 10)) == 2
+
+
+def test_what_leads_on_only_as_long_as_nothing_turns_in_the_hand_comes_last(monkeypatch):
+    scene, settings = with_cube(nominal()), replace(panda_pick().settings, prove_grasps=4)
+    gripper = scene.model.gripper()
+    as_chosen = {
+        g.name: g.T_object_tcp
+        for g in grasp_candidates(scene.object("cube"), hand_of(scene.model, gripper))[0]
+    }
+    turns: dict[str, float] = {}
+
+    def proven(model, gripper, item, grasps, trials):
+        return [Proof(g, trials, trials, 0.0, turns.get(g.name, 0.0)) for g in grasps]
+
+    def no_room_when_turned(_):
+        return lambda g: "" if g.T_object_tcp.distance_to(as_chosen[g.name])[1] < 1e-6 else "no room"
+
+    def first() -> str:
+        stage = ChooseGrasp("cube", gripper, settings.near, settings.approach_distance,
+                            sieve=no_room_when_turned)  # fmt: skip
+        return next(stage.drafts(Draft(scene), Planning(settings, 0, threading.Event()))).data["grasp"].name
+
+    monkeypatch.setattr("armcell.tasks.stages.grasp.prove", proven)
+    best = first()
+    turns[best] = 0.2
+    second = first()
+    assert second != best
+    turns.update(dict.fromkeys(as_chosen, 0.2))
+    assert first() == best  # all are alike again
 
 
 @pytest.mark.slow
