@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from tests.cli.helpers import call, read_json
 
+from armcell.cell.grasp_predictions import Held, Prediction
 from armcell.cell.grasp_trials import Row, objects_of, summary
 from armcell.core import InputError
 from armcell.model import load_robot
@@ -21,31 +22,41 @@ def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
     trimesh.creation.box((90, 50, 60)).export(tmp_path / "parts" / "block.stl")
     trimesh.creation.torus(45, 12).export(tmp_path / "parts" / "ring.ply")
     said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path / "parts", "--scale", "0.001",
-                "--candidates", "4", "--proof-trials", "3", "--json", tmp_path / "out.json")  # fmt: skip
+                "--candidates", "4", "--proof-trials", "3", "--predictions", "2",
+                "--json", tmp_path / "out.json")  # fmt: skip
     found = read_json(tmp_path / "out.json")
     assert said.status == 0 and [r["name"] for r in found["rows"]] == ["block", "ring"]
     for row in found["rows"]:
         assert row["success"] and row["error_m"] < 0.01 and row["slip_m"] < 0.01
         assert row["probability"] > 0.5 and row["generation_s"] > 0
-        assert row["random"]["success"] in (True, False)
+        assert [p["success"] for p in row["predictions"]] == [True, True]
+        assert all(p["held"]["slip_m"] < 0.008 for p in row["predictions"])
     assert found["summary"]["first_attempt"] == {
         "successes": 2, "trials": 2, "share": 1.0, "low": pytest.approx(0.3424, abs=1e-4), "high": 1.0
     }  # fmt: skip
     assert "first attempt: 100.0 % (2 of 2" in said.words
     assert "with recovery: 100.0 % (2 of 2" in said.words
+    assert found["summary"]["predictions"] == 4 and sum(b["n"] for b in found["summary"]["reliability"]) == 4
+    assert "of 4 predictions" in said.words and "0 failures" in said.words
+
+
+def _predicted(probability: float, epsilon: float, success: bool) -> Prediction:
+    return Prediction("a grasp", probability, epsilon, success, Held(success, 0.0, 0.0))
 
 
 def test_the_summary_counts_what_cannot_be_gripped_apart():
     rows = [
-        Row("a", 1.0, True, success=True, probability=0.9, epsilon=0.1),
-        Row("b", 1.0, True, success=False, recovered=True, probability=0.2, epsilon=0.05),
+        Row(
+            "a", 1.0, True, success=True, predictions=[_predicted(0.9, 0.1, True), _predicted(0.7, 0.1, True)]
+        ),
+        Row("b", 1.0, True, success=False, recovered=True, predictions=[_predicted(0.2, 0.05, False)]),
         Row("c", 1.0, False, "too wide"),
     ]
     found = summary(rows)
     assert (found["objects"], found["graspable"]) == (3, 2)
     assert found["first_attempt"]["share"] == 0.5 and found["with_recovery"]["share"] == 1.0
-    assert found["brier_proof"] == pytest.approx(np.mean([0.1**2, 0.2**2]))
-    assert found["brier_base_rate"] == pytest.approx(1.0)  # each is predicted by the other
+    assert found["brier_proof"] == pytest.approx(np.mean([0.1**2, 0.3**2, 0.2**2]))
+    assert found["brier_base_rate"] == pytest.approx(1.0)  # each object is predicted by the other
     assert "with_recovery" not in summary(rows, recovery=False)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,8 @@ from armcell.core import SE3, Box, Cylinder
 from armcell.grasping import grasp_candidates, hand_of
 from armcell.model import hand_alone, load_robot
 from armcell.scene import CollisionObject, Material, library_object
-from armcell.tasks import Proof, prove, varied
+from armcell.tasks import NOISE, Draft, Planning, Proof, as_it_may_be, prove, varied
+from armcell.tasks.stages import ChooseGrasp
 
 ROBOTS = ("panda", "ur10_gripper")
 
@@ -70,12 +72,29 @@ def test_the_same_trials_are_remembered(robot, monkeypatch):
     first = prove(model, gripper, item, grasps, trials=3)
     monkeypatch.setattr("armcell.tasks.proof.run_trials", only_without_runs)
     again = prove(model, gripper, item, grasps, trials=3)
-    assert [(p.successes, p.slip) for p in again] == [(p.successes, p.slip) for p in first]
+    assert [(p.successes, p.slip, p.turn) for p in again] == [(p.successes, p.slip, p.turn) for p in first]
 
 
 def only_without_runs(model, gripper, item, runs, *_):
     assert not runs
     return []
+
+
+def test_an_object_may_be_otherwise_than_believed_but_stands_on_its_support():
+    item = cube(mass=0.4, material=Material(0.4)).at(SE3.from_xyz_rpy((0.5, 0.1, 0.2), (np.pi / 2, 0.0, 0.3)))
+    first, *others = as_it_may_be(item, 400, np.random.default_rng(0))
+    assert first.T_world_object.distance_to(item.T_world_object) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert (first.mass, first.material) == (0.4, item.material)
+    moved = np.array([o.T_world_object.translation - item.T_world_object.translation for o in others])
+    np.testing.assert_allclose(moved[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(moved[:, :2].std(0), NOISE.position, rtol=0.15)
+    turns = [(o.T_world_object.rotation @ item.T_world_object.rotation.inv()).log() for o in others]
+    np.testing.assert_allclose(np.array(turns)[:, :2], 0.0, atol=1e-9)
+    assert np.std(turns, axis=0)[2] == pytest.approx(NOISE.rotation, rel=0.15)
+    assert np.log([o.material.friction / 0.4 for o in others]).std() == pytest.approx(
+        NOISE.friction, rel=0.15
+    )
+    assert np.log([o.mass_kg / 0.4 for o in others]).std() == pytest.approx(NOISE.mass, rel=0.15)
 
 
 def test_varied_grasps_differ(robot):
@@ -90,6 +109,35 @@ def test_varied_grasps_differ(robot):
                 flat = abs(T.rotation.matrix[1, 1])
                 assert np.linalg.norm(T.translation) > 0.011 or T.rotation.matrix[2, 2] < 0.96 or flat < 0.96
     assert len(varied(grasps[:2], 10)) == 2
+
+
+def test_what_leads_on_only_as_long_as_nothing_turns_in_the_hand_comes_last(monkeypatch):
+    scene, settings = with_cube(nominal()), replace(panda_pick().settings, prove_grasps=4)
+    gripper = scene.model.gripper()
+    as_chosen = {
+        g.name: g.T_object_tcp
+        for g in grasp_candidates(scene.object("cube"), hand_of(scene.model, gripper))[0]
+    }
+    turns: dict[str, float] = {}
+
+    def proven(model, gripper, item, grasps, trials):
+        return [Proof(g, trials, trials, 0.0, turns.get(g.name, 0.0)) for g in grasps]
+
+    def no_room_when_turned(_):
+        return lambda g: "" if g.T_object_tcp.distance_to(as_chosen[g.name])[1] < 1e-6 else "no room"
+
+    def first() -> str:
+        stage = ChooseGrasp("cube", gripper, settings.near, settings.approach_distance,
+                            sieve=no_room_when_turned)  # fmt: skip
+        return next(stage.drafts(Draft(scene), Planning(settings, 0, threading.Event()))).data["grasp"].name
+
+    monkeypatch.setattr("armcell.tasks.stages.grasp.prove", proven)
+    best = first()
+    turns[best] = 0.2
+    second = first()
+    assert second != best
+    turns.update(dict.fromkeys(as_chosen, 0.2))
+    assert first() == best  # all are alike again
 
 
 @pytest.mark.slow

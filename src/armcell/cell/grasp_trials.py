@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.cell.grasp_predictions import Prediction, predictions
 from armcell.cell.live import LiveCell
+from armcell.cell.prediction_scores import scores
 from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, SO3, Box, ErrorCode, InputError, Mesh, Outcome
 from armcell.core.intervals import wilson
@@ -27,7 +30,8 @@ from armcell.scene import (
     object_names,
 )
 from armcell.sim import PhysicsSettings, SimWorld
-from armcell.tasks import Proof, TaskContext, TaskSettings, hold, pick, place, prove, release, varied
+from armcell.tasks import TaskContext, TaskSettings, hold, pick, place, prove, release, varied
+from armcell.tasks.stages import ChoosePlacement
 
 Array = NDArray[np.float64]
 
@@ -47,7 +51,7 @@ class TrialOptions:
     candidates: int = 16  # proven in physics before one is chosen
     proof_trials: int = 8
     seed: int = 0
-    any_grasp: bool = True  # also try a grasp drawn at random: how well are successes predicted?
+    predictions: int = 6  # trials with grasps drawn at random per object: how well does P predict them?
     recovery: bool = True  # where the first attempt fails, once more with three attempts
 
 
@@ -71,7 +75,7 @@ class Row:
     generation_s: float = 0.0  # CPU
     proof_s: float = 0.0  # wall
     cpu_s: float = 0.0  # of all of it, all threads
-    random: dict[str, Any] = field(default_factory=dict)  # the trial with a random grasp
+    predictions: list[Prediction] = field(default_factory=list)
 
 
 # --- objects ---
@@ -172,7 +176,7 @@ class Bench:
             return row
         scene, options = self.table.with_object(placed), self.options
         began = time.perf_counter()
-        self._proofs(placed, varied(grasps, options.candidates))
+        prove(self.model, self.gripper, placed, varied(grasps, options.candidates), options.proof_trials)
         row.proof_s = time.perf_counter() - began
         first = self._attempt(scene, self.settings)
         row.success, row.reason = first.ok, first.message
@@ -183,45 +187,32 @@ class Bench:
             row.epsilon = grasp_quality(placed, proof.grasp).epsilon
         if not first.ok and options.recovery:
             row.recovered = self._attempt(scene, replace(self.settings, attempts=3), tries=3).ok
-        if options.any_grasp:
-            row.random = self._random(scene, placed, grasps)
+        row.predictions = self._predictions(scene, placed, name, grasps)
         return row
 
-    def _proofs(self, item: CollisionObject, grasps: Sequence[Grasp]) -> list[Proof]:
-        return prove(self.model, self.gripper, item, grasps, self.options.proof_trials)
+    def _predictions(
+        self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
+    ) -> list[Prediction]:
+        """Trials of grasps drawn at random, of each object with draws of its own."""
+        o, settings = self.options, replace(self.settings, prove_grasps=0)
+        seed = o.seed, zlib.crc32(name.encode())
+        return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
-    def _random(self, scene: PlanningScene, item: CollisionObject, grasps: list[Grasp]) -> dict[str, Any]:
-        """A trial with a reachable grasp drawn at random from those that differ; empty if five are not."""
-        settings = replace(self.settings, prove_grasps=0)
-        rng, pool = np.random.default_rng(self.options.seed), varied(grasps, 40)
-        for i in rng.permutation(len(pool))[:5]:
-            (proof,) = self._proofs(item, [pool[i]])
-            others = tuple(g.name for g in grasps if g is not pool[i])
-            outcome = self._attempt(scene, settings, excluded=others)
-            if outcome.evidence.get("grasp") is not None:  # else no plan: nothing was tried
-                return {
-                    "grasp": pool[i].name, "probability": proof.probability, "success": outcome.ok,
-                    "epsilon": grasp_quality(item, pool[i]).epsilon, "reason": outcome.message,
-                }  # fmt: skip
-        return {}
-
-    def _attempt(
-        self, scene: PlanningScene, settings: TaskSettings, excluded: tuple[str, ...] = (), tries: int = 1
-    ) -> Outcome:
+    def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
         """Pick, lift, hold, place; friction only. The evidence has what was measured."""
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
             outcome = Outcome(ErrorCode.FAILURE, "not tried")
             for _ in range(tries):
-                outcome = self._once(live.ctx, excluded)
+                outcome = self._once(live.ctx)
                 if outcome.ok:
                     break
                 if live.ctx.holding:
                     release(live.ctx, self.gripper)
             return outcome
 
-    def _once(self, ctx: TaskContext, excluded: tuple[str, ...]) -> Outcome:
-        picked = pick(ctx, OBJECT, self.gripper, excluded)
+    def _once(self, ctx: TaskContext) -> Outcome:
+        picked = self._picked(ctx)
         evidence = {k: picked.evidence.get(k) for k in ("grasp", "proof")}
         if not picked.ok:
             return replace(picked, evidence=evidence)
@@ -246,6 +237,13 @@ class Bench:
             text = f"{unwanted[0].body_a} touched {unwanted[0].body_b}"
             return Outcome(ErrorCode.CONTROL_FAILED, text, evidence)
         return Outcome(ErrorCode.SUCCESS, "", evidence)
+
+    def _picked(self, ctx: TaskContext) -> Outcome:
+        """With a grasp from which it can be put down where it shall be; with any where there is none."""
+        s = self.settings
+        goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
+        picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])
+        return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
         """The object where physics leaves it, put down on one of its firmest sides; None if it rolls away."""
@@ -285,44 +283,11 @@ def summary(rows: Sequence[Row], recovery: bool = True) -> dict[str, Any]:
         "proof_s_max": max((r.proof_s for r in tried), default=None),
         "cpu_s": sum(r.cpu_s for r in rows),
     }
-    predicted = [(r.probability, r.epsilon, bool(r.success)) for r in tried if r.probability is not None]
-    predicted += [
-        (r.random["probability"], r.random["epsilon"], bool(r.random["success"])) for r in tried if r.random
-    ]
-    if predicted:
-        p, epsilon, happened = (np.array(column, dtype=float) for column in zip(*predicted, strict=True))
-        found["predictions"] = len(p)
-        found["successes_of_predictions"] = int(happened.sum())
-        found["brier_proof"] = float(np.mean((p - happened) ** 2))
-        found["brier_epsilon"] = float(np.mean((_by_epsilon(epsilon, happened) - happened) ** 2))
-        found["brier_base_rate"] = float(np.mean((_left_out_mean(happened) - happened) ** 2))
-    return found
+    judged = [(r.name, p.probability, p.epsilon, p.success) for r in tried for p in r.predictions]
+    return {**found, **(scores(*zip(*judged, strict=True)) if judged else {})}
 
 
 def _share(successes: int, trials: int) -> dict[str, Any]:
     low, high = wilson(successes, trials)
     share = successes / trials if trials else None
     return {"successes": successes, "trials": trials, "share": share, "low": low, "high": high}
-
-
-def _left_out_mean(happened: Array) -> Array:
-    """Share of successes among all others, for each."""
-    return (happened.sum() - happened) / max(len(happened) - 1, 1)
-
-
-def _by_epsilon(epsilon: Array, happened: Array) -> Array:
-    """P(success) by epsilon alone: a logistic curve fitted to all others, for each."""
-    from scipy.optimize import minimize
-
-    x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
-
-    def loss(w: Array, keep: NDArray[np.bool_]) -> float:
-        z = w[0] + w[1] * x[keep]
-        return float(np.sum(np.logaddexp(0.0, z) - happened[keep] * z) + 0.05 * w @ w)
-
-    found, start = np.empty(len(x)), np.zeros(2)
-    for i in range(len(x)):
-        keep = np.arange(len(x)) != i
-        w = minimize(loss, start, args=(keep,)).x
-        found[i] = 1 / (1 + np.exp(-(w[0] + w[1] * x[i])))
-    return found

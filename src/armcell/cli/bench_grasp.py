@@ -41,7 +41,7 @@ def grasp(
     proof_trials: int = typer.Option(8, min=1, help="Trials of each."),
     seed: int = typer.Option(0, min=0, help="Of planners and of the grasps drawn at random."),
     recover: bool = typer.Option(True, help="Where the first attempt fails, try once more with three."),
-    random: bool = typer.Option(True, help="Also a grasp drawn at random, to see how well P is predicted."),
+    predictions: int = typer.Option(6, min=0, help="Grasps drawn at random per object, to judge P by."),
     json_file: Path | None = typer.Option(
         None, "--json", metavar="OUT", help="A summary and a row per object."
     ),
@@ -51,15 +51,17 @@ def grasp(
     Each object lies on a table as physics leaves it. Objects of files are scaled down where their narrowest
     side takes more than 75 % of the gripper's opening; what cannot be gripped nevertheless is counted apart.
     "Success" is the first attempt; where that fails, three attempts are allowed once more ("with recovery").
-    P is the share of successes in trials of the hand alone with noise. The Brier score says how well it
-    predicts (0 is best), beside a curve fitted to epsilon and the plain share of successes. Exit status 1 if
-    less than 95 % of the graspable objects succeed at the first attempt, or less than 99 % with recovery.
+    P is the share of successes in trials of the hand alone with noise. It is judged by whole robots that
+    pick, with grasps drawn at random, objects whose pose, friction and mass differ from what is believed:
+    its Brier score (0 is best) beside those of a curve fitted to epsilon and of the plain share of successes.
+    Exit status 1 if less than 95 % of the graspable objects succeed at the first attempt, or less than 99 %
+    with recovery.
     """
     from armcell.cell.grasp_trials import Bench, TrialOptions, made_objects, objects_of, summary
 
     if json_file is not None:
         check_writable(json_file)
-    bench = Bench(TrialOptions(robot, candidates, proof_trials, seed, random, recover))
+    bench = Bench(TrialOptions(robot, candidates, proof_trials, seed, predictions, recover))
     todo = list(made_objects()) if library else []
     if objects is not None:
         todo += list(objects_of(objects, bench.gripper, count, scale, skip))
@@ -113,7 +115,21 @@ def _show(rows: list[Row], found: dict[str, Any]) -> None:
             f"95 % interval {100 * s['low']:.1f} to {100 * s['high']:.1f} %)"
         )
     if "brier_proof" in found:
-        console.print(
-            f"Brier score of {found['predictions']} predictions: {found['brier_proof']:.4f} by trials, "
-            f"{found['brier_epsilon']:.4f} by epsilon, {found['brier_base_rate']:.4f} by the share alone"
-        )
+        _show_predictions(found)
+
+
+def _show_predictions(found: dict[str, Any]) -> None:
+    low, high = found["brier_lead_interval"]
+    console.print(
+        f"Brier score of {found['predictions']} predictions: {found['brier_proof']:.4f} by trials, "
+        f"{found['brier_epsilon']:.4f} by epsilon, {found['brier_base_rate']:.4f} by the share alone "
+        f"({found['predictions'] - found['successes_of_predictions']} failures; "
+        f"the lead over epsilon is {found['brier_lead']:.4f}, 95 % interval {low:.4f} to {high:.4f})"
+    )
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("P", "trials", "predicted", "happened"):
+        table.add_column(title, justify="right")
+    for b in found["reliability"]:
+        shares = (f"{100 * b[k]:.1f} %" for k in ("predicted", "happened"))
+        table.add_row(f"{b['from']:.2f} to {b['to']:.2f}", str(b["n"]), *shares)
+    console.print(table)

@@ -12,7 +12,7 @@ from armcell.tasks.interleaved import AheadSettings, Part, perform_parts, pickin
 from armcell.tasks.laying import LayDown, PickAndPlace, lay_down
 from armcell.tasks.merger import Merger
 from armcell.tasks.moving import MovingSettings, pick_moving
-from armcell.tasks.proof import NOISE, Proof, prove, varied
+from armcell.tasks.proof import NOISE, Proof, as_it_may_be, prove, varied
 from armcell.tasks.recipes import (
     grasp,
     hold,
@@ -68,6 +68,7 @@ __all__ = [
     "TaskFailed",
     "TaskPlan",
     "TaskSettings",
+    "as_it_may_be",
     "check_task",
     "checked",
     "clearance",

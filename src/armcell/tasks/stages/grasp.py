@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class ChooseGrasp:
     excluded: tuple[str, ...] = ()
     wider: int = 1  # so many times as many candidates, where what comes next allows few
     among: tuple[str, ...] = ()  # names of the only grasps to be used; all where empty
-    sieve: Sieve | None = None  # asked before any arm
+    sieve: Sieve | None = None  # asked before any arm and any proof
     name: str = "grasp"
     gives = (*APPROACH, "proof")
 
@@ -50,11 +50,14 @@ class ChooseGrasp:
         grasps = [g for g in grasps if g.name not in self.excluded]
         if self.among:
             grasps, rejected = [g for g in grasps if g.name in self.among], []
+        why_not = self.sieve(draft.scene) if self.sieve is not None else None
+        if why_not is not None:  # before any is proven: that takes longest
+            grasps = self._sifted(planning, grasps, why_not)
         proofs: dict[str, Proof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(draft, planning, item, grasps)
-        if self.sieve is not None:
-            grasps = self._sifted(planning, grasps, self.sieve(draft.scene))
+        if why_not is not None and proofs:  # last what leads on only if nothing turns in the hand
+            grasps.sort(key=lambda g: any(why_not(turned) for turned in _turned(proofs[g.name])))
         for grasp in grasps[: s.max_candidates * self.wider]:
             yield from self._approaches(draft, planning, grasp, proofs.get(grasp.name))
         for rejection in sorted(rejected, key=how_near):  # after those that came farther
@@ -190,6 +193,14 @@ class Close:
             Watch(self.object, self.supports),
             scene=scene,
         )
+
+
+def _turned(proof: Proof) -> Iterator[Grasp]:
+    """A grasp as it may be after the object has turned about the pads by as much as it did in its trials."""
+    T = proof.grasp.T_object_tcp
+    for angle in (-proof.turn, proof.turn):
+        turn = SE3.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, angle, 0.0))
+        yield replace(proof.grasp, T_object_tcp=T @ turn)
 
 
 def _seconds(scene: PlanningScene, arm: JointState) -> float:

@@ -1,0 +1,110 @@
+"""How well successes were predicted: Brier score, log loss, area under the curve, reliability.
+
+A probability is judged as it is. Epsilon is none, so a logistic curve makes it one. The curve and the plain
+share of successes are fitted to all other objects, since the trials of one object are alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EDGES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0)  # of the bins of P in the table of reliability
+LEAST = 1e-3  # probability that the log loss takes for 0, and 1 less it for 1
+RIDGE = 0.05  # of the curve's coefficients, so that it is found where successes and failures do not mix
+RESAMPLED = 2000  # times, of the objects, for the interval of the lead
+
+
+def scores(
+    objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
+) -> dict[str, Any]:
+    """Scores of P by proofs, of epsilon alone and of the share of successes, a value each per trial.
+
+    `brier_lead` is how much smaller P's Brier score is than epsilon's, `brier_lead_interval` where it lies
+    with 95 %, by resampling the objects. An area under the curve is None without successes or failures.
+    """
+    names, p, happened = np.array(objects), np.array(probability, float), np.array(success, float)
+    means = left_out_mean(names, happened)
+    curve = left_out_curve(names, np.array(epsilon, float), happened)
+    found: dict[str, Any] = {"predictions": len(p), "successes_of_predictions": int(happened.sum())}
+    for name, q in (("proof", p), ("epsilon", curve), ("base_rate", means)):
+        found[f"brier_{name}"] = float(np.mean((q - happened) ** 2))
+        clipped = np.clip(q, LEAST, 1 - LEAST)
+        found[f"log_loss_{name}"] = float(
+            -np.mean(happened * np.log(clipped) + (1 - happened) * np.log(1 - clipped))
+        )
+    found["auc_proof"] = area_under_curve(p, happened)
+    found["auc_epsilon"] = area_under_curve(np.array(epsilon, float), happened)
+    lead = (curve - happened) ** 2 - (p - happened) ** 2
+    found["brier_lead"] = float(lead.mean())
+    found["brier_lead_interval"] = _interval(names, lead)
+    found["reliability"] = reliability(p, happened)
+    return found
+
+
+def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
+    """Of each bin of P with something in it: how many, the mean prediction, the share of successes."""
+    rows = []
+    bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
+    for k in np.unique(bins):
+        inside = bins == k
+        rows.append(
+            {
+                "from": EDGES[k], "to": EDGES[k + 1], "n": int(inside.sum()),
+                "predicted": float(p[inside].mean()), "happened": float(happened[inside].mean()),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def area_under_curve(score: Array, happened: Array) -> float | None:
+    """How likely a success has a greater score than a failure; ties count half."""
+    good, bad = score[happened > 0.5], score[happened <= 0.5]
+    if not len(good) or not len(bad):
+        return None
+    less = np.searchsorted(np.sort(bad), good, side="left")
+    upto = np.searchsorted(np.sort(bad), good, side="right")
+    return float((less + upto).mean() / (2 * len(bad)))
+
+
+def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
+    """The share of successes among the trials of all other objects; 0.5 where there are none."""
+    found = np.full(len(happened), 0.5)
+    for name in np.unique(objects):
+        own = objects == name
+        if not own.all():
+            found[own] = happened[~own].mean()
+    return found
+
+
+def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
+    """P(success) by epsilon alone: a logistic curve fitted to the trials of all other objects."""
+    from scipy.optimize import minimize
+
+    x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
+
+    def loss(w: Array, keep: NDArray[np.bool_]) -> float:
+        z = w[0] + w[1] * x[keep]
+        return float(np.sum(np.logaddexp(0.0, z) - happened[keep] * z) + RIDGE * w @ w)
+
+    found = np.empty(len(x))
+    for name in np.unique(objects):
+        own = objects == name
+        w = minimize(loss, np.zeros(2), args=(~own,)).x
+        found[own] = 1 / (1 + np.exp(-(w[0] + w[1] * x[own])))
+    return found
+
+
+def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
+    """Of the mean, 95 %, by drawing objects with all their trials again and again."""
+    names, index = np.unique(objects, return_inverse=True)
+    total, count = np.bincount(index, lead), np.bincount(index)
+    drawn = np.random.default_rng(0).integers(len(names), size=(RESAMPLED, len(names)))
+    means = total[drawn].sum(1) / count[drawn].sum(1)
+    low, high = np.quantile(means, (0.025, 0.975))
+    return float(low), float(high)
