@@ -21,12 +21,15 @@ def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
     (tmp_path / "parts").mkdir()
     trimesh.creation.box((90, 50, 60)).export(tmp_path / "parts" / "block.stl")
     trimesh.creation.torus(45, 12).export(tmp_path / "parts" / "ring.ply")
+    (tmp_path / "parts" / "broken.obj").write_text("v 0 0 0\nv nan 0 1\nv 0 1 0\nf 1 2 3\n")
     said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path / "parts", "--scale", "0.001",
                 "--candidates", "4", "--proof-trials", "3", "--predictions", "2",
                 "--json", tmp_path / "out.json")  # fmt: skip
     found = read_json(tmp_path / "out.json")
-    assert said.status == 0 and [r["name"] for r in found["rows"]] == ["block", "ring"]
-    for row in found["rows"]:
+    block, broken, ring = found["rows"]
+    assert said.status == 0 and [block["name"], broken["name"], ring["name"]] == ["block", "broken", "ring"]
+    assert not broken["graspable"] and "broken.obj" in broken["reason"]
+    for row in (block, ring):
         assert row["success"] and row["error_m"] < 0.01 and row["slip_m"] < 0.01
         assert row["probability"] > 0.5 and row["generation_s"] > 0
         assert [p["success"] for p in row["predictions"]] == [True, True]

@@ -87,8 +87,9 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 
 def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
-) -> Iterator[tuple[str, CollisionObject, float]]:
-    """Objects of the mesh files of a folder, or of its URDFs where there are any, scaled to fit the gripper.
+) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
+    """Objects of the mesh files of a folder, or of its URDFs where there are any, scaled to fit the gripper;
+    of a file that cannot be read, why not.
 
     Args:
         count: of the files, by name.
@@ -109,11 +110,14 @@ def objects_of(
         raise InputError(f"has {len(files)} files, {skip} are to be skipped", file=folder)
     limit = SHARE * gripper.max_width
     for file in files[skip : skip + count]:
-        item = _of_urdf(file) if file.suffix == ".urdf" else mesh_object(file.stem, file, scale=scale)
-        item = replace(item, material=Material(FRICTION))
-        low, high = item.bounds()
-        shrink = min(1.0, limit / float((high - low).min()))
-        yield file.stem, item if shrink == 1.0 else _scaled(item, shrink), shrink
+        try:
+            item = _of_urdf(file) if file.suffix == ".urdf" else mesh_object(file.stem, file, scale=scale)
+            item = replace(item, material=Material(FRICTION))
+            low, high = item.bounds()
+            shrink = min(1.0, limit / float((high - low).min()))
+            yield file.stem, item if shrink == 1.0 else _scaled(item, shrink), shrink
+        except InputError as error:  # the others are worth their trials
+            yield file.stem, error, 1.0
 
 
 def _of_urdf(file: Path) -> CollisionObject:
@@ -152,8 +156,10 @@ class Bench:
             planning_budget=600.0,  # a trial is not to fail because the machine is busy
         )  # fmt: skip
 
-    def run(self, name: str, item: CollisionObject, scale: float) -> Row:
+    def run(self, name: str, item: CollisionObject | InputError, scale: float) -> Row:
         """Everything about one object: its grasps, the attempts, the predictions."""
+        if isinstance(item, InputError):
+            return Row(name, scale, False, str(item))
         began = time.process_time()
         row = self._tried(name, item, scale)
         row.cpu_s = time.process_time() - began
@@ -272,13 +278,14 @@ def summary(rows: Sequence[Row], recovery: bool = True) -> dict[str, Any]:
     tried = [r for r in rows if r.graspable]
     first = sum(bool(r.success) for r in tried)
     after = sum(bool(r.success or r.recovered) for r in tried)
+    times = [r.generation_s for r in rows if r.generation_s > 0] or [0.0]
     found: dict[str, Any] = {
         "objects": len(rows),
         "graspable": len(tried),
         "first_attempt": _share(first, len(tried)),
         **({"with_recovery": _share(after, len(tried))} if recovery else {}),
-        "generation_ms_median": 1000 * float(np.median([r.generation_s for r in rows])),
-        "generation_ms_max": 1000 * max(r.generation_s for r in rows),
+        "generation_ms_median": 1000 * float(np.median(times)),
+        "generation_ms_max": 1000 * max(times),
         "proof_s_median": float(np.median([r.proof_s for r in tried])) if tried else None,
         "proof_s_max": max((r.proof_s for r in tried), default=None),
         "cpu_s": sum(r.cpu_s for r in rows),

@@ -11,6 +11,7 @@ from rich.progress import track
 from rich.table import Table
 
 from armcell.cli.console import check_writable, console, errors, write_json
+from armcell.core import InputError
 
 if TYPE_CHECKING:
     from armcell.cell.grasp_trials import Row
@@ -64,7 +65,11 @@ def grasp(
     bench = Bench(TrialOptions(robot, candidates, proof_trials, seed, predictions, recover))
     todo = list(made_objects()) if library else []
     if objects is not None:
-        todo += list(objects_of(objects, bench.gripper, count, scale, skip))
+        found_there = list(objects_of(objects, bench.gripper, count, scale, skip))
+        bad = [item for _, item, _ in found_there if isinstance(item, InputError)]
+        if len(bad) == len(found_there):
+            raise bad[0]
+        todo += found_there
     rows: list[Row] = []
 
     def save(found: dict[str, Any] | None) -> None:
