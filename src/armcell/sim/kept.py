@@ -20,7 +20,7 @@ from armcell.sim.objects import add_free_body, sliding
 from armcell.sim.settings import PhysicsSettings
 
 _models: Kept[BuiltModel] = Kept(4)
-"""As compiled, by all that `build` reads but what `_put_in` writes. Nobody else has them: worlds get copies."""
+"""As compiled, by all that `build` reads but what `_put_in` writes. Only here: worlds get copies."""
 
 
 def kept_build(scene: PlanningScene, settings: PhysicsSettings) -> BuiltModel:

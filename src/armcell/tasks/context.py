@@ -21,7 +21,7 @@ from armcell.tasks.settings import TaskSettings
 from armcell.tasks.world import World, without_measured
 
 OBSERVER_PERIOD = 0.01  # [s] of the driver's clock between samples given to observers
-UNWATCHED = 0.1  # [s] that pass at once where nobody watches
+UNWATCHED = 0.02  # [s] that pass at once where nobody watches
 
 
 @dataclass
