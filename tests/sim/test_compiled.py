@@ -115,3 +115,9 @@ def test_an_object_that_is_thrown_and_turns_is_seen_as_by_the_engine_alone():
     compiled, python = _both(act)
     assert compiled == python
     assert not compiled[0][0] and any("table" in contact for contact in compiled[0][-1])
+
+
+def test_the_engine_does_not_read_the_clock():
+    world = Grasping().world
+    world.step(20)
+    assert world.mj_data.timer.number[0] > 20 and not world.mj_data.timer.duration.any()
