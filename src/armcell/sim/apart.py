@@ -29,12 +29,12 @@ class Apart:
     """Pairs of bodies, for `stepping.take_steps`.
 
     Attributes:
-        arrays: of p pairs and k pairs of their geoms:
-            (p, nq) how far a point of one can move against the other for each unit of qpos [m];
-            (p, nq) qpos when the distance was measured;
+        arrays: of p pairs, the c joint values between their bodies, and k pairs of their geoms:
+            (c,) index in qpos; (c,) how far a point of one can move against the other for each unit [m];
+            (c,) the value when the distance was measured; (p + 1,) where those of a pair begin;
             (p,) how far both may have moved since [m], and (p,) how far from now on, at least;
             (p,) whether the engine does not look at the pair, and whether it is to be measured in this step;
-            (nq,) the largest of the first for each unit of qpos, and qpos as it was before the last step;
+            (nq,) the largest way of any pair for each unit of qpos, and qpos as it was before the last step;
             (p, 2) bodies; (k, 2) geoms, and (p + 1,) where those of a pair begin;
             (geom,) the bit of its body in the engine's masks, and the masks of what it may touch;
             (body,) how many pairs of each the engine looks at, and its two masks of bodies;
@@ -63,9 +63,11 @@ class Apart:
         ]
         reach = _reach(model, self._pairs)
         count = len(self._pairs)
+        rows, columns = reach.nonzero()
         self._left, self._shut = np.zeros(count), np.zeros(count, np.bool_)
         self.arrays = (
-            reach, np.zeros_like(reach), np.zeros(count), self._left, self._shut, np.zeros(count, np.bool_),
+            columns, reach[rows, columns], np.zeros(len(rows)), np.searchsorted(rows, np.arange(count + 1)),
+            np.zeros(count), self._left, self._shut, np.zeros(count, np.bool_),
             reach.max(axis=0, initial=0.0), np.zeros(n), self._pairs,
             np.array([pair for some in geoms for pair in some], np.int64).reshape(-1, 2),
             np.cumsum([0, *map(len, geoms)]), self._bit, model.geom_conaffinity,

@@ -64,8 +64,8 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 @njit(cache=True)
 def _before(qpos, apart):
     """Let the engine look at pairs of bodies no longer known to be apart; returns whether there are such."""
-    reach, reference, limit, left, shut, old, most, last, bodies, geoms, first, bit, affinity = apart[:13]
-    looked_at, body_type, body_affinity, _ = apart[13:]
+    columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
+    bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
     step = 0.0
     for j in range(len(most)):
         step += most[j] * abs(qpos[j] - last[j])
@@ -77,13 +77,14 @@ def _before(qpos, apart):
         if left[p] > 0.0:
             continue
         moved = 0.0
-        for j in range(len(most)):
-            moved += reach[p, j] * abs(qpos[j] - reference[p, j])
+        for c in range(begins[p], begins[p + 1]):
+            moved += reach[c] * abs(qpos[columns[c]] - reference[c])
         left[p] = limit[p] - moved
         if left[p] > 0.0:
             continue
         found = old[p] = True
-        reference[p] = qpos
+        for c in range(begins[p], begins[p + 1]):
+            reference[c] = qpos[columns[c]]
         if shut[p]:
             shut[p] = False
             for k in range(first[p], first[p + 1]):
@@ -100,8 +101,8 @@ def _before(qpos, apart):
 @njit(cache=True)
 def _after(model, data, places, apart):
     """Of those pairs: how far the joints may move until they might touch."""
-    _, _, limit, left, shut, old, _, _, bodies, geoms, first, bit, affinity = apart[:13]
-    looked_at, body_type, body_affinity, radius = apart[13:]
+    _, _, _, _, limit, left, shut, old, _, _ = apart[:10]
+    bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, radius = apart[10:]
     for p in range(len(left)):
         if not old[p]:
             continue
