@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.sim.helpers import Grasping
 
+from armcell.core import SE3
 from armcell.sim import SimWorld
 
 
@@ -83,11 +84,40 @@ def test_links_that_come_to_touch_are_seen_as_by_the_engine_alone():
 
 def test_what_is_far_apart_is_not_compared_until_it_may_be_near():
     world = Grasping().world
-    apart = world._steps._apart
-    links, *_, affinity, _ = apart.arrays
+    model = world.mj_model
+    solid = model.body_contype > 0
     world.step(1)
-    aside = affinity.copy()
+    aside, sorted_in = model.geom_conaffinity.copy(), model.body_contype.copy()
     world.step(300)  # at rest: nothing changes
-    assert len(links) > 5 and (aside != affinity.max()).any() and (affinity == aside).all()
-    world.set_positions(world.joint_state().positions)
-    assert len(set(affinity[affinity != 1].tolist())) == 1  # all are looked at again
+    assert (model.geom_conaffinity == aside).all() and (model.body_contype == sorted_in).all()
+    assert len(set(aside.tolist())) > 5 and (sorted_in[solid] == 0).sum() > 3
+    world.set_object_pose("cube", SE3.from_xyz(0.9, 0.4, 0.02))  # into the table
+    assert {c.body_a for c in world.contacts()} | {c.body_b for c in world.contacts()} == {"cube", "table"}
+    world.step(1)
+    world.set_positions(world.joint_state().positions)  # all are looked at again
+    assert len(set(model.geom_conaffinity.tolist())) == 1 and (model.body_contype[solid] > 0).all()
+
+
+def test_an_object_that_is_thrown_and_turns_is_seen_as_by_the_engine_alone():
+    """The cube falls past the hand onto the table, turning, and comes to rest."""
+
+    def act(grasp: Grasping):
+        world = grasp.world
+        start = world.built.object_dof["cube"]
+        world.set_object_pose("cube", SE3.from_xyz(0.5, 0.25, 0.4))
+        world.mj_data.qvel[start : start + 6] = [0.0, -1.2, 0.0, 9.0, -7.0, 5.0]
+        seen = []
+        for _ in range(150):
+            world.step(5)
+            seen.append([(c.body_a, c.body_b, c.depth, c.force) for c in world.contacts()])
+        return seen
+
+    compiled, python = _both(act)
+    assert compiled == python
+    assert not compiled[0][0] and any("table" in contact for contact in compiled[0][-1])
+
+
+def test_the_engine_does_not_read_the_clock():
+    world = Grasping().world
+    world.step(20)
+    assert world.mj_data.timer.number[0] >= 20 and not world.mj_data.timer.duration.any()

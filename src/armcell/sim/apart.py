@@ -1,8 +1,8 @@
-"""Bodies that the engine compares at every step although they hardly ever touch.
+"""Bodies that the engine need not compare, because they are known to be apart.
 
-It tells bodies apart by the spheres around them. Those of a link and the next but one always overlap, and
-those of a table and all links, too. Here such a pair is not looked at as long as its distance, once measured,
-is more than the joints between the two can have made up for since. So the contacts are the same.
+It tells bodies apart by boxes and spheres around them, at every step. Here a pair is not looked at as long as
+its distance, once measured, is more than the joints between the two can have made up for since; and a body
+with no pair to be looked at is not even sorted in. So the contacts are the same.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.sim.built import BuiltModel
+from armcell.sim.stepping import ALL
 
 Array = NDArray[np.float64]
 
-NEIGHBOURS = 2  # joints between links whose spheres always overlap
-LARGE = 0.5  # [m] radius of the sphere around an object that stands among the links
 MOST_BODIES = 30  # one bit each of the engine's masks; the lowest is everything else's
-ALL = 0x7FFFFFFF
+UNKNOWN = {int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("PLANE", "HFIELD", "SDF")}
+"""Kinds of geoms whose distances the engine does not tell."""
+FREE, SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 BEYOND = 0.05  # [m] how far a slide may go beyond its range
 
 
@@ -28,49 +29,58 @@ class Apart:
     """Pairs of bodies, for `stepping.take_steps`.
 
     Attributes:
-        arrays: of p pairs and k pairs of their geoms:
-            (p, j) index in qpos of the joints between two bodies;
-            (p, j) how far a point of one can move against the other for each unit of a joint [m];
-            (p, j) those joints when the distance was measured;
-            (p,) how far both may have moved since [m];
-            (k, 2) geoms, and (p + 1,) where those of a pair begin;
+        arrays: of p pairs, the c joint values between their bodies, and k pairs of their geoms:
+            (c,) index in qpos; (c,) how far a point of one can move against the other for each unit [m];
+            (c,) the value when the distance was measured; (p + 1,) where those of a pair begin;
+            (p,) how far both may have moved since [m], and (p,) how far from now on, at least;
+            (p,) whether the engine does not look at the pair, and whether it is to be measured in this step;
+            (nq,) the largest way of any pair for each unit of qpos, and qpos as it was before the last step;
+            (p, 2) bodies; (k, 2) geoms, and (p + 1,) where those of a pair begin;
             (geom,) the bit of its body in the engine's masks, and the masks of what it may touch;
-            (p,) whether the pair is to be looked at in this step.
+            (body,) how many pairs of each the engine looks at, and its two masks of bodies;
+            (geom,) radius of the sphere around each [m].
     """
 
     def __init__(self, built: BuiltModel):
         model = built.mj
-        self._affinity = model.geom_conaffinity
-        pairs = [] if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else _pairs(built)
-        bits: dict[int, int] = {}
-        for body in (b for a, b, _ in pairs for b in (a, b)):
-            bits.setdefault(body, 1 << (len(bits) + 1))
-        pairs = [pair for pair in pairs if max(bits[pair[0]], bits[pair[1]]) < 1 << MOST_BODIES]
-        geoms = [[(g, h) for g in _geoms(model, a) for h in _geoms(model, b)] for a, b, _ in pairs]
+        self._model, n = model, model.nq
+        comparable = _comparable(model)
+        plain = [b for b in range(model.nbody) if _plain(model, b)][:MOST_BODIES]
+        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):  # which moves within a step
+            plain = []
+        known = set(plain)
+        self._pairs = np.array([p for p in comparable if known.issuperset(p)], np.int64).reshape(-1, 2)
         self._bit = np.zeros(model.ngeom, dtype=np.int32)
-        for body, bit in bits.items():
-            if bit < 1 << MOST_BODIES:
-                self._bit[_geoms(model, body)] = bit
-                model.body_contype[body] = model.body_conaffinity[body] = ALL
+        for i, body in enumerate(plain):
+            self._bit[_geoms(model, body)] = 1 << (i + 1)
         some = self._bit > 0
         model.geom_contype[some] = self._bit[some]
-        self._affinity[some] = ALL
-        self._limit = np.full(len(pairs), -1.0)
-        most = max((len(joints) for *_, joints in pairs), default=0)
-        columns, moves = np.zeros((len(pairs), most), np.int64), np.zeros((len(pairs), most))
-        for p, (*_, joints) in enumerate(pairs):
-            for j, (column, reach) in enumerate(joints):
-                columns[p, j], moves[p, j] = column, reach
+        self._looked_at = np.bincount(np.array(comparable, np.int64).ravel(), minlength=model.nbody)
+        self._open = self._looked_at.copy()
+        self._bodies = np.array(plain, np.int64)
+        geoms = [
+            [(g, h) for g in _geoms(model, a) for h in _geoms(model, b)] for a, b in self._pairs.tolist()
+        ]
+        reach = _reach(model, self._pairs)
+        count = len(self._pairs)
+        rows, columns = reach.nonzero()
+        self._left, self._shut = np.zeros(count), np.zeros(count, np.bool_)
         self.arrays = (
-            columns, moves, np.zeros_like(moves), self._limit,
+            columns, reach[rows, columns], np.zeros(len(rows)), np.searchsorted(rows, np.arange(count + 1)),
+            np.zeros(count), self._left, self._shut, np.zeros(count, np.bool_),
+            reach.max(axis=0, initial=0.0), np.zeros(n), self._pairs,
             np.array([pair for some in geoms for pair in some], np.int64).reshape(-1, 2),
-            np.cumsum([0, *map(len, geoms)]), self._bit, self._affinity, np.zeros(len(pairs), np.bool_),
+            np.cumsum([0, *map(len, geoms)]), self._bit, model.geom_conaffinity,
+            self._open, model.body_contype, model.body_conaffinity, model.geom_rbound,
         )  # fmt: skip
+        self.forget()
 
     def forget(self) -> None:
         """Let the engine look at every pair."""
-        self._limit[:] = -1.0
-        self._affinity[self._bit > 0] = ALL
+        model = self._model
+        self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
+        model.geom_conaffinity[self._bit > 0] = ALL
+        model.body_contype[self._bodies] = model.body_conaffinity[self._bodies] = ALL
 
 
 def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
@@ -78,57 +88,63 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
     return list(range(start, start + int(model.body_geomnum[body])))
 
 
-def _pairs(built: BuiltModel) -> list[tuple[int, int, list[tuple[int, float]]]]:
-    """Bodies that may touch, and of each joint between them its index in qpos and its reach."""
-    model = built.mj
+def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Pairs of bodies that the engine compares."""
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
-    links = {built.body[name] for name in built.owners[: built.link_count]}
-    fixed = {built.body[name] for name in built.owners[built.link_count :]}
-    fixed = {
-        b
-        for b in fixed
-        if model.body_weldid[b] == 0 and model.geom_rbound[_geoms(model, b)].max(initial=0) > LARGE
-    }
-    found = []
-    for a, b in combinations(sorted(b for b in links | fixed if _plain(model, b)), 2):
-        joints = _joints_between(model, a, b)
-        near = len(joints) <= NEIGHBOURS or a in fixed or b in fixed
-        if joints and near and (a, b) not in excluded:
-            found.append((a, b, joints))
-    return found
+    weld = model.body_weldid.tolist()
+    above = [weld[parent] for parent in model.body_parentid[weld].tolist()]
+    solid = (model.body_contype | model.body_conaffinity).tolist()
+    return [
+        (a, b)
+        for a, b in combinations([b for b in range(model.nbody) if solid[b]], 2)
+        if weld[a] != weld[b]
+        and (a, b) not in excluded
+        and not (weld[a] and weld[b] and (above[a] == weld[b] or above[b] == weld[a]))
+    ]
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
     """Whether it has geoms, and all touch whatever there is and are of a kind whose distances are known."""
     geoms = _geoms(model, body)
-    kinds = mujoco.mjtGeom
     masks = (model.geom_contype[geoms] == 1).all() and (model.geom_conaffinity[geoms] == 1).all()
-    unknown = (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD, kinds.mjGEOM_SDF)
-    return bool(geoms) and bool(masks) and not any(model.geom_type[g] in unknown for g in geoms)
+    return bool(geoms) and bool(masks) and UNKNOWN.isdisjoint(model.geom_type[geoms].tolist())
 
 
-def _joints_between(model: mujoco.MjModel, a: int, b: int) -> list[tuple[int, float]]:
-    joints = []
-    ways = {body: _way_up(model, body) for body in (a, b)}
-    for body, other in ((a, b), (b, a)):
-        # from the link's origin to its farthest point, and then on from frame to frame
-        reach = max(
-            float(np.linalg.norm(model.geom_pos[g]) + model.geom_rbound[g]) for g in _geoms(model, body)
-        )
-        for up in ways[body]:
-            if up in ways[other]:
-                break
-            start, slides = int(model.body_jntadr[up]), 0.0
-            for j in range(start, start + int(model.body_jntnum[up])):
-                slide = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
-                joints.append((int(model.jnt_qposadr[j]), 1.0 if slide else reach))
-                slides += float(np.abs(model.jnt_range[j]).max()) + BEYOND if slide else 0.0
-            reach += float(np.linalg.norm(model.body_pos[up])) + slides
-    return joints
+def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
+    """Of each pair (p, nq): how far a point of one can move against the other for each unit of qpos [m]."""
+    ways = {body: _way_up(model, body) for body in set(pairs.ravel().tolist())}
+    found = np.zeros((len(pairs), model.nq))
+    for row, (a, b) in zip(found, pairs.tolist(), strict=True):
+        for body, other in ((a, b), (b, a)):
+            for up, moves in ways[body].items():
+                if up in ways[other]:
+                    break
+                for start, values in moves:
+                    row[start : start + len(values)] = values
+    return found
 
 
-def _way_up(model: mujoco.MjModel, body: int) -> list[int]:
-    way = [body]
-    while way[-1] > 0:
-        way.append(int(model.body_parentid[way[-1]]))
+def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
+    """Of a body and all above it, the joints: where each begins in qpos, and how far the body's farthest
+    point moves for each unit."""
+    offsets = np.linalg.norm(model.geom_pos[(geoms := _geoms(model, body))], axis=1)
+    # from the link's origin to its farthest point, and then on from frame to frame
+    reach = float((offsets + model.geom_rbound[geoms]).max())
+    way: dict[int, list[tuple[int, tuple[float, ...]]]] = {}
+    while body > 0:
+        start, slides, joints = int(model.body_jntadr[body]), 0.0, []
+        for j in range(start, start + int(model.body_jntnum[body])):
+            if model.jnt_type[j] == FREE:
+                # two unit quaternions d apart are a turn by 4 asin(d / 2), which moves no point by more
+                moves = (1.0,) * 3 + (2.0 * reach,) * 4
+            elif model.jnt_type[j] == SLIDE:
+                moves = (1.0,)
+                slides += float(np.abs(model.jnt_range[j]).max()) + BEYOND
+            else:
+                moves = (reach,)
+            joints.append((int(model.jnt_qposadr[j]), moves))
+        way[body] = joints
+        reach += float(np.linalg.norm(model.body_pos[body])) + slides
+        body = int(model.body_parentid[body])
+    way[0] = []
     return way

@@ -14,11 +14,12 @@ from armcell.sim.built import BuiltModel
 from armcell.sim.contacts import ContactMonitor
 from armcell.sim.grip import Fingers
 from armcell.sim.servo import Controls
-from armcell.sim.stepping import take_steps
+from armcell.sim.stepping import LIBRARY, take_steps
 
 Array = NDArray[np.float64]
 
-mujoco.set_mjcb_time(None)  # else the engine reads the clock 32 times a step, for its timers
+# Else the engine reads the clock 32 times a step, for its timers. (Its `set_mjcb_time(None)` sets its own.)
+ctypes.c_void_p.in_dll(ctypes.CDLL(str(LIBRARY)), "mjcb_time").value = None
 _NONE, _NO_ROWS, _NO_COLUMNS = np.zeros(0), np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 
 
@@ -30,7 +31,7 @@ class CompiledSteps:
         self._engine = built.mj._address, data._address
         self.forget = self._apart.forget
         self._fingers, self._count = (fingers.law, fingers.joints, fingers.weights), count
-        self._qpos, self._ctrl = data.qpos, data.ctrl
+        self._qpos, self._ctrl, self._places = data.qpos, data.ctrl, data.geom_xpos
 
     @property
     def possible(self) -> bool:
@@ -71,7 +72,7 @@ class CompiledSteps:
         while taken < n and not off:
             taken, touches, off = take_steps(
                 model, data, taken, n, self._count, monitor.pairs, monitor.readable, monitor.unwanted_geoms,
-                self._fingers, self._apart.arrays, self._qpos, self._ctrl,
+                self._fingers, self._apart.arrays, self._qpos, self._ctrl, self._places,
                 period, targets, where, wanted, columns, limit, worst,
             )  # fmt: skip
             if touches:

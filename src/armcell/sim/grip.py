@@ -146,8 +146,7 @@ def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -
         y_axis,
         forces,
     )
-    touched = np.flatnonzero(forces.any(axis=1)).tolist()
-    return {other: np.abs(forces[other]).tolist() for other in touched}
+    return {other: [*map(abs, row)] for other, row in enumerate(forces.tolist()) if any(row)}
 
 
 def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperState:

@@ -17,8 +17,8 @@ SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)
 LAW_SIZE = 7
 """Columns of the fingers' law, of which there is one row per gripper; see `grip.GripperDrive`."""
 
-_library = next(Path(mujoco.__file__).parent.glob("*mujoco*.[sd]*"))  # .so.4.0.0, .4.0.0.dylib, .dll
-llvmlite.binding.load_library_permanently(str(_library))
+LIBRARY = next(Path(mujoco.__file__).parent.glob("*mujoco*.[sd]*"))  # .so.4.0.0, .4.0.0.dylib, .dll
+llvmlite.binding.load_library_permanently(str(LIBRARY))
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 _geom_distance = types.ExternalFunction(
     "mj_geomDistance",
@@ -29,10 +29,10 @@ _contact_force = types.ExternalFunction(
 )
 
 FAR = 0.5  # [m] how far distances are looked for
-WORTH = (
-    0.005  # [m] bodies nearer than this are left to the engine, and looked at again when they moved so far
-)
+WORTH = 0.005  # [m] bodies nearer than this are left to the engine
+AGAIN = 0.05  # [m] and looked at again when they moved so far
 ERROR = 0.001  # [m] of a distance, at most
+ALL = 0x7FFFFFFF  # of the engine's masks
 
 
 @njit(cache=True)
@@ -64,46 +64,77 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 @njit(cache=True)
 def _before(qpos, apart):
     """Let the engine look at pairs of bodies no longer known to be apart; returns whether there are such."""
-    columns, reach, reference, limit, geoms, first, bit, affinity, old = apart
+    columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
+    bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
+    step = 0.0
+    for j in range(len(most)):
+        step += most[j] * abs(qpos[j] - last[j])
+        last[j] = qpos[j]
     found = False
-    for p in range(len(limit)):
+    for p in range(len(left)):
+        left[p] -= step
+        old[p] = False
+        if left[p] > 0.0:
+            continue
         moved = 0.0
-        for j in range(columns.shape[1]):
-            moved += reach[p, j] * abs(qpos[columns[p, j]] - reference[p, j])
-        old[p] = not moved < limit[p]
-        if old[p]:
-            found = True
-            for j in range(columns.shape[1]):
-                reference[p, j] = qpos[columns[p, j]]
+        for c in range(begins[p], begins[p + 1]):
+            moved += reach[c] * abs(qpos[columns[c]] - reference[c])
+        left[p] = limit[p] - moved
+        if left[p] > 0.0:
+            continue
+        found = old[p] = True
+        for c in range(begins[p], begins[p + 1]):
+            reference[c] = qpos[columns[c]]
+        if shut[p]:
+            shut[p] = False
             for k in range(first[p], first[p + 1]):
                 a, b = geoms[k, 0], geoms[k, 1]
                 affinity[a] |= bit[b]
                 affinity[b] |= bit[a]
+            for i in range(2):
+                body = bodies[p, i]
+                looked_at[body] += 1
+                body_type[body] = body_affinity[body] = ALL
     return found
 
 
 @njit(cache=True)
-def _after(model, data, apart):
+def _after(model, data, places, apart):
     """Of those pairs: how far the joints may move until they might touch."""
-    _, _, _, limit, geoms, first, bit, affinity, old = apart
-    for p in range(len(limit)):
+    _, _, _, _, limit, left, shut, old, _, _ = apart[:10]
+    bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, radius = apart[10:]
+    for p in range(len(left)):
         if not old[p]:
             continue
         distance = FAR
         for k in range(first[p], first[p + 1]):
-            distance = min(distance, _geom_distance(model, data, geoms[k, 0], geoms[k, 1], FAR, 0))
-        limit[p] = WORTH
-        if distance > WORTH + ERROR:
-            limit[p] = distance - ERROR
-            for k in range(first[p], first[p + 1]):
-                a, b = geoms[k, 0], geoms[k, 1]
-                affinity[a] &= ~bit[b]
-                affinity[b] &= ~bit[a]
+            if not distance > WORTH + ERROR:
+                break
+            a, b = geoms[k, 0], geoms[k, 1]
+            between = 0.0
+            for i in range(3):
+                between += (places[a, i] - places[b, i]) ** 2
+            if np.sqrt(between) - radius[a] - radius[b] < distance:
+                distance = min(distance, _geom_distance(model, data, a, b, distance, 0))
+        limit[p] = left[p] = AGAIN
+        if not distance > WORTH + ERROR:
+            continue
+        limit[p] = left[p] = distance - ERROR
+        shut[p] = True
+        for k in range(first[p], first[p + 1]):
+            a, b = geoms[k, 0], geoms[k, 1]
+            affinity[a] &= ~bit[b]
+            affinity[b] &= ~bit[a]
+        for i in range(2):
+            body = bodies[p, i]
+            looked_at[body] -= 1
+            if looked_at[body] == 0:
+                body_type[body] = body_affinity[body] = 0
 
 
 @njit(cache=True, nogil=True)
 def take_steps(
-    model, data, begin, end, count, pairs, readable, unwanted, fingers, apart, qpos, ctrl,
+    model, data, begin, end, count, pairs, readable, unwanted, fingers, apart, qpos, ctrl, places,
     period, targets, controls, wanted, columns, limit, worst,
 ):  # fmt: skip
     """Steps number begin to end - 1, until after one with an unwanted contact or with a joint off its target.
@@ -115,6 +146,7 @@ def take_steps(
         unwanted: (geom, geom) whether they are not to touch.
         fingers: law, joints and weights of `drive_fingers`.
         apart: `Apart.arrays`.
+        places: (geom, 3) of the geoms' middles.
         period: steps between new targets, which come before steps 0, period, 2 period and so on.
         targets: (n / period, m) for the controls (m,); none with (0, 0).
         wanted: (n / period, j) where the joints at `columns` (j,) of qpos shall be after `period` steps.
@@ -133,7 +165,7 @@ def take_steps(
         unknown = _before(qpos, apart)
         _mj_step(model, data)
         if unknown:
-            _after(model, data, apart)
+            _after(model, data, places, apart)
         touches, off = False, False
         for i in range(count[0]):
             if i >= readable or unwanted[pairs[i, 0], pairs[i, 1]]:

@@ -375,6 +375,7 @@ class SimWorld:
             start = self.built.object_dof[name]
             self.mj_data.qvel[start : start + 6] = 0.0
             self.mj_data.qacc_warmstart[:] = 0.0
+            self._look_at_all()
             mujoco.mj_forward(self.mj_model, self.mj_data)
 
     def _object(self, name: str) -> None:

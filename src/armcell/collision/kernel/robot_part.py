@@ -101,7 +101,7 @@ class _Builder:
         pair_reach = self._pair_reach(bodies, pairs, reach)
         meeting = self._near(bodies, arrays, pairs)
         # Pairs that cannot meet need no checking; nor do groups of the first body that meet nothing.
-        some = [p for p, rows in enumerate(meeting) if any(len(row) for row in rows)]
+        some = [p for p, groups in enumerate(meeting) if groups.any()]
         pairs, pair_reach = pairs[some], pair_reach[some]
         up = np.float32(1 + 1e-6)
         arrays |= {
@@ -229,8 +229,10 @@ class _Builder:
         ]
         return np.array(pairs, np.int32).reshape(-1, 2)
 
-    def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32) -> list[list[I32]]:
-        """Per pair, for each group of the first body the groups of the second that it can meet."""
+    def _near(
+        self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
+    ) -> list[NDArray[np.bool_]]:
+        """Per pair (g, h): which groups of the second body each group of the first can meet."""
         found = []
         for i, j in pairs:
             branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
@@ -238,10 +240,9 @@ class _Builder:
             first_i, end_i = arrays["body_groups"][i : i + 2]
             first_j, end_j = arrays["body_groups"][j : j + 2]
             if len(columns) > near.MAX_JOINTS or not (self.placed_for_good[i] and self.placed_for_good[j]):
-                found.append([np.arange(first_j, end_j, dtype=np.int32)] * int(end_i - first_i))
+                found.append(np.ones((end_i - first_i, end_j - first_j), np.bool_))
                 continue
-            meeting = self._meeting(branch_i, branch_j, columns, arrays, i, j)
-            found.append([(first_j + np.flatnonzero(row)).astype(np.int32) for row in meeting])
+            found.append(self._meeting(branch_i, branch_j, columns, arrays, i, j))
         return found
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
@@ -332,21 +333,22 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
     return A
 
 
-def _near_tables(body_groups: I32, pairs: I32, meeting: list[list[I32]]) -> dict[str, I32]:
+def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
     """The groups that meet as the pack wants them (see there)."""
-    first, groups, first_other, others = [0], [], [0], []
-    for (i, _), rows in zip(pairs, meeting, strict=True):
-        for g, row in enumerate(rows, start=int(body_groups[i])):
-            if len(row):
-                groups.append(g)
-                others.append(row)
-                first_other.append(first_other[-1] + len(row))
-        first.append(len(groups))
+    first, groups, counts, others = [0], [], [], []
+    for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
+        count = meets.sum(axis=1)
+        some = count.nonzero()[0]
+        groups.append(body_groups[i] + some)
+        counts.append(count[some])
+        others.append(body_groups[j] + meets.nonzero()[1])
+        first.append(first[-1] + len(some))
+    none = np.zeros(0, np.int32)
     return {
         "near": np.array(first, np.int32),
-        "near_groups": np.array(groups, np.int32),
-        "meet": np.array(first_other, np.int32),
-        "meet_groups": np.concatenate([np.zeros(0, np.int32), *others]).astype(np.int32),
+        "near_groups": np.concatenate([none, *groups]).astype(np.int32),
+        "meet": np.cumsum(np.concatenate([[0], *counts])).astype(np.int32),
+        "meet_groups": np.concatenate([none, *others]).astype(np.int32),
     }
 
 
