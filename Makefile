@@ -39,7 +39,7 @@ demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
 
 test: lint ## set up, then lint and run all tests but the interop ones
-	$(PY) -m pytest -n $(JOBS) -m "not interop and not realtime"
+	$(PY) -m pytest -n $(JOBS) --durations=25 -m "not interop and not realtime"
 
 check: $(VENV)/.stamp ## set up, then run the quick tests
 	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop and not realtime"

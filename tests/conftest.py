@@ -12,6 +12,10 @@ from hypothesis import settings
 settings.register_profile("armcell", derandomize=True, deadline=None, max_examples=80, database=None)
 settings.load_profile("armcell")
 
+# What a shell starts in the background ignores Ctrl-C, its children too; some tests are about it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 @contextmanager
 def _within(seconds: float) -> Iterator[None]:
