@@ -22,8 +22,10 @@ help: ## list the targets
 # What the interop tests talk to, as Debian has it. ROS lives under /usr and is used through /usr/bin/python3.
 ROS := python3-rospy python3-rosmaster python3-rostopic python3-rosservice python3-rosparam python3-rosnode \
        python3-rosmsg python3-roslaunch python3-actionlib python3-tf2-ros rosout topic-tools \
+       python3-std-srvs python3-sensor-msgs python3-trajectory-msgs python3-shape-msgs python3-visualization-msgs \
        rviz xvfb
-ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros' \
+ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros, \
+               std_srvs.srv, sensor_msgs.msg, trajectory_msgs.msg, shape_msgs.msg, visualization_msgs.msg' \
              && test -x /usr/bin/rviz -a -x /usr/bin/Xvfb
 MONO := mono-mcs mono-runtime
 MONO_THERE := command -v mcs && command -v mono
