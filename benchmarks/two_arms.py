@@ -13,8 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,9 @@ from armcell.tasks import checked
 LEFT, RIGHT = "left_arm", "right_arm"
 SPEED = {"velocity_scaling": 0.6, "acceleration_scaling": 0.25}
 TASKS = ("dual_ur10_rod", "dual_ur10_sort", "dual_ur10_screw")
-SLOTS = [(x, y) for y in (0.055, -0.055) for x in (-0.11, 0.0, 0.11)]
+TRAYS = ("red_tray", "blue_tray")
+COLUMNS = (-0.11, 0.0, 0.11)  # [m] of the slots on a tray, as in dual_ur10_sort's task
+ROWS = {LEFT: 0.08, RIGHT: -0.08}
 
 
 def lower_bound(successes: int, runs: int) -> float:
@@ -166,43 +167,88 @@ def task(name: str, runs: int, recheck: int) -> dict:
     return out
 
 
-def _sorter(live: LiveCell, seed: int, synchronous: bool, chosen: bool) -> tuple[Callable, Callable]:
-    """Both arms' programs. With `chosen` they take the cubes in an order that keeps them apart."""
-    taken: dict[str, int] = {"red_tray": 0, "blue_tray": 0}
-    order = np.random.default_rng(seed).permutation
-    cubes = order([n for n, o in live.scene().objects.items() if o.movable]).tolist()
+@dataclass(frozen=True)
+class Way:
+    """How two streams are sorted."""
 
-    def tray_of(cube: str) -> str:
-        return "red_tray" if "_red_" in cube else "blue_tray"
-
-    def program(side: str) -> Callable:
-        def sort(arm) -> None:
-            left, k = [c for c in cubes if c.startswith(side)], 0
-            while left:
-                cube = arm.choose(left, zone=tray_of) if chosen else left[0]
-                left.remove(cube)
-                tray = tray_of(cube)
-                checked(arm.pick(cube))
-                if synchronous:
-                    arm.meet(f"picked {k}")
-                with arm.reserve(tray):
-                    slot = SLOTS[taken[tray]]
-                    taken[tray] += 1
-                    checked(arm.place(cube, on=tray, at=slot))
-                if synchronous:
-                    arm.meet(f"placed {k}")
-                k += 1
-            checked(arm.move_to("home"))
-
-        return sort
-
-    return program("left"), program("right")
+    step: str = ""  # "motions": both begin each one together; "objects": they meet after each pick and place
+    orders: bool = False  # chosen for both arms at the start, else as the cubes come
+    rows: bool = False  # each arm fills the row of a tray that is on its side, else slots as they come
 
 
-WAYS = {"asynchronous": (False, True), "asynchronous, order given": (False, False),
-        "synchronous": (True, False), "synchronous, order chosen": (True, True),
-        "sequential": (False, False)}  # fmt: skip
-"""Whether the arms meet, and whether they choose what comes next."""
+WAYS = {
+    "own pace": Way(orders=True, rows=True),
+    "own pace, order given": Way(rows=True),
+    "in step": Way("motions"),
+    "in step, own rows": Way("motions", rows=True),
+    "in step, own rows, order chosen": Way("motions", orders=True, rows=True),
+    "in step after each pick and place": Way("objects"),
+    "one after the other": Way(orders=True, rows=True),
+}
+OWN, STEP, SEQUENTIAL = "own pace", "in step", "one after the other"
+
+
+class Sorter:
+    """Both arms' programs."""
+
+    def __init__(self, live: LiveCell, seed: int, way: Way):
+        self.way, objects = way, live.scene().objects
+        self.x = {n: float(o.T_world_object.translation[0]) for n, o in objects.items()}
+        cubes = [n for n, o in objects.items() if o.movable]
+        cubes = np.random.default_rng(seed).permutation(cubes).tolist()
+        streams = {arm: [c for c in cubes if c.startswith(arm.removesuffix("_arm"))] for arm in ROWS}
+        self.streams = live.orders(tray_of, **streams) if way.orders else streams
+        self.free = {tray: [(x, y) for y in ROWS.values() for x in COLUMNS] for tray in TRAYS}
+        self.over: dict[str, str] = {}  # the tray that an arm is on its way to or at
+        self.begun = dict.fromkeys(ROWS, 0)
+
+    def slot(self, group: str, cube: str) -> tuple[float, float]:
+        free = self.free[tray_of(cube)]
+        if not self.way.rows:
+            return free.pop(0)
+        mine = [slot for slot in free if slot[1] == ROWS[group]]
+        slot = min(mine, key=lambda s: abs(self.x[tray_of(cube)] + s[0] - self.x[cube]))
+        free.remove(slot)
+        return slot
+
+    def program(self, arm) -> None:
+        group, step = arm.group, self.way.step
+        if step == "motions":
+            self._in_step(arm)
+        for k, cube in enumerate(self.streams[group]):
+            checked(arm.pick(cube))
+            if step:
+                arm.meet(f"picked {k}")
+            self.over[group] = tray_of(cube)
+            if step == "motions":
+                arm.meet(f"to the trays {k}")
+            with arm.reserve(tray_of(cube)):
+                checked(arm.place(cube, on=tray_of(cube), at=self.slot(group, cube)))
+            if step:
+                arm.meet(f"placed {k}")
+            self.over.pop(group, None)
+            if step == "motions":
+                arm.meet(f"from the trays {k}")
+        checked(arm.move_to("home"))
+
+    def _in_step(self, arm) -> None:
+        """Every motion begins when both arms are ready for theirs, so that both end before the next; but
+        over one tray they are one after the other."""
+        ctx = arm._ctx
+        clear = ctx.clear
+
+        def together(motion):
+            over = list(self.over.values())
+            if len(over) != 1 and len(set(over)) == len(over):
+                arm.meet(f"motion {self.begun[arm.group]}")
+                self.begun[arm.group] += 1
+            return clear(motion)
+
+        ctx.clear = together
+
+
+def tray_of(cube: str) -> str:
+    return "red_tray" if "_red_" in cube else "blue_tray"
 
 
 def makespans(batches: int) -> dict:
@@ -213,25 +259,24 @@ def makespans(batches: int) -> dict:
     for seed in range(batches):
         for how, spent in times.items():
             with cell.connect("sim", seed=seed) as live:
-                left, right = _sorter(live, seed, *WAYS[how])
-                if how == "sequential":
-                    left(live[LEFT])
-                    right(live[RIGHT])
+                sorter = Sorter(live, seed, WAYS[how])
+                if how == SEQUENTIAL:
+                    for group in ROWS:
+                        sorter.program(live[group])
                     spent.append(live.driver.now)
                     continue
-                result = checked(live.side_by_side(left_arm=left, right_arm=right))
+                result = checked(live.side_by_side(left_arm=sorter.program, right_arm=sorter.program))
                 spent.append(result.makespan)
-                if how == "asynchronous":
+                if how == OWN:
                     waits += sum(result.waited.values())
                     made_way += sum(result.made_way.values())
                     searched += sum(result.searched.values())
         print(f"  batch {seed}: " + ", ".join(f"{k} {v[-1]:.1f} s" for k, v in times.items()), flush=True)
     mean = {k: float(np.mean(v)) for k, v in times.items()}
     return {
-        "batches": batches, "mean_s": mean, "of_sequential": mean["asynchronous"] / mean["sequential"],
-        "of_synchronous": mean["asynchronous"] / mean["synchronous"], "waited_s": waits,
-        "at_best_of_synchronous": 0.5 * mean["sequential"] / mean["synchronous"],  # no waits, no detours
-        "made_way": made_way, "searched": searched,
+        "batches": batches, "mean_s": mean, "of_sequential": mean[OWN] / mean[SEQUENTIAL],
+        "of_synchronous": {how: mean[OWN] / mean[how] for how in mean if how.startswith(STEP)},
+        "waited_s": waits, "made_way": made_way, "searched": searched,
     }  # fmt: skip
 
 
@@ -262,11 +307,11 @@ def main() -> None:
             + ", ".join(f"{k} {v:.3g}" for k, v in t["largest"].items())
         )
     found["makespans"] = m = makespans(given.batches)
-    print(f"makespans: {m['mean_s']}; {m['of_sequential']:.2f} of sequential,", end=" ")
-    print(
-        f"{m['of_synchronous']:.2f} of synchronous (arms that never wait: {m['at_best_of_synchronous']:.2f});"
-    )
-    print(f"waited {m['waited_s']:.1f} s, made way {m['made_way']:.0f} times")
+    print("makespans: " + ", ".join(f"{how} {seconds:.1f} s" for how, seconds in m["mean_s"].items()))
+    print(f"  {m['of_sequential']:.3f} of sequential;", end=" ")
+    print(", ".join(f"{share:.3f} of {how}" for how, share in m["of_synchronous"].items()))
+    print(f"  waited {m['waited_s']:.1f} s, made way {m['made_way']:.0f} times,", end=" ")
+    print(f"went round {m['searched']:.0f} times")
     if given.json:
         given.json.write_text(json.dumps(found, indent=2) + "\n")
 

@@ -36,10 +36,12 @@ from armcell.tasks.arms import (
     ArmContext,
     Carrying,
     CarrySettings,
+    Pace,
     ScrewSettings,
     SideBySide,
     hand_over,
     move_together,
+    orders,
     screw,
     side_by_side,
 )
@@ -224,6 +226,20 @@ class LiveCell:
         for group in programs:
             _ = self[group]
         return side_by_side(self.ctx, {group: program(group) for group in programs})
+
+    def orders(
+        self, to: Callable[[str], str], pace: Pace = Pace(), **streams: Sequence[str]
+    ) -> dict[str, list[str]]:  # fmt: skip
+        """By arm, the order to bring its things in, so that both are done early and do not wait for a zone.
+
+        Example: `cell.orders(tray_of, left_arm=left_cubes, right_arm=right_cubes)["left_arm"]`
+
+        Args:
+            to: the object that a thing goes to, which one arm at a time reserves.
+        """
+        for group in streams:
+            _ = self[group]
+        return orders(self.scene(), streams, to, pace)
 
     def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
         """An object for two arms: by arm, the object's subframe that it takes hold of.

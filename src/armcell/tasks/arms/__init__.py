@@ -4,6 +4,7 @@ from armcell.tasks.arms.carry import Carrying, CarrySettings, shifted
 from armcell.tasks.arms.context import ArmContext
 from armcell.tasks.arms.coupled import move_together
 from armcell.tasks.arms.hand_over import hand_over
+from armcell.tasks.arms.order import Pace, orders
 from armcell.tasks.arms.screw import ScrewSettings, screw
 from armcell.tasks.arms.side_by_side import SideBySide, side_by_side
 
@@ -11,10 +12,12 @@ __all__ = [
     "ArmContext",
     "CarrySettings",
     "Carrying",
+    "Pace",
     "ScrewSettings",
     "SideBySide",
     "hand_over",
     "move_together",
+    "orders",
     "screw",
     "shifted",
     "side_by_side",

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from armcell.tasks.arms.context import ArmContext
     from armcell.tasks.steps import Motion
 
-LOOK = 0.1  # [s] between two looks of an arm that waits
+LOOK = 0.1  # [s] between two looks of an arm that waits for its way
+IDLE = 0.02  # [s] between two of one that waits for a zone or the other arm
 AWAY = 0.005  # [rad] from a motion's start beyond which an arm goes back there first
 HOME = "home"
 
@@ -240,7 +241,7 @@ class Traffic:
             while queue[0] != ctx.group and not ctx.cancel.is_set():
                 self.waits.setdefault(ctx.group, (ctx.driver.now, zone))
                 self._idle(ctx)
-                self.waited[ctx.group] += LOOK
+                self.waited[ctx.group] += IDLE
             self.waits.pop(ctx.group, None)
             yield
         finally:
@@ -267,7 +268,7 @@ class Traffic:
     def _idle(self, ctx: ArmContext) -> None:
         if ctx.group in self.asked:
             self.make_way(ctx)
-        ctx.advance(LOOK)
+        ctx.advance(IDLE)
 
 
 __all__ = ["Traffic"]

@@ -6,28 +6,31 @@ import numpy as np
 
 from armcell.tasks import checked
 
-SLOTS = [(x, y) for y in (0.055, -0.055) for x in (-0.11, 0.0, 0.11)]  # [m] on a tray, from its middle
+COLUMNS = (-0.11, 0.0, 0.11)  # [m] along a tray, from its middle
+ROWS = {"left_arm": 0.08, "right_arm": -0.08}  # [m] across it: each arm fills the one on its side
 
 
 def task(cell):
-    taken = {"red_tray": [], "blue_tray": []}
+    objects = cell.scene().objects
+    x = {name: item.T_world_object.translation[0] for name, item in objects.items()}
+    cubes = [name for name, item in objects.items() if item.movable]
+    cubes = np.random.default_rng(cell.seed).permutation(cubes).tolist()  # as they come
 
     def tray_of(cube):
         return "red_tray" if "_red_" in cube else "blue_tray"
 
-    def sort(arm, stream):
-        while stream:
-            cube = arm.choose(stream, zone=tray_of)  # for the tray that the other arm is not going to
-            stream.remove(cube)
+    streams = {arm: [c for c in cubes if c.startswith(arm.removesuffix("_arm"))] for arm in ROWS}
+    orders = cell.orders(tray_of, **streams)  # early done, and seldom over one tray at the same time
+
+    def sort(arm):
+        free = {tray: set(COLUMNS) for tray in ("red_tray", "blue_tray")}
+        for cube in orders[arm.group]:
             tray = tray_of(cube)
             checked(arm.pick(cube))
+            column = min(free[tray], key=lambda c: abs(x[tray] + c - x[cube]))  # the nearest that is free
+            free[tray].remove(column)
             with arm.reserve(tray):
-                slot = SLOTS[len(taken[tray])]
-                taken[tray].append(cube)
-                checked(arm.place(cube, on=tray, at=slot))
+                checked(arm.place(cube, on=tray, at=(column, ROWS[arm.group])))
         checked(arm.move_to("home"))
 
-    order = np.random.default_rng(cell.seed).permutation
-    cubes = [name for name, item in cell.scene().objects.items() if item.movable]
-    left, right = ([c for c in order(cubes) if c.startswith(side)] for side in ("left", "right"))
-    return cell.side_by_side(left_arm=lambda arm: sort(arm, left), right_arm=lambda arm: sort(arm, right))
+    return cell.side_by_side(left_arm=sort, right_arm=sort)
