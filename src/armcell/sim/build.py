@@ -44,7 +44,7 @@ def build(
     """
     settings = settings or PhysicsSettings()
     spec = mujoco.MjSpec()
-    _set_options(spec, settings)
+    set_options(spec, settings)
     adder = GeomAdder(spec)
     bodies = add_robot(spec, adder, scene.model, settings, visuals)
     objects = scene_objects(scene)
@@ -78,7 +78,7 @@ def build(
 
 
 # --- options and look ---
-def _set_options(spec: mujoco.MjSpec, settings: PhysicsSettings) -> None:
+def set_options(spec: mujoco.MjSpec, settings: PhysicsSettings) -> None:
     option = spec.option
     option.timestep = settings.timestep
     option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{settings.integrator.upper()}")

@@ -22,23 +22,21 @@ def add_object(
     into: Any = None, T_world_into: SE3 | None = None,
 ) -> Any:  # fmt: skip
     T = item.T_world_object if T_world_into is None else T_world_into.inv() @ item.T_world_object
-    body = (into or spec.worldbody).add_body(name=item.name, pos=T.translation, quat=T.quat_wxyz)
-    material = item.material
     values: dict[str, Any] = {
         "rgba": item.color,
         "group": OBJECT_GROUP,
         "density": 0.0,
-        "friction": [material.friction, material.torsional_friction, material.rolling_friction],
+        "friction": sliding(item),
     }
     free = item.movable or attached
+    if free and item.thread is None:
+        body = add_free_body(spec.worldbody, item, T)
+    else:
+        body = (into or spec.worldbody).add_body(name=item.name, pos=T.translation, quat=T.quat_wxyz)
     if free:
-        if item.thread is None:
-            body.add_freejoint(name=f"{item.name}:free")
-        else:
+        if item.thread is not None:
             _add_thread(spec, body, item.name, item.thread)
-        centre, inertia = solid_inertia(item.shapes, item.mass_kg)
-        body.explicitinertial = True
-        body.mass, body.ipos, body.fullinertia = item.mass_kg, centre, full_inertia(inertia)
+            _set_inertia(body, item)
         values |= {
             "priority": 1,
             "condim": settings.object_condim,
@@ -51,6 +49,25 @@ def add_object(
         split = object_pieces if free else convex_pieces
         adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", split, **values)
     return body
+
+
+def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> Any:
+    """A body that can move and turn freely, with the object's inertia and no geoms yet."""
+    body = parent.add_body(name=item.name, pos=T_parent_object.translation, quat=T_parent_object.quat_wxyz)
+    body.add_freejoint(name=f"{item.name}:free")
+    _set_inertia(body, item)
+    return body
+
+
+def _set_inertia(body: Any, item: CollisionObject) -> None:
+    centre, inertia = solid_inertia(item.shapes, item.mass_kg)
+    body.explicitinertial = True
+    body.mass, body.ipos, body.fullinertia = item.mass_kg, centre, full_inertia(inertia)
+
+
+def sliding(item: CollisionObject) -> list[float]:
+    """MuJoCo's three frictions of an object's geoms."""
+    return [item.material.friction, item.material.torsional_friction, item.material.rolling_friction]
 
 
 def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:

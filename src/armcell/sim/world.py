@@ -17,7 +17,7 @@ from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
-from armcell.sim.build import build, scene_objects
+from armcell.sim.build import scene_objects
 from armcell.sim.built import BuiltModel
 from armcell.sim.camera import Camera
 from armcell.sim.compiled import compiled_steps
@@ -32,6 +32,7 @@ from armcell.sim.grip import (
     gripper_state,
     relative_pose,
 )
+from armcell.sim.kept import kept_build
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.wrench import hand_wrench
@@ -96,10 +97,9 @@ class SimWorld:
 
     def _build(self, scene: PlanningScene) -> None:
         mujoco.set_mju_user_warning(_log_warning)  # else MuJoCo prints, and writes a file where it stands
-        self.built = build(scene, self.settings)
+        self.built, self._data = kept_build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
-        self._data = mujoco.MjData(self.mj_model)
         self._behind = False  # whether the poses in it are those of where the last step began
         self._warned = self._data.warning.number.item  # reads the counts as they are then
         self._tree = kinematic_tree(scene.model)
