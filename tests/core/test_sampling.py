@@ -99,12 +99,24 @@ def test_ends_are_held_at_rest(kind):
         np.testing.assert_array_equal(t.sample(time)[0], t.positions[at])
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_samples_are_those_one_by_one_to_the_last_bit(kind):
+    t = trajectory(kind, points=30)
+    times = np.sort(np.concatenate([t.times, np.random.default_rng(1).uniform(-0.5, t.duration + 0.5, 300)]))
+    one_by_one = [np.array(rows) for rows in zip(*(t.sample(float(at)) for at in times), strict=True)]
+    for many, single in zip(t.samples(times), one_by_one, strict=True):
+        np.testing.assert_array_equal(many, single)
+
+
 def test_one_point_is_a_trajectory():
     t = JointTrajectory(NAMES, [0.0], [[1.0, 2.0, 3.0]])
     assert t.duration == 0.0
     np.testing.assert_array_equal(t.sample(0.5)[0], [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(t.samples([0.5])[0], [[1.0, 2.0, 3.0]])
 
 
 def test_a_trajectory_without_points_is_refused():
     with pytest.raises(InputError):
         JointTrajectory(NAMES, [], np.zeros((0, 3))).sample(0.0)
+    with pytest.raises(InputError):
+        JointTrajectory(NAMES, [], np.zeros((0, 3))).samples([0.0])

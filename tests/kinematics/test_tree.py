@@ -9,7 +9,7 @@ from tests.model.helpers import EXAMPLES, REFERENCES, PinRobot, chain_of, dual, 
 from tests.model.helpers import joint as j
 from tests.model.helpers import link as l
 
-from armcell.core import SE3, SO3, UnknownNameError
+from armcell.core import SE3, SO3, InputError, UnknownNameError
 from armcell.kinematics import KinematicTree, kinematic_tree
 from armcell.model import load_robot, load_urdf
 
@@ -159,3 +159,9 @@ def test_the_jacobian_of_an_unknown_link_names_it():
 def test_one_tree_per_model():
     model = load_robot("panda")
     assert kinematic_tree(model) is kinematic_tree(model)
+
+
+def test_positions_that_are_not_finite_give_no_pose():
+    model = load_robot("panda")
+    with pytest.raises(InputError, match="no pose"):
+        kinematic_tree(model).link_pose(np.full(model.dof, np.nan), "panda_hand")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
+from tests.sim.helpers import Grasping
 
 import armcell
 from armcell.core import Box, InputError
@@ -103,6 +105,30 @@ def test_a_hand_that_holds_an_object_feels_its_weight():
     if wrench is None:
         pytest.skip("the gripper alone is no gripper of an arm")
     np.testing.assert_allclose(wrench[:3], (0, 0, -2.0 * 9.81), atol=0.2)
+
+
+def test_it_is_the_sum_of_the_contacts_on_the_hand():
+    """A grasped cube that something pushes, against MuJoCo's contacts one by one."""
+    grasping = Grasping()
+    grasping.close()
+    world, name = grasping.world, grasping.gripper.name
+    world.mj_data.xfrc_applied[world.built.body["cube"], :3] = 1.0, 3.0, 0.5  # [N]
+    world.step(100)
+    model, data = world.mj_model, world.mj_data
+    origin = data.body(grasping.gripper.tcp_link).xpos
+    expected, contact, count = np.zeros(6), np.zeros(6), 0
+    for i in range(data.ncon):
+        bodies = [model.body(model.geom_bodyid[g]).name for g in data.contact[i].geom]
+        mine = [body in grasping.gripper.hand_links for body in bodies]
+        if mine[0] == mine[1]:
+            continue
+        mujoco.mj_contactForce(model, data, i, contact)
+        axes, sign, count = data.contact[i].frame.reshape(3, 3).T, 1.0 if mine[1] else -1.0, count + 1
+        force = sign * (axes @ contact[:3])
+        expected[:3] += force
+        expected[3:] += sign * (axes @ contact[3:]) + np.cross(data.contact[i].pos - origin, force)
+    assert count >= 4 and np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(world.wrench(name), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_nothing_touched_is_nothing_felt():

@@ -289,6 +289,5 @@ def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
     times = times[np.concatenate([[True], np.diff(times) > 1e-9])]
     if times[-1] < max(first.duration, second.duration):
         times[-1] = max(first.duration, second.duration)
-    rows = [[t.sample(float(x)) for x in times] for t in (first, second)]
-    q, v, a = (np.hstack([np.array([row[k] for row in r]) for r in rows]) for k in range(3))
+    q, v, a = map(np.hstack, zip(first.samples(times), second.samples(times), strict=True))
     return JointTrajectory(first.joint_names + second.joint_names, times, q, v, a)

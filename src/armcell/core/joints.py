@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armcell.core.errors import InputError, UnknownNameError
 
@@ -203,15 +204,36 @@ class JointTrajectory:
         if t >= times[-1]:
             return self.positions[-1].copy(), zero, zero.copy()
         i = int(np.searchsorted(times, t, side="right")) - 1
-        h, s = times[i + 1] - times[i], t - times[i]
+        h = times[i + 1] - times[i]
+        return self._between(i, t - times[i], [h**k for k in range(6)])
+
+    def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
+        """`sample` at many times (k,) [s], each (k, n): the same numbers, quicker than one by one."""
+        known, at = self.times, np.asarray(times, dtype=float)
+        if len(known) == 0:
+            raise InputError("an empty trajectory has no position at any time")
+        q = np.where((at <= known[0])[:, None], self.positions[0], self.positions[-1])
+        v, a = np.zeros_like(q), np.zeros_like(q)
+        rows = np.flatnonzero((at > known[0]) & (at < known[-1]))
+        if len(rows):
+            i = np.searchsorted(known, at[rows], side="right") - 1
+            # scalars' powers: those of arrays may differ in the last bit
+            powers = np.array([[h**k for k in range(6)] for h in known[i + 1] - known[i]])
+            s = (at[rows] - known[i])[:, None]
+            q[rows], v[rows], a[rows] = self._between(i, s, list(powers.T[:, :, None]))
+        return q, v, a
+
+    def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration s [s] after point i, given powers 0 to 5 of the interval's
+        length; for one moment, or for many with s and h (k, 1)."""
         p0, p1 = self.positions[i], self.positions[i + 1]
         if self.velocities is None:
-            v = (p1 - p0) / h
-            return p0 + v * s, v, zero
+            v = (p1 - p0) / h[1]
+            return p0 + v * s, v, np.zeros_like(p0)
         v0, v1 = self.velocities[i], self.velocities[i + 1]
         if self.accelerations is None:
-            c2 = (3 * (p1 - p0) / h - 2 * v0 - v1) / h
-            c3 = (v0 + v1 - 2 * (p1 - p0) / h) / h**2
+            c2 = (3 * (p1 - p0) / h[1] - 2 * v0 - v1) / h[1]
+            c3 = (v0 + v1 - 2 * (p1 - p0) / h[1]) / h[2]
             return (
                 p0 + s * (v0 + s * (c2 + s * c3)),
                 v0 + s * (2 * c2 + 3 * s * c3),
@@ -219,9 +241,9 @@ class JointTrajectory:
             )
         a0, a1 = self.accelerations[i], self.accelerations[i + 1]
         d = p1 - p0
-        c3 = (20 * d - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
-        c4 = (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
-        c5 = (12 * d - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5)
+        c3 = (20 * d - (8 * v1 + 12 * v0) * h[1] - (3 * a0 - a1) * h[2]) / (2 * h[3])
+        c4 = (-30 * d + (14 * v1 + 16 * v0) * h[1] + (3 * a0 - 2 * a1) * h[2]) / (2 * h[4])
+        c5 = (12 * d - 6 * (v1 + v0) * h[1] + (a1 - a0) * h[2]) / (2 * h[5])
         return (
             p0 + s * (v0 + s * (a0 / 2 + s * (c3 + s * (c4 + s * c5)))),
             v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5))),

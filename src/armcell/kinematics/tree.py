@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, UnknownNameError
+from armcell.core import SE3, SO3, InputError, UnknownNameError
+from armcell.core.joints import all_finite
 from armcell.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -145,10 +146,18 @@ class KinematicTree:
         }
 
     def link_pose(self, q: ArrayLike, link: str) -> SE3:
-        """T_root_link of one link."""
+        """T_root_link of one link.
+
+        Raises:
+            UnknownNameError: no such link.
+            InputError: positions that are not finite.
+        """
         if link not in self.link_index:
             raise UnknownNameError("link", link, self.link_index)
-        return SE3.from_matrix(self.link_transforms(q)[self.link_index[link]])
+        T = self.link_transforms(q)[self.link_index[link]]
+        if not all_finite(T.ravel()):
+            raise InputError(f"positions {np.asarray(q).tolist()} give {link!r} no pose")
+        return SE3(SO3(T[:3, :3].copy()), T[:3, 3].copy())  # a product of rotations needs no look at it
 
     def path_to(self, link: str) -> NDArray[np.int64]:
         """Indices of the joints between the root and a link, root first."""

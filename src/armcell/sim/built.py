@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GripperIndex:
     """One gripper's servo. The servo's length is the driven joint's position (mean over the fingers)."""
 
@@ -31,6 +31,7 @@ class GripperIndex:
     max_speed: float  # [m/s] of the driven joint
     max_force: float  # [N] per finger
     finger_owners: tuple[int, ...]
+    hand: NDArray[np.bool_]  # (owner,) whether it is a link of the hand
     tcp_body: int
 
     def length(self, qpos: Array) -> float:
@@ -150,5 +151,6 @@ def _gripper_index(
         max_speed=min(limits.velocity, settings.finger_speed),
         max_force=servo_force(gripper, settings) / abs(gripper.width_per_joint),
         finger_owners=tuple(owners[n] for n in gripper.finger_links),
+        hand=np.array([name in gripper.hand_links for name in owners]),
         tcp_body=mj.body(gripper.tcp_link).id,
     )

@@ -214,3 +214,55 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
             for c in range(3):
                 along += frames[i, 3 * r + c] * axis[c]
             forces[other, finger] += sign * wrench[r] * along
+
+
+@njit(
+    types.int64(
+        types.intp, types.intp, types.int32[:, :], types.int64[:], types.boolean[:], types.int64[:],
+        types.float64[:], types.float64[:, :],
+    ),
+    cache=True,
+)  # fmt: skip
+def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
+    """Contacts between a hand and something else.
+
+    Args:
+        geoms: (c, 2) of each contact.
+        owner: (geom,) index of its link or object, -1 for none; hand (owner,) which of them are the hand's.
+        which: (c,) and signs (c,), written: number of each found; 1 where the hand is second, else -1.
+        wrenches: (c, 6) of each found, written: force over torque in the contact's frame.
+    Returns:
+        How many there are.
+    """
+    found = 0
+    for i in range(len(geoms)):
+        a, b = owner[geoms[i, 0]], owner[geoms[i, 1]]
+        first, second = a >= 0 and hand[a], b >= 0 and hand[b]
+        if first != second:
+            which[found], signs[found] = i, 1.0 if second else -1.0
+            _contact_force(model, data, i, wrenches.ctypes.data + found * 48)
+            found += 1
+    return found
+
+
+@njit(
+    types.void(
+        types.int64[:], types.float64[:, :], types.float64[:], types.float64[:, :, :], types.float64[:]
+    ),
+    cache=True,
+)
+def add_about(which, places, origin, wrenches, total):
+    """Add up wrenches about a point.
+
+    Args:
+        which: (k,) numbers of contacts; places (c, 3) of all of them; origin (3,) the point.
+        wrenches: (k, 2, 3) force and torque of each, about its place.
+        total: (6,) force over torque, added to.
+    """
+    for i in range(len(which)):
+        force, torque = wrenches[i, 0], wrenches[i, 1]
+        for r in range(3):
+            b, c = (r + 1) % 3, (r + 2) % 3
+            at_b, at_c = places[which[i], b] - origin[b], places[which[i], c] - origin[c]
+            total[r] += force[r]
+            total[3 + r] += torque[r] + (at_b * force[c] - at_c * force[b])

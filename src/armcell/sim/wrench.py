@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.sim.built import BuiltModel
+from armcell.sim.stepping import add_about, hand_contacts
 
 Array = NDArray[np.float64]
 
@@ -16,19 +17,16 @@ def hand_wrench(built: BuiltModel, data: mujoco.MjData, gripper: str) -> Array:
 
     As of the last step. The hand's own weight is not in it, as in a sensor that was told its tool.
     """
-    hand = built.grippers[gripper].gripper
-    mine = {built.owner_index[n] for n in hand.hand_links}
-    out, contact = np.zeros(6), np.zeros(6)
-    if data.ncon == 0:
-        return out
-    origin = data.xpos[built.grippers[gripper].tcp_body]
-    for i, (a, b) in enumerate(built.geom_owner[data.contact.geom].tolist()):
-        if (a in mine) == (b in mine):
-            continue
-        mujoco.mj_contactForce(built.mj, data, i, contact)
-        axes = data.contact[i].frame.reshape(3, 3).T  # its x axis points from a to b
-        sign = 1.0 if b in mine else -1.0
-        force = sign * (axes @ contact[:3])
-        out[:3] += force
-        out[3:] += sign * (axes @ contact[3:]) + np.cross(data.contact[i].pos - origin, force)
-    return out
+    count, index, total = data.ncon, built.grippers[gripper], np.zeros(6)
+    if count == 0:
+        return total
+    contact = data.contact
+    which, signs, wrenches = np.empty(count, np.int64), np.empty(count), np.empty((count, 6))
+    found = hand_contacts(
+        built.mj._address, data._address, contact.geom, built.geom_owner, index.hand, which, signs, wrenches
+    )
+    which = which[:found]
+    axes = contact.frame[which].reshape(-1, 3, 3)  # rows; the first points from one geom to the other
+    felt = signs[:found, None, None] * (wrenches[:found].reshape(-1, 2, 3) @ axes)
+    add_about(which, contact.pos, data.xpos[index.tcp_body], felt, total)
+    return total

@@ -383,7 +383,7 @@ class Carrying:
         if not offset.any():
             return q
         group = self.groups[1]
-        names = self.ctx.scene().model.group(group).joint_names
+        names = self.ctx.base.model.group(group).joint_names
         at = [self.names.index(n) for n in names]
         full = self.ctx.driver.joint_state().positions.copy()
         full[self._columns] = q
