@@ -53,8 +53,12 @@ class Playback:
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Position and velocity (n,) at time t [s], held at both ends."""
-        positions, velocities = self.at_times([t])
-        return positions[0], velocities[0]
+        known, n = self._times, self._n
+        if not known[0] < t < known[-1]:
+            return (self._first if t <= known[0] else self._last).copy(), np.zeros(n)
+        i = bisect_right(known, t) - 1
+        both = np.array(_powers(t - known[i])) @ self._coefficients[i]
+        return both[:n], both[n:]
 
     def at_times(self, times: Sequence[float]) -> tuple[Array, Array]:
         """Positions and velocities (k, n) at times (k,) [s], held at both ends."""
@@ -63,11 +67,9 @@ class Playback:
         for row, t in enumerate(times):
             if known[0] < t < known[-1]:
                 i = bisect_right(known, t) - 1
-                s = t - known[i]
-                ss = s * s
                 rows.append(row)
                 inside.append(i)
-                powers.append((1.0, s, ss, ss * s, ss * ss, ss * ss * s))
+                powers.append(_powers(t - known[i]))
         if len(rows) == len(times):
             both = (np.array(powers)[:, None] @ self._coefficients[inside])[:, 0]
             return both[:, :n], both[:, n:]
@@ -77,3 +79,8 @@ class Playback:
             both = (np.array(powers)[:, None] @ self._coefficients[inside])[:, 0]
             positions[rows], velocities[rows] = both[:, :n], both[:, n:]
         return positions, velocities
+
+
+def _powers(s: float) -> tuple[float, ...]:
+    ss = s * s
+    return 1.0, s, ss, ss * s, ss * ss, ss * ss * s
