@@ -16,7 +16,7 @@ from armcell.scene import PlanningScene
 Order = tuple[str, ...]
 Way = tuple[str, str]  # from a place to another, by their names
 
-START = ""  # the name of where an arm begins and ends
+START = ""  # the name of where an arm begins
 ALL = 4  # things of one arm whose orders are all looked at; of more those near the one given
 
 
