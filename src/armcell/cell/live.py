@@ -239,7 +239,7 @@ class LiveCell:
         """
         for group in streams:
             _ = self[group]
-        return orders(self.scene(), streams, to, pace)
+        return orders(self.scene(), streams, to, self.ctx.settings, pace)
 
     def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
         """An object for two arms: by arm, the object's subframe that it takes hold of.

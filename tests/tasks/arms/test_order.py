@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 import pytest
-from tests.planning.arms.dual import LEFT, RIGHT
+from tests.planning.arms.dual import LEFT, RIGHT, Judge
 
 import armcell
-from armcell.core import SE3, InputError, UnknownNameError
-from armcell.tasks import checked
+from armcell.core import InputError, JointState, UnknownNameError
+from armcell.planning import RunningMotion
+from armcell.tasks import TaskSettings, checked
 from armcell.tasks.arms import Pace, orders
+from armcell.tasks.arms.errands import Errands, Leg
+from armcell.tasks.arms.meetings import Meetings
+from armcell.tasks.arms.order import earliest
 
 TRAYS = ("red_tray", "blue_tray")
 
@@ -63,13 +66,21 @@ def by_the_tick(streams, fetch, bring, step=0.05):
     return now
 
 
+def by_trays_alone(streams):
+    """The orders where every way takes two seconds and every piece of work three, and arms never meet."""
+
+    def legs(order):
+        return tuple(leg for item in order for leg in (Leg(2.0, 3.0), Leg(2.0, 3.0, tray_of(item))))
+
+    best = earliest((streams[LEFT], streams[RIGHT]), (legs, legs))
+    return dict(zip((LEFT, RIGHT), best, strict=True))
+
+
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_of_all_orders_none_is_done_earlier(cell, seed):
-    """By ways that do not depend on where things are: only the trays count."""
-    scene, pace = cell.scene(seed), Pace(way=2.0, turn=0.0, fetch=3.0, put=3.0)
-    streams = streams_of(scene, seed)
+    streams = streams_of(cell.scene(seed), seed)
 
-    found = orders(scene, streams, tray_of, pace)
+    found = by_trays_alone(streams)
     assert {arm: sorted(order) for arm, order in found.items()} == {a: sorted(s) for a, s in streams.items()}
     best = min(
         by_the_tick({LEFT: a, RIGHT: b}, 5.0, 5.0)
@@ -100,25 +111,69 @@ def test_far_ways_are_saved(cell):
     assert way(found) <= every[3] < every[-1]
 
 
-def test_long_streams_are_ordered_too(cell):
-    scene = cell.scene(0)
-    for arm in ("left", "right"):
-        for k in range(3, 6):
-            for colour in ("red", "blue"):
-                like, here = scene.objects[f"{arm}_{colour}_1"], (0.1 * k, 0.3 if arm == "left" else -0.3)
-                pose = SE3.from_xyz(*here, 0.93)
-                named = f"{arm}_{colour}_{k}"
-                scene = scene.with_object(replace(like, name=named, T_world_object=pose))
-    streams = {a: sorted(s) for a, s in streams_of(scene, 1).items()}  # both: all blue ones first
-    assert {len(s) for s in streams.values()} == {10}
-    pace = Pace(turn=0.0)
-
-    times = pace.way + pace.fetch, pace.way + pace.put
-    found = orders(scene, streams, tray_of, pace)
+def test_long_streams_are_ordered_too():
+    names = [f"{colour}_{k}" for colour in ("blue", "red") for k in range(5)]  # both: all blue ones first
+    streams = {arm: [f"{arm}_{name}" for name in names] for arm in (LEFT, RIGHT)}
+    found = by_trays_alone(streams)
     assert {a: sorted(o) for a, o in found.items()} == streams
-    alone = 10 * (2 * pace.way + pace.fetch + pace.put)
-    assert by_the_tick(found, *times) <= alone + 0.6  # nobody waits
-    assert by_the_tick(streams, *times) > alone + 3.0
+    assert by_the_tick(found, 5.0, 5.0) <= 10 * 10.0 + 0.6  # nobody waits
+    assert by_the_tick(streams, 5.0, 5.0) > 10 * 10.0 + 3.0
+
+
+@pytest.mark.parametrize("seed", [1, 12])
+def test_an_arm_takes_as_long_as_estimated(cell, seed):
+    """Orders of an arm that works alone, against its motions; it is not told where on a tray a thing goes."""
+    took, thought = [], []
+    for group in (LEFT, RIGHT):
+        scene = cell.scene(seed)
+        stream = streams_of(scene, seed)[group]
+        rounds = Errands(scene, group, {i: tray_of(i) for i in stream}, cell.settings, Pace())
+        for order in list(permutations(stream))[::4]:
+            with cell.connect("fake", seed=seed) as live:
+                free = {tray: [-0.11, 0.0, 0.11] for tray in TRAYS}
+                arm = live[group]
+                for item in order:
+                    checked(arm.pick(item))
+                    at = (free[tray_of(item)].pop(1), 0.08 if group == LEFT else -0.08)
+                    checked(arm.place(item, on=tray_of(item), at=at))
+                checked(arm.move_to("home"))
+                took.append(live.driver.now)
+            thought.append(sum(leg.motion + leg.work for leg in rounds(order)))
+    took, thought = np.array(took), np.array(thought)
+    off = np.abs(thought / took - 1)
+    assert off.mean() < 0.02 and off.max() < 0.06
+    assert np.corrcoef(took, thought)[0, 1] > 0.7
+
+
+def test_where_arms_meet(cell):
+    """Against coal's distances between the two arms, along ways over the trays."""
+    scene, rng = cell.scene(1), np.random.default_rng(0)
+    meetings, judge = Meetings(scene, (LEFT, RIGHT)), Judge(scene)
+    names = {g: scene.model.group(g).joint_names for g in (LEFT, RIGHT)}
+    legs: dict[str, list[Leg]] = {}
+    for group, stream in streams_of(scene, 1).items():
+        rounds = Errands(scene, group, {i: tray_of(i) for i in stream}, TaskSettings(), Pace())
+        legs[group] = [leg for _ in range(6) for leg in rounds(tuple(rng.permutation(stream).tolist()))]
+
+    def stands(group, q):
+        return RunningMotion.standing(scene.with_state(JointState(names[group], q)), group)
+
+    met = 0
+    for k in range(40):
+        leg, other = legs[RIGHT][int(rng.integers(54))], legs[LEFT][int(rng.integers(54))]
+        share = meetings.share(1, leg, other)
+        begin, end = leg.way
+        there = stands(LEFT, other.way[1])
+        along = np.linspace(0.0, 1.0, 61)
+        near = [judge.nearest(stands(RIGHT, begin + s * (end - begin)), there) for s in along]
+        close = along[np.array(near) < 0.02]
+        if share is None:
+            assert min(near) > 0.019, k
+            continue
+        met += 1
+        assert len(close) and share[0] <= close[0] + 1e-6 and share[1] >= close[-1] - 1e-6
+        assert close[0] - share[0] < 0.15 and share[1] - close[-1] < 0.15
+    assert 3 <= met <= 37
 
 
 def test_what_cannot_be_ordered(cell):

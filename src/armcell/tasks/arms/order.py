@@ -1,49 +1,35 @@
-"""In which order two arms bring their things, so that both are done early and neither waits for a zone."""
+"""In which order two arms bring their things, so that both are done early and neither waits for the other."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import cache
 from itertools import chain, combinations, permutations, product
 
-import numpy as np
-
 from armcell.collision.arms import check_two
-from armcell.core import SE3, InputError
-from armcell.core.checks import require
+from armcell.core import InputError
 from armcell.scene import PlanningScene
+from armcell.tasks.arms.errands import Errands, Leg, Pace
+from armcell.tasks.arms.meetings import Meetings
+from armcell.tasks.settings import TaskSettings
 
 Order = tuple[str, ...]
-Way = tuple[str, str]  # from a place to another, by their names
+Round = tuple[Leg, ...]
+Span = tuple[float, float, float]  # when a leg begins, its motion ends, its work ends [s]
 
-START = ""  # the name of where an arm begins
 ALL = 4  # things of one arm whose orders are all looked at; of more those near the one given
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How long an arm is taken to need: a motion between two places turns it about its base.
-
-    By default as 64 picks and 64 placings of two UR10 took, at the speeds that a task has by default.
-    """
-
-    way: float = 1.4  # [s] of each, to speed up and to slow down
-    turn: float = 0.9  # [s/rad] more
-    fetch: float = 3.5  # [s] to approach, close and lift
-    put: float = 3.0  # [s] to lower, open and draw back
-
-    def __post_init__(self) -> None:
-        for name in ("way", "turn", "fetch", "put"):
-            require(getattr(self, name) >= 0, f"{name} is {getattr(self, name):g}, it must not be negative")
+ROUND = 1.2  # [s] that an arm loses by going round the other: mean of ten in batches of dual_ur10_sort
+SLACK = 0.5  # [s] by which an estimated time may be off
 
 
 def orders(
     scene: PlanningScene,
     streams: Mapping[str, Sequence[str]],
     to: Callable[[str], str],
+    settings: TaskSettings = TaskSettings(),
     pace: Pace = Pace(),
 ) -> dict[str, list[str]]:
-    """Orders in which two arms that take turns at each zone are done earliest, by an estimate.
+    """Orders in which two arms that take turns at each zone are done and back earliest, by an estimate.
 
     Up to four things an arm all orders are compared, of more those that exchanges of two, or all the other
     way round, lead to. The order given stays where none is better.
@@ -51,6 +37,7 @@ def orders(
     Args:
         streams: what each arm has to bring, by planning group.
         to: the object that a thing goes to: a zone that one arm at a time may reserve.
+        settings: speeds and distances of the picks and places to come.
     Raises:
         InputError: not two arms that share no joint, or a thing twice.
         UnknownNameError: no such group or object.
@@ -63,19 +50,53 @@ def orders(
     twice = sorted({item for item in named if named.count(item) > 1})
     if twice:
         raise InputError(f"{', '.join(twice)} given twice", cure="name each thing once, for one arm")
-    zone = {item: to(item) for item in named}
-    places = [_places(scene, group, streams[group], zone) for group in streams]
-    ways = [_ways(scene, group, at, pace) for group, at in zip(streams, places, strict=True)]
+    first, second = (
+        Errands(scene, group, {item: to(item) for item in stream}, settings, pace)
+        for group, stream in streams.items()
+    )
+    best = earliest((streams[one], streams[two]), (first, second), Meetings(scene, (one, two)))
+    return {one: list(best[0]), two: list(best[1])}
 
-    def late(pair: tuple[Order, Order]) -> tuple[float, float]:
-        ends = _ends([_errands(order, way, zone, pace) for order, way in zip(pair, ways, strict=True)])
+
+def earliest(
+    streams: tuple[Sequence[str], Sequence[str]],
+    rounds: tuple[Callable[[Order], Round], Callable[[Order], Round]],
+    meetings: Meetings | None = None,
+) -> tuple[Order, Order]:
+    """Of the orders of two streams those that are done first.
+
+    Args:
+        rounds: what an arm does in an order.
+        meetings: where an arm's motion would meet the other at work; nowhere, where None.
+    """
+    one, two = cache(rounds[0]), cache(rounds[1])
+
+    def legs(pair: tuple[Order, Order]) -> tuple[Round, Round]:
+        return one(pair[0]), two(pair[1])
+
+    def alone(pair: tuple[Order, Order]) -> tuple[float, float]:
+        ends = [spans[-1][2] if spans else 0.0 for spans in timetable(legs(pair))]
         return round(max(ends), 6), round(sum(ends), 6)
 
-    best = tuple(streams[one]), tuple(streams[two])
+    def late(pair: tuple[Order, Order]) -> tuple[float, float]:
+        if meetings is None:
+            return alone(pair)
+        tables = timetable(legs(pair))
+        lost = detours(legs(pair), tables, meetings)
+        ends = [(spans[-1][2] if spans else 0.0) + more for spans, more in zip(tables, lost, strict=True)]
+        return round(max(ends), 6), round(sum(ends), 6)
+
+    best = tuple(streams[0]), tuple(streams[1])
+    least = late(best)
     while True:
-        found = min(_near(*best), key=late)
-        if late(found) >= late(best):
-            return {one: list(best[0]), two: list(best[1])}
+        found = best
+        for pair in sorted(_near(*best), key=alone):
+            if alone(pair) >= least:
+                break  # detours make none of the others earlier
+            if (ends := late(pair)) < least:
+                found, least = pair, ends
+        if found == best:
+            return best
         best = found
 
 
@@ -93,51 +114,38 @@ def _changed(order: Order) -> Iterator[Order]:
         yield (*order[:i], order[k], *order[i + 1 : k], order[i], *order[k + 1 :])
 
 
-def _places(
-    scene: PlanningScene, group: str, items: Sequence[str], zone: Mapping[str, str]
-) -> dict[str, SE3]:
-    """Where an arm's hand has to go."""
-    places = {name: scene.frame_pose(name) for name in (*items, *(zone[item] for item in items))}
-    return places | {START: scene.frame_pose(scene.model.gripper(arm_group=group).tcp_link)}
-
-
-def _ways(scene: PlanningScene, group: str, places: Mapping[str, SE3], pace: Pace) -> dict[Way, float]:
-    """How long an arm takes from a place to another [s], by their names."""
-    T_base = scene.frame_pose(scene.model.group(group).base_link or scene.model.root_link)
-    seen = {name: (T_base.inv() @ T).translation for name, T in places.items()}
-    angle = {name: float(np.arctan2(p[1], p[0])) for name, p in seen.items()}
-    return {
-        (a, b): pace.way + pace.turn * abs((angle[a] - angle[b] + np.pi) % (2 * np.pi) - np.pi)
-        for a, b in product(places, places)
-    }
-
-
-@dataclass(frozen=True)
-class _Errand:
-    """A thing's way, after the one before."""
-
-    zone: str
-    fetch: float  # [s] until the zone is asked for
-    bring: float  # [s] from then, if it is free, until it is left
-
-
-def _errands(order: Order, ways: Mapping[Way, float], zone: Mapping[str, str], pace: Pace) -> list[_Errand]:
-    at, found = START, []
-    for item in order:
-        to = zone[item]
-        found.append(_Errand(to, ways[at, item] + pace.fetch, ways[item, to] + pace.put))
-        at = to
-    return found
-
-
-def _ends(arms: Sequence[Sequence[_Errand]]) -> list[float]:
-    """When each arm has done its errands [s]; a zone is one arm's, in the order they asked."""
-    now, done, free = [0.0] * len(arms), [0] * len(arms), dict[str, float]()
+def timetable(arms: Sequence[Round]) -> list[list[Span]]:
+    """When each arm does each leg [s]; a zone is one arm's at a time, in the order they asked."""
+    now, free = [0.0] * len(arms), dict[str, float]()
+    spans: list[list[Span]] = [[] for _ in arms]
     while True:
-        asks = [(now[k] + arm[done[k]].fetch, k) for k, arm in enumerate(arms) if done[k] < len(arm)]
+        asks = [(now[k], k) for k, legs in enumerate(arms) if len(spans[k]) < len(legs)]
         if not asks:
-            return now
+            return spans
         time, k = min(asks)
-        errand = arms[k][done[k]]
-        now[k] = free[errand.zone] = max(time, free.get(errand.zone, 0.0)) + errand.bring
-        done[k] += 1
+        leg = arms[k][len(spans[k])]
+        begin = max(time, free.get(leg.zone, 0.0)) if leg.zone else time
+        there = begin + leg.motion
+        now[k] = there + leg.work
+        if leg.zone:
+            free[leg.zone] = now[k]
+        spans[k].append((begin, there, now[k]))
+
+
+def detours(arms: tuple[Round, Round], tables: Sequence[Sequence[Span]], meetings: Meetings) -> list[float]:
+    """What each arm loses [s], in all, by going round the other where that is at work on its way."""
+    lost = [0.0, 0.0]
+    for k in (0, 1):
+        for leg, (begin, there, _) in zip(arms[k], tables[k], strict=True):
+            for other, (_, since, until) in zip(arms[1 - k], tables[1 - k], strict=True):
+                if other.work == 0.0 or since > there + SLACK or until < begin - SLACK:
+                    continue
+                if leg.zone and leg.zone == other.zone:
+                    continue  # they take turns
+                share = meetings.share(k, leg, other)
+                if share is None:
+                    continue
+                first, last = (begin + s * leg.motion for s in share)
+                if first < until + SLACK and last > since - SLACK:
+                    lost[k] += ROUND
+    return lost

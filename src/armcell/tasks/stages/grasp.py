@@ -18,6 +18,7 @@ from armcell.tasks.proof import Proof, prove, varied
 from armcell.tasks.search import Draft, Planning
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.moves import shifted, straight
+from armcell.tasks.stages.reach import Reaching
 from armcell.tasks.steps import Expect, Grip, Hold, Motion, Watch
 from armcell.timing import reversed_in_time
 
@@ -56,6 +57,11 @@ class ChooseGrasp:
         proofs: dict[str, Proof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(draft, planning, item, grasps)
+        else:
+            reaching = Reaching(draft.scene, self.gripper, self.distance, planning.seed)
+            q = draft.scene.positions[reaching.ik.columns]
+            near = reaching.nearest_first(item.T_world_object, grasps, q, s.free)
+            grasps[: len(near)] = [reach.grasp for reach in near]
         if why_not is not None and proofs:  # last what leads on only if nothing turns in the hand
             grasps.sort(key=lambda g: any(why_not(turned) for turned in _turned(proofs[g.name])))
         for grasp in grasps[: s.max_candidates * self.wider]:
