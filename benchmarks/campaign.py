@@ -2,10 +2,12 @@
 
     python -m benchmarks.campaign --trials 100 --kills 20
 
-The same trials run in a bare loop (no engine, no store) and then with one worker, with two, and on Ray. What
-the engine costs is processor time: of the worker and of the campaign's process, from the first row to the
-last, against the loop's, and against that of the trials in it. Waiting for the processor, on a machine that
-others use, is not in it. `hand-over` is what passes between two rows of one worker beyond the trial; it
+The same trials run in a bare loop (no engine, no store), with one worker, with two, and on Ray; in rounds,
+each with its share of the trials, as a machine's speed may change from minute to minute.
+
+What the engine costs is processor time: of the worker and of the campaign's process, from the first row to
+the last, against the loop's, and against that of the trials in it. Waiting for the processor, on a machine
+that others use, is not in it. `hand-over` is what passes between two rows of one worker beyond the trial; it
 and the speed-up are wall time.
 """
 
@@ -48,6 +50,7 @@ TIMED = ("wall_s", "cpu_s", "planning_s")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--trials", type=int, default=100, help="of panda_pick, in each way of running them")
+    parser.add_argument("--rounds", type=int, default=3, help="in which all ways take turns")
     parser.add_argument("--kills", type=int, default=20, help="random moments at which something is killed")
     parser.add_argument("--cell", default="panda_pick")
     parser.add_argument("--json", type=Path)
@@ -55,15 +58,19 @@ def main() -> None:
     found: dict[str, Any] = {"cell": given.cell, "trials": given.trials, "load_before": os.getloadavg()[0]}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        spec = CampaignSpec(given.cell, trials=given.trials)
-        found["loop"] = bare_loop(spec)
-        print("loop", json.dumps(found["loop"]), flush=True)
+        share = -(-given.trials // given.rounds)
         ways: dict[str, tuple[int, str | None]] = {"one worker": (1, None), "two workers": (2, None)}
         if importlib.util.find_spec("ray"):
             ways["Ray, one worker"] = (1, "auto")
-        for name, (workers, ray) in ways.items():
-            found[name] = with_engine(spec, root / name.replace(" ", "_"), workers, ray)
-            print(name, json.dumps(found[name]), flush=True)
+        parts: dict[str, list[dict[str, Any]]] = {name: [] for name in ("loop", *ways)}
+        for first in range(0, given.trials, share):
+            spec = CampaignSpec(given.cell, trials=min(share, given.trials - first), seed=first)
+            parts["loop"].append(bare_loop(spec))
+            for name, (workers, ray) in ways.items():
+                kept = root / f"{name} {first}".replace(" ", "_")
+                parts[name].append(with_engine(spec, kept, workers, ray))
+            print(f"trial {first} on:", json.dumps({n: p[-1] for n, p in parts.items()}), flush=True)
+        found |= {name: together(rounds) for name, rounds in parts.items()}
         found["kills"] = kills(root, given.kills)
         print("kills", json.dumps(found["kills"]), flush=True)
         found["executed again"] = executed_again(given.cell, root / "runs")
@@ -89,6 +96,20 @@ def bare_loop(spec: CampaignSpec) -> dict[str, Any]:
         "cpu_s": (time.process_time() - cpu) / count, "wall_s": (time.monotonic() - began) / count,
         "succeeded": good,
     }  # fmt: skip
+
+
+def together(rounds: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over rounds; counts of all of them; the memory as it was where a worker had most."""
+    first, found = rounds[0], {}
+    for key, value in first.items():
+        every = [one[key] for one in rounds]
+        if key == "resident_mib":
+            found[key] = max(every, key=max)
+        elif isinstance(value, int):
+            found[key] = sum(every)
+        else:
+            found[key] = None if value is None else sum(every) / len(every)
+    return found | {"rounds_cpu_s": [one["cpu_s"] for one in rounds]}
 
 
 class Watch:
@@ -252,6 +273,8 @@ def print_table(found: dict[str, Any]) -> None:
         rows.append((what, f"{value:,.4g} {unit}".strip(), f"{sign} {bar:,g} {unit}".strip(), met))
 
     row("trials per hour and core (processor time)", 3600 / one["cpu_s"], 15000, "", at_least=True)
+    every = [3600 / spent for spent in one["rounds_cpu_s"]]
+    rows.append(("the same in single rounds", f"{min(every):,.5g} to {max(every):,.5g}", "", True))
     row("engine against a bare loop (processor time)", 100 * (one["cpu_s"] / loop["cpu_s"] - 1), 5, "%")
     row("engine against the trials in it (processor time)", 100 * one["beside_trials"], 5, "%")
     row("two workers against one (wall time)", one["wall_s"] / two["wall_s"], 1.8, "", at_least=True)

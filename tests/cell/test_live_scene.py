@@ -265,7 +265,7 @@ def test_what_comes_before_the_held_object_alone_stops_the_arm():
 
 
 class ComesBeforeTheHand(Meanwhile):
-    """A small box where the hand will be at the end of a stage's motion, at its one broad side."""
+    """A small box where the hand will be at the end of a stage's motion, at one of its broad sides."""
 
     def __init__(self, cell: LiveCell, stage: str):
         super().__init__(cell, 0.2, self.come)
@@ -281,7 +281,9 @@ class ComesBeforeTheHand(Meanwhile):
 
     def come(self) -> None:
         then = self.cell.scene().with_state(self.trajectory.end)
-        hand, side = then.frame_pose("panda_hand"), np.array([0.0, 0.09, 0.04])
+        hand = then.frame_pose("panda_hand")
+        wrist = (hand.inv() @ then.frame_pose("panda_link6")).translation
+        side = np.array([0.0, -np.copysign(0.09, wrist[1]), 0.04])  # where the wrist is not
         self.box = CollisionObject.single("box", Box(0.03, 0.03, 0.03), SE3.from_xyz(*hand.apply(side)))
         self.cell.change_scene(put(self.box))
 

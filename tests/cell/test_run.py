@@ -16,7 +16,7 @@ from armcell.cell import load, run_task
 from armcell.core import ErrorCode, InputError
 
 FILE = Path(armcell.__file__).parent / "cell" / "library" / "panda_pick" / "cell.yaml"
-SLIPPERY = "    movable: true\n    mass: 0.5\n    friction: 0.03\n"
+SLIPPERY = "    movable: true\n    mass: 0.5\n    friction: 0.035\n"
 RUN = """
 import json, sys
 import armcell

@@ -34,7 +34,8 @@ def test_the_object_is_moved_away_during_the_approach():
         cell.ctx.observers.append(AtStage("approach", lambda: teleport(cell, -0.1, 0.0)))
         outcome = cell.arm.pick("cube")
         assert outcome.ok, outcome.message
-        assert stages(cell) == PICK_STAGES[:-1] + PICK_STAGES
+        again = [name for name in stages(cell) if name != "retreat"]  # it draws back where it is near
+        assert again == PICK_STAGES[:-1] + PICK_STAGES
         (note,) = notes(cell)
         assert "nothing is between the fingers" in note and "trying the next grasp" in note
         assert cell.driver.gripper("hand").held == "cube"
@@ -77,9 +78,9 @@ def test_the_object_is_not_where_the_scene_has_it():
 def test_every_attempt_fails_and_each_had_another_grasp():
     """Forces are chosen for a friction of 0.05 at least; below that the fingers slide off each time.
 
-    (At 0.02 the squeezed cube may shoot off the table, out of reach.)
+    (At 0.03 the squeezed cube may shoot off the table, out of reach.)
     """
-    with live("sim", with_cube(mass=0.5, material=Material(0.03))) as cell:
+    with live("sim", with_cube(mass=0.5, material=Material(0.035))) as cell:
         outcome = cell.arm.pick("cube")
         assert outcome.code is ErrorCode.CONTROL_FAILED
         assert "lost cube" in outcome.message

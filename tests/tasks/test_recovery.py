@@ -107,7 +107,7 @@ def test_a_place_that_fails_on_the_way_is_planned_again():
 
 @pytest.mark.slow
 def test_a_weak_gripper_is_given_up_with_its_reason():
-    slippery = with_cube(mass=0.5, material=Material(0.03))
+    slippery = with_cube(mass=0.5, material=Material(0.035))
     with live("sim", slippery) as cell:
         outcome = cell.arm.transfer("cube", on="tray", settings=RecoverySettings(tries=1))
         assert not outcome.ok

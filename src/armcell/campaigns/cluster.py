@@ -111,10 +111,10 @@ class RayWorkers(Workers[RayWorker]):
             self._join(found)
         except (Exception, SystemExit) as error:
             self.__exit__()
-            said = str(error).strip().splitlines()
-            raise InputError(
-                f"Ray {found or 'here'} cannot be used: {said[0] if said else error!r}"
-            ) from None
+            said = next(iter(str(error).strip().splitlines()), "")
+            if " " not in said:  # a key or a number alone tells nobody anything
+                said = repr(error)
+            raise InputError(f"Ray {found or 'here'} cannot be used: {said}") from None
         except KeyboardInterrupt:
             self.__exit__()
             raise

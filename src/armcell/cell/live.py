@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 
 from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.control import Driver
 from armcell.core import SE3, InputError, JointGoal, Observer, Outcome, UnknownNameError
+from armcell.core.pauses import no_long_pauses
 from armcell.perception import LookSettings, MapSettings, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
@@ -172,21 +173,23 @@ class LiveCell:
         known = scene if seen is None else seen.taken_from(scene)
         self.ctx = TaskContext(driver, known, settings, observers, seed)
         self.model, self.seed = scene.model, seed
+        self._inside = ExitStack()
 
     def __enter__(self) -> LiveCell:
-        if (
-            not self.driver.is_simulated
-        ):  # what takes long (compiled code to load) comes before real arms wait
+        with ExitStack() as opening:
+            if not self.driver.is_simulated:  # what takes long comes before real arms wait
+                for group in self.arms:
+                    prepare(self.scene_at_start, group)  # compiled code to load
+                opening.enter_context(no_long_pauses())
+            opening.enter_context(self.driver)
+            self.ctx.observe()
             for group in self.arms:
-                prepare(self.scene_at_start, group)
-        self.driver.__enter__()
-        self.ctx.observe()
-        for group in self.arms:
-            prepare(self.ctx.scene(), group)  # not on the time of the first plan
+                prepare(self.ctx.scene(), group)  # not on the time of the first plan
+            self._inside = opening.pop_all()
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self.driver.__exit__(*exc)
+        self._inside.close()
 
     @property
     def arms(self) -> dict[str, Arm]:

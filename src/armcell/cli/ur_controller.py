@@ -10,6 +10,7 @@ import typer
 
 from armcell.cli.console import console
 from armcell.core import InputError
+from armcell.core.pauses import no_long_pauses
 
 EXAMPLES = """
 Examples:
@@ -100,7 +101,8 @@ def ur_controller(
     with suppress(PermissionError, AttributeError):  # a controller is not late because a computer is busy
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
     try:
-        rack.run()
+        with no_long_pauses():
+            rack.run()
     finally:
         rack.close()
         if file is not None:

@@ -27,14 +27,25 @@ def cell(tmp_path):
     return file, host
 
 
+TRIES = 3  # where the computer stands still for half a second, as busy virtual ones do, the arm rightly stops
+
+
+def run_real(file, host, out, *seed):
+    """`armcell run --mode real` beside an emulated arm: the result, and the robot's messages."""
+    real = [*seed, "--mode", "real", "--without-gate", "an emulator"]
+    for left in reversed(range(TRIES)):
+        with emulator("--cell", "six_axis_pick", *seed, hosts=[host]):
+            status = main(["run", str(file), *real, "--headless", "--json", str(out)])
+            messages = dashboard(host, "armcell messages")[0]
+        result = json.loads(out.read_text())
+        if "this computer was held up" not in result["message"] or not left:
+            break
+    assert status == 0, result["message"]
+    return result, messages
+
+
 def test_the_same_task_on_a_robot_over_the_wire(cell, tmp_path):
-    file, host = cell
-    with emulator("--cell", "six_axis_pick", "--seed", "0", hosts=[host]):
-        out = tmp_path / "result.json"
-        real = ["--seed", "0", "--mode", "real", "--without-gate", "an emulator"]
-        assert main(["run", str(file), *real, "--headless", "--json", str(out)]) == 0
-        messages = dashboard(host, "armcell messages")[0]
-    result = json.loads(out.read_text())
+    result, messages = run_real(*cell, tmp_path / "result.json", "--seed", "0")
     assert result["success"] and result["mode"] == "real"
     assert [s["name"] for s in result["stages"]].count("open") == 2
     assert "protective stop" not in messages  # physics saw no unwanted touch
@@ -42,12 +53,7 @@ def test_the_same_task_on_a_robot_over_the_wire(cell, tmp_path):
 
 def test_no_draw_moves_the_things_of_a_real_cell(cell, tmp_path):
     """The commands of docs/real_ur.md, which give no seed: things are where the cell file says."""
-    file, host = cell
-    with emulator("--cell", "six_axis_pick", hosts=[host]):
-        out = tmp_path / "result.json"
-        real = ["--mode", "real", "--without-gate", "an emulator"]
-        assert main(["run", str(file), *real, "--headless", "--json", str(out)]) == 0
-    result = json.loads(out.read_text())
+    result, _ = run_real(*cell, tmp_path / "result.json")
     assert result["success"] and result["seed"] is None and result["randomized"] == {}
     assert "--seed" not in result["command"]
 
