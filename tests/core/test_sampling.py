@@ -59,9 +59,21 @@ def test_playback_agrees_with_scipy_and_holds_both_ends(kind, seed):
         assert not v.any()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_moments_are_played_as_each_alone_bit_for_bit(kind):
+    t = trajectory(kind)
+    playback, times = Playback(t), np.linspace(-0.1, t.duration + 0.1, 500)
+    q, v = playback.at_times(times)
+    for i, time in enumerate(times):
+        for many, one, alone in zip((q, v), playback.at_times([time]), playback.at(time), strict=True):
+            assert many[i].tobytes() == one[0].tobytes()
+            np.testing.assert_allclose(many[i], alone, atol=1e-12)
+
+
 def test_playback_of_one_point_and_of_none():
-    q, v = Playback(JointTrajectory(NAMES, np.zeros(1), np.ones((1, 3)))).at(0.5)
-    assert q.tolist() == [1.0, 1.0, 1.0] and not v.any()
+    single = Playback(JointTrajectory(NAMES, np.zeros(1), np.ones((1, 3))))
+    for q, v in (single.at(0.5), single.at_times([-1.0, 0.0, 0.5])):
+        assert (q == 1.0).all() and not v.any()
     with pytest.raises(InputError, match="empty"):
         Playback(JointTrajectory(NAMES, np.zeros(0), np.zeros((0, 3))))
 

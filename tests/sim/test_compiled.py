@@ -7,7 +7,7 @@ import pytest
 from tests.sim.helpers import Grasping
 
 from armcell.core import SE3
-from armcell.sim import SimWorld
+from armcell.sim import SimWorld, Targets
 
 
 def _state(world: SimWorld) -> tuple:
@@ -51,10 +51,10 @@ def test_following_is_the_same_and_ends_at_the_same_error(tolerance):
         start = world.joint_state().reindexed(names).positions
 
         def wanted(times):
-            t = np.array(times)[:, None]
+            t = times[:, None]
             return start + 0.5 * t**2, np.repeat(t, len(names), axis=1)
 
-        return world.follow(names, wanted, 0.4, 2, tolerance)
+        return world.follow(names, Targets(wanted, world.timestep, 2), 0.4, tolerance)
 
     compiled, python = _both(act)
     assert compiled == python

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armcell.core.errors import InputError
 from armcell.core.joints import JointTrajectory
 
 Array = NDArray[np.float64]
+T = TypeVar("T", float, Array)
 
 
 class Playback:
@@ -29,6 +30,7 @@ class Playback:
         if len(t.times) == 0:
             raise InputError("an empty trajectory has no position at any time")
         self._n, self._times, self.duration = n, t.times.tolist(), t.duration
+        self._knots = t.times
         self._first, self._last = t.positions[0], t.positions[-1]
         p0, d = t.positions[:-1], np.diff(t.positions, axis=0)
         h = np.diff(t.times)[:, None]
@@ -60,27 +62,20 @@ class Playback:
         both = np.array(_powers(t - known[i])) @ self._coefficients[i]
         return both[:n], both[n:]
 
-    def at_times(self, times: Sequence[float]) -> tuple[Array, Array]:
+    def at_times(self, times: ArrayLike) -> tuple[Array, Array]:
         """Positions and velocities (k, n) at times (k,) [s], held at both ends."""
-        known, n = self._times, self._n
-        rows, inside, powers = [], [], []
-        for row, t in enumerate(times):
-            if known[0] < t < known[-1]:
-                i = bisect_right(known, t) - 1
-                rows.append(row)
-                inside.append(i)
-                powers.append(_powers(t - known[i]))
-        if len(rows) == len(times):
-            both = (np.array(powers)[:, None] @ self._coefficients[inside])[:, 0]
-            return both[:, :n], both[:, n:]
-        positions = np.array([self._first if t <= known[0] else self._last for t in times])
+        t, known, n = np.asarray(times, dtype=float), self._knots, self._n
+        positions = np.where((t <= known[0])[:, None], self._first, self._last)
         velocities = np.zeros_like(positions)
-        if rows:
-            both = (np.array(powers)[:, None] @ self._coefficients[inside])[:, 0]
-            positions[rows], velocities[rows] = both[:, :n], both[:, n:]
+        inside = ((known[0] < t) & (t < known[-1])).nonzero()[0]
+        if len(inside):
+            i = known.searchsorted(t[inside], "right") - 1
+            powers = np.stack(_powers(t[inside] - known[i]), axis=1)
+            both = (powers[:, None] @ self._coefficients[i])[:, 0]
+            positions[inside], velocities[inside] = both[:, :n], both[:, n:]
         return positions, velocities
 
 
-def _powers(s: float) -> tuple[float, ...]:
+def _powers(s: T) -> tuple[T, T, T, T, T, T]:
     ss = s * s
-    return 1.0, s, ss, ss * s, ss * ss, ss * ss * s
+    return s**0, s, ss, ss * s, ss * ss, ss * ss * s

@@ -11,6 +11,7 @@ from armcell.sim.hand_trials import Trial, TrialResult, TrialSettings, run_trial
 from armcell.sim.pace import Pacer
 from armcell.sim.render import has_gl, render_depth, render_rgb, take_image
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.targets import Targets
 from armcell.sim.world import SimWorld, WorldSnapshot
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "PhysicsContact",
     "PhysicsSettings",
     "SimWorld",
+    "Targets",
     "Trial",
     "TrialResult",
     "TrialSettings",

@@ -40,31 +40,30 @@ class CompiledSteps:
 
     def take(self, n: int, monitor: ContactMonitor) -> None:
         """Take n steps."""
-        self._run(n, monitor, n, _NO_ROWS, _NO_COLUMNS, _NO_ROWS, _NO_COLUMNS, np.inf, _NONE)
+        self._run(n, monitor, n, _NO_ROWS, _NO_COLUMNS, _NO_COLUMNS, np.inf, _NONE)
 
     def follow(
-        self, positions: Array, velocities: Array, steps: int, tolerance: float, controls: Controls,
+        self, targets: Array, steps: int, tolerance: float, controls: Controls,
         columns: NDArray[np.int64], monitor: ContactMonitor,
     ) -> tuple[int, Array]:  # fmt: skip
-        """New targets (k, j) every `steps` steps, until a joint is off by more than a tolerance.
+        """New targets (k, 2j) every `steps` steps, until a joint is off by more than a tolerance.
 
         Args:
+            targets: positions and velocities side by side.
             controls: of the joints; columns (j,) in qpos.
         Returns:
             How many of the targets were used; how far the joints were off at most (j,).
         """
         _, at, speeds = controls
-        feeds = speeds.item(0) >= 0
-        targets = np.concatenate((positions, velocities), axis=1) if feeds else positions
-        where = np.concatenate((at, speeds)) if feeds else at
+        where = np.concatenate((at, speeds)) if speeds.item(0) >= 0 else at
         worst = np.zeros(len(columns))
-        n = steps * len(positions)
-        taken = self._run(n, monitor, steps, targets, where, positions, columns, tolerance, worst)
+        n = steps * len(targets)
+        taken = self._run(n, monitor, steps, targets, where, columns, tolerance, worst)
         return (taken - 1) // steps + 1, worst
 
     def _run(
         self, n: int, monitor: ContactMonitor, period: int, targets: Array, where: NDArray[np.int64],
-        wanted: Array, columns: NDArray[np.int64], limit: float, worst: Array,
+        columns: NDArray[np.int64], limit: float, worst: Array,
     ) -> int:  # fmt: skip
         """Returns how many steps were taken."""
         taken, off = 0, False
@@ -73,7 +72,7 @@ class CompiledSteps:
             taken, touches, off = take_steps(
                 model, data, taken, n, self._count, monitor.pairs, monitor.readable, monitor.unwanted_geoms,
                 self._fingers, self._apart.arrays, self._qpos, self._ctrl, self._places,
-                period, targets, where, wanted, columns, limit, worst,
+                period, targets, where, columns, limit, worst,
             )  # fmt: skip
             if touches:
                 monitor.update(self._data)

@@ -135,7 +135,7 @@ def _after(model, data, places, apart):
 @njit(cache=True, nogil=True)
 def take_steps(
     model, data, begin, end, count, pairs, readable, unwanted, fingers, apart, qpos, ctrl, places,
-    period, targets, controls, wanted, columns, limit, worst,
+    period, targets, controls, columns, limit, worst,
 ):  # fmt: skip
     """Steps number begin to end - 1, until after one with an unwanted contact or with a joint off its target.
 
@@ -148,8 +148,8 @@ def take_steps(
         apart: `Apart.arrays`.
         places: (geom, 3) of the geoms' middles.
         period: steps between new targets, which come before steps 0, period, 2 period and so on.
-        targets: (n / period, m) for the controls (m,); none with (0, 0).
-        wanted: (n / period, j) where the joints at `columns` (j,) of qpos shall be after `period` steps.
+        targets: (n / period, m) of which the first k columns are for the controls (k,).
+        columns: (j,) of qpos, where the first j columns of `targets` shall be after `period` steps.
         limit: [rad or m] how far off they may be.
         worst: (j,) how far they were at most, written.
     Returns:
@@ -159,7 +159,7 @@ def take_steps(
     for step in range(begin, end):
         row = step // period
         if step % period == 0:
-            for i in range(targets.shape[1]):
+            for i in range(len(controls)):
                 ctrl[controls[i]] = targets[row, i]
         drive_fingers(law, joints, weights, qpos, ctrl)
         unknown = _before(qpos, apart)
@@ -172,8 +172,8 @@ def take_steps(
                 touches = True
                 break
         if step % period == period - 1:
-            for i in range(wanted.shape[1]):
-                error = abs(qpos[columns[i]] - wanted[row, i])
+            for i in range(len(columns)):
+                error = abs(qpos[columns[i]] - targets[row, i])
                 worst[i] = max(worst[i], error)
                 off = off or error > limit
         if touches or off:

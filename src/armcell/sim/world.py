@@ -35,6 +35,7 @@ from armcell.sim.grip import (
 from armcell.sim.kept import kept_build
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.targets import Targets
 from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
@@ -193,15 +194,12 @@ class SimWorld:
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
 
     def follow(
-        self, joint_names: Sequence[str], wanted: Callable[[Sequence[float]], tuple[Array, Array]],
-        until: float, steps: int, tolerance: float,
-    ) -> tuple[float, int]:  # fmt: skip
-        """New targets every `steps` physics steps: `set_arm_target` and `step` in turn, with less between.
+        self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
+    ) -> tuple[float, int]:
+        """New targets every tick: `set_arm_target` and `step` in turn, with less between.
 
         At least once, and until a time [s] or until a joint is off by more than a tolerance [rad or m].
 
-        Args:
-            wanted: positions and velocities (k, n), finite, for the steps from each of k times [s] on.
         Returns:
             The largest error, and the index of its joint.
         """
@@ -209,17 +207,11 @@ class SimWorld:
         if names not in self._columns:
             self._columns[names] = self._split(names)
         _, controls, fingers, at = self._columns[names]
-        times, now, dt = [], data.time, self.timestep
-        while not times or now < until:
-            times.append(now)
-            for _ in range(steps):  # as the engine adds them up
-                now += dt
-        positions, velocities = wanted(times)
+        rows = targets.between(data.time, until)
+        positions, velocities = rows[:, : len(names)], rows[:, len(names) :]
         if self._steps is not None and self._steps.possible and not fingers:
             with self.lock:
-                used, errors = self._steps.follow(
-                    positions, velocities, steps, tolerance, controls, at, self.monitor
-                )
+                used, errors = self._steps.follow(rows, targets.steps, tolerance, controls, at, self.monitor)
                 self._servo.command(data, controls, positions[used - 1], velocities[used - 1])
                 self._behind = True
             self._check()
@@ -227,7 +219,7 @@ class SimWorld:
             errors = np.zeros(len(names))
             for q, v in zip(positions, velocities, strict=True):
                 self.set_arm_target(names, q, v)
-                self.step(steps)
+                self.step(targets.steps)
                 errors = np.maximum(errors, np.abs(data.qpos[at] - q))
                 if errors.max() > tolerance:
                     break

@@ -66,6 +66,7 @@ class _Body:
 _parts: Kept[RobotPart] = Kept(8)
 _bodies: Kept[_Body] = Kept(512)
 _placed: Kept[_Body] = Kept(512)  # the same in their frames
+_near_found: Kept[tuple[I32, dict[str, I32]]] = Kept(32)
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
@@ -96,13 +97,9 @@ class _Builder:
     def build(self) -> RobotPart:
         self._frames()
         bodies, arrays, pieces = self._bodies()
-        pairs = self._pairs(bodies)
+        pairs, near_tables = self._near_pairs(bodies, arrays)
         reach = self._reach(bodies, arrays["body_sphere"])
         pair_reach = self._pair_reach(bodies, pairs, reach)
-        meeting = self._near(bodies, arrays, pairs)
-        # Pairs that cannot meet need no checking; nor do groups of the first body that meet nothing.
-        some = [p for p, groups in enumerate(meeting) if groups.any()]
-        pairs, pair_reach = pairs[some], pair_reach[some]
         up = np.float32(1 + 1e-6)
         arrays |= {
             "dof": self.dof,
@@ -114,7 +111,7 @@ class _Builder:
             "offset": np.array(self.offset, np.float32),
             "pairs": pairs,
             "pair_margin": np.zeros(len(pairs), np.float32),
-            **_near_tables(arrays["body_groups"], pairs, [meeting[p] for p in some]),
+            **near_tables,
             "reach": reach,
             "pair_reach": pair_reach,
             "rate": reach.astype(np.float32) * up,
@@ -228,6 +225,32 @@ class _Builder:
             if fa != fb and not self.scene.is_allowed(a, b)
         ]
         return np.array(pairs, np.int32).reshape(-1, 2)
+
+    def _near_pairs(
+        self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
+    ) -> tuple[I32, dict[str, I32]]:
+        """Pairs that can meet, and their groups that can. Not looked for again where only bodies that are not
+        placed for good are elsewhere."""
+        pairs, ends = self._pairs(bodies), arrays["group_spheres"][arrays["body_groups"]]
+        good = np.array(self.placed_for_good, bool)
+        key = (
+            self.model,
+            self.joint_names,
+            pairs.tobytes(),
+            np.array(self.fixed).tobytes(),
+            *(arrays[name].tobytes() for name in ("frame", "body_groups", "group_spheres")),
+            arrays["group_sphere"][np.repeat(good, np.diff(arrays["body_groups"]))].tobytes(),
+            arrays["sphere"][np.repeat(good, np.diff(ends))].tobytes(),
+            good.tobytes(),
+        )
+
+        def look() -> tuple[I32, dict[str, I32]]:
+            meeting = self._near(bodies, arrays, pairs)
+            # Pairs that cannot meet need no checking; nor do groups of the first body that meet nothing.
+            some = [p for p, groups in enumerate(meeting) if groups.any()]
+            return pairs[some], _near_tables(arrays["body_groups"], pairs[some], [meeting[p] for p in some])
+
+        return _near_found.get(key, look)
 
     def _near(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32

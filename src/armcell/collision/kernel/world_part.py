@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.box_tree import HUGE
 from armcell.collision.kernel.cloud_part import Cloud, cloud_of
+from armcell.collision.kernel.kept import Kept
 from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of, solid
 from armcell.core import Mesh, Plane, Shape
 from armcell.core.geometry import local_bounds
@@ -40,9 +41,17 @@ class ObjectPart:
     clouds: tuple[Cloud, ...]
 
 
+_parts: Kept[ObjectPart] = Kept(512)
+
+
 @lru_cache(maxsize=512)
 def object_part(item: CollisionObject) -> ObjectPart:
-    """Kept per object: objects are values, a moved one is another one."""
+    """Kept per object, and for another one of the same shapes at the same place."""
+    shapes = tuple((shape, T.matrix.tobytes()) for shape, T in item.shapes)
+    return _parts.get((item.T_world_object.matrix.tobytes(), shapes), lambda: _object_part(item))
+
+
+def _object_part(item: CollisionObject) -> ObjectPart:
     T_world_object = item.T_world_object.matrix
     kinds, poses, sizes, planes, planes_end, low, high = [], [], [], [], [], [], []
     pieces, pieces_end, cloud, clouds = [], [], [], []

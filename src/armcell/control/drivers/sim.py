@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.core import SE3, Contact, JointState, Playback
 from armcell.scene import PlanningScene
-from armcell.sim import Pacer, PhysicsSettings, SimWorld
+from armcell.sim import Pacer, PhysicsSettings, SimWorld, Targets
 
 PERIOD = 0.004  # [s] between commands, as nearly as whole physics steps allow
 
@@ -28,6 +28,8 @@ class SimDriver:
         self._settings = options.physics or PhysicsSettings()
         self.period = max(round(PERIOD / self._settings.timestep), 1) * self._settings.timestep
         self._pacer = Pacer(options.time_scale)
+        self._played: tuple[Playback, float] | None = None  # what `_targets` are of, and when it began [s]
+        self._targets: Targets = None  # type: ignore[assignment]  # there from the first `play` on
         self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
 
     def __enter__(self) -> SimDriver:
@@ -76,15 +78,21 @@ class SimDriver:
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
         """See `control.driver.Player`."""
-        period, duration = self.period, playback.duration
-
-        def wanted(times: Sequence[float]) -> tuple[Array, Array]:
-            return playback.at_times([min(now - began + period, duration) for now in times])
-
-        end, steps = began + until - 1e-9, round(period / self._settings.timestep)
-        found = self.world.follow(joint_names, wanted, end, steps, tolerance)
+        of = playback, began
+        if self._played != of:
+            self._played, self._targets = of, self._targets_of(*of)
+        found = self.world.follow(joint_names, self._targets, began + until - 1e-9, tolerance)
         self._pacer.wait_until(self.world.time)
         return found
+
+    def _targets_of(self, playback: Playback, began: float) -> Targets:
+        period, duration = self.period, playback.duration
+
+        def wanted(times: Array) -> tuple[Array, Array]:
+            return playback.at_times(np.minimum(times - began + period, duration))
+
+        timestep = self._settings.timestep
+        return Targets(wanted, timestep, round(period / timestep))
 
     def stop(self) -> None:
         state = self.world.joint_state()

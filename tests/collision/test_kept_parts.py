@@ -1,0 +1,80 @@
+"""What the kernel keeps between scenes is what it would work out anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.scene.helpers import box
+from tests.scene.helpers import panda as new_panda
+
+from armcell.collision.kernel import robot_part as module
+from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.robot_part import RobotPart, robot_part
+from armcell.collision.kernel.world_part import object_part
+from armcell.core import SE3
+from armcell.scene import CollisionObject, PlanningScene
+
+ARM = tuple(f"panda_joint{i}" for i in range(1, 8))
+HELD = box("held", (0.04, 0.04, 0.04), (0.0, 0.0, 0.3))
+BASE = new_panda()
+
+
+def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_parts", "_bodies", "_placed", "_near_found"):
+        monkeypatch.setattr(module, name, Kept(64))
+
+
+def _bits(part: RobotPart) -> dict[str, bytes]:
+    return {name: np.asarray(value).tobytes() for name, value in part.arrays.items()}
+
+
+def panda(*objects: CollisionObject, **positions: float) -> PlanningScene:
+    """The same robot each time."""
+    q = BASE.positions.copy()
+    q[BASE.model.columns([f"panda_{name}" for name in positions])] = list(positions.values())
+    return PlanningScene.of(BASE.model, q, objects)
+
+
+def _holding(*touch_links: str) -> PlanningScene:
+    return panda(HELD).with_attached("held", "panda_hand", touch_links)
+
+
+SCENES = {
+    "as it is": panda(),
+    "fingers": panda(finger_joint1=0.011),
+    "elsewhere": panda(joint2=0.4, joint4=-1.9),
+    "allowed": panda().with_allowed("panda_link1", "panda_link5"),
+    "scaled": panda().with_padding(link_scale={"panda_link1": 1.3}),
+    "padded": panda().with_padding(link_padding={"panda_link5": 0.02}),
+    "holding": _holding("panda_leftfinger"),
+    "holding, allowed": _holding("panda_leftfinger", "panda_link5"),
+    "larger": panda(box("held", (0.2, 0.1, 0.1), (0.0, 0.0, 0.3))).with_attached("held", "panda_hand"),
+    "two of seven joints": panda(joint2=0.4),
+}
+
+
+def test_a_robots_part_is_never_of_another_state(monkeypatch):
+    _forget(monkeypatch)
+    joints = {name: ARM[:2] if name.startswith("two") else ARM for name in SCENES}
+    kept = {name: _bits(robot_part(scene, joints[name])) for name, scene in SCENES.items()}
+    for name, scene in SCENES.items():
+        _forget(monkeypatch)
+        assert _bits(robot_part(scene, joints[name])) == kept[name], name
+    assert len({tuple(bits.items()) for bits in kept.values()}) >= len(kept) - 1  # an arm that is elsewhere
+
+
+def test_what_can_meet_is_not_looked_for_again_where_only_fingers_moved():
+    first = robot_part(panda(finger_joint1=0.012), ARM)
+    again = robot_part(panda(finger_joint1=0.013), ARM)
+    assert again is not first and again.arrays["sphere"].tobytes() != first.arrays["sphere"].tobytes()
+    assert again.arrays["near_groups"] is first.arrays["near_groups"]
+
+
+def test_an_objects_part_is_of_its_shapes_and_place():
+    item = box("a", (0.1, 0.2, 0.3), (0.5, 0.0, 0.1))
+    part = object_part(item)
+    assert object_part(replace(item, name="b", mass=2.0)) is part
+    moved, larger = replace(item, T_world_object=SE3.from_xyz(0.5, 0.0, 0.2)), box("a", (0.1, 0.2, 0.4))
+    assert object_part(moved).high[0, 2] == pytest.approx(0.35) and object_part(larger).size[0, 2] == 0.2
