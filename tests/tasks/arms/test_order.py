@@ -120,6 +120,7 @@ def test_long_streams_are_ordered_too():
     assert by_the_tick(streams, 5.0, 5.0) > 10 * 10.0 + 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 12])
 def test_an_arm_takes_as_long_as_estimated(cell, seed):
     """Orders of an arm that works alone, against its motions; it is not told where on a tray a thing goes."""
