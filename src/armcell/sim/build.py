@@ -27,6 +27,32 @@ def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
     return {**scene.objects, **{name: scene.object(name) for name in scene.attached}}
 
 
+def same_build(a: PlanningScene, b: PlanningScene) -> bool:
+    """Whether two scenes compile to the same model but for joint positions and free bodies' poses."""
+    if a.model is not b.model or dict(a.allowed) != dict(b.allowed) or set(a.attached) != set(b.attached):
+        return False
+    olds, news = scene_objects(a), scene_objects(b)
+    if list(olds) != list(news):
+        return False
+    for name, new in news.items():
+        old = olds[name]
+        free = new.movable or name in b.attached
+        if old.shapes is not new.shapes or (old.mass, old.material, old.movable, old.color, old.belt) != (
+            new.mass, new.material, new.movable, new.color, new.belt
+        ):  # fmt: skip
+            return False
+        if new.thread is not None:
+            into = new.thread.into
+            was = olds[into].T_world_object.inv() @ old.T_world_object
+            if new.thread != old.thread or not was.isclose(
+                news[into].T_world_object.inv() @ new.T_world_object
+            ):
+                return False
+        if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):
+            return False
+    return True
+
+
 def build(
     scene: PlanningScene,
     settings: PhysicsSettings | None = None,

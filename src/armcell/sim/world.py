@@ -17,7 +17,7 @@ from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
-from armcell.sim.build import scene_objects
+from armcell.sim.build import same_build, scene_objects
 from armcell.sim.built import BuiltModel
 from armcell.sim.camera import Camera
 from armcell.sim.compiled import compiled_steps
@@ -42,8 +42,7 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
-BLOCKED = 1e5
-"""[Nm s/rad or N s/m] damping of a joint that is blocked: 300 Nm turn it by 0.2 degrees a second."""
+BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it by 0.2 degrees a second
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _DIVERGED = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")
@@ -119,7 +118,7 @@ class SimWorld:
         A scene that differs only in joint positions and poses of movable objects is not compiled anew.
         """
         if scene is not None:
-            if _same_build(self.built.scene, scene):
+            if same_build(self.built.scene, scene):
                 self.built = replace(self.built, scene=scene, objects=scene_objects(scene))
             else:
                 self._build(scene)
@@ -204,9 +203,7 @@ class SimWorld:
             The largest error, and the index of its joint.
         """
         names, data = tuple(joint_names), self._data
-        if names not in self._columns:
-            self._columns[names] = self._split(names)
-        _, controls, fingers, at = self._columns[names]
+        _, controls, fingers, at = self._split(names)
         rows = targets.between(data.time, until)
         positions, velocities = rows[:, : len(names)], rows[:, len(names) :]
         if self._steps is not None and self._steps.possible and not fingers:
@@ -255,9 +252,7 @@ class SimWorld:
             InputError: wrong length, or a value that is not finite.
         """
         names = tuple(joint_names)
-        if names not in self._columns:
-            self._columns[names] = self._split(names)
-        arm, controls, fingers, _ = self._columns[names]
+        arm, controls, fingers, _ = self._split(names)
         q = np.asarray(positions, dtype=float)
         v = np.zeros(len(names)) if velocities is None else np.asarray(velocities, dtype=float)
         if q.shape != (len(names),) or v.shape != q.shape:
@@ -277,11 +272,13 @@ class SimWorld:
         return JointState(names, self._servo.target, self._servo.speed, time=self.time)
 
     def _split(self, names: tuple[str, ...]) -> tuple:
-        columns = self.robot.columns(names)
-        arm = [i for i, name in enumerate(names) if name not in self._driven]
-        controls = self._servo.controls([columns[i] for i in arm])
-        fingers = [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
-        return arm, controls, fingers, self.built.qpos[columns]
+        if names not in self._columns:
+            columns = self.robot.columns(names)
+            arm = [i for i, name in enumerate(names) if name not in self._driven]
+            controls = self._servo.controls([columns[i] for i in arm])
+            fingers = [(i, self._driven[n]) for i, n in enumerate(names) if n in self._driven]
+            self._columns[names] = arm, controls, fingers, self.built.qpos[columns]
+        return self._columns[names]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
         """Drive a gripper to a width [m] with at most a force per finger [N], by default its largest.
@@ -490,9 +487,7 @@ class SimWorld:
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
         self._look_at_all()
         mujoco.mj_forward(self.mj_model, self.mj_data)  # poses, contacts and forces, to be read
-        mujoco.mj_setState(
-            self.mj_model, self.mj_data, snapshot.physics, _STATE
-        )  # forward spoils the warm start
+        mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)  # that spoils a warm start
         for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
             drive.set_state(state)
         self._servo.set_state(snapshot.servo)
@@ -503,29 +498,3 @@ class SimWorld:
 
 def _log_warning(message: str) -> None:
     log.warning("MuJoCo: %s", message)
-
-
-def _same_build(a: PlanningScene, b: PlanningScene) -> bool:
-    """Whether two scenes compile to the same model but for joint positions and free bodies' poses."""
-    if a.model is not b.model or dict(a.allowed) != dict(b.allowed) or set(a.attached) != set(b.attached):
-        return False
-    olds, news = scene_objects(a), scene_objects(b)
-    if list(olds) != list(news):
-        return False
-    for name, new in news.items():
-        old = olds[name]
-        free = new.movable or name in b.attached
-        if old.shapes is not new.shapes or (old.mass, old.material, old.movable, old.color, old.belt) != (
-            new.mass, new.material, new.movable, new.color, new.belt
-        ):  # fmt: skip
-            return False
-        if new.thread is not None:
-            into = new.thread.into
-            was = olds[into].T_world_object.inv() @ old.T_world_object
-            if new.thread != old.thread or not was.isclose(
-                news[into].T_world_object.inv() @ new.T_world_object
-            ):
-                return False
-        if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):
-            return False
-    return True

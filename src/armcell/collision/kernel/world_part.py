@@ -44,9 +44,8 @@ class ObjectPart:
 _parts: Kept[ObjectPart] = Kept(512)
 
 
-@lru_cache(maxsize=512)
 def object_part(item: CollisionObject) -> ObjectPart:
-    """Kept per object, and for another one of the same shapes at the same place."""
+    """Kept for all objects of the same shapes at the same place."""
     shapes = tuple((shape, T.matrix.tobytes()) for shape, T in item.shapes)
     return _parts.get((item.T_world_object.matrix.tobytes(), shapes), lambda: _object_part(item))
 

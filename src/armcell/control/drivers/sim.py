@@ -28,8 +28,7 @@ class SimDriver:
         self._settings = options.physics or PhysicsSettings()
         self.period = max(round(PERIOD / self._settings.timestep), 1) * self._settings.timestep
         self._pacer = Pacer(options.time_scale)
-        self._played: tuple[Playback, float] | None = None  # what `_targets` are of, and when it began [s]
-        self._targets: Targets = None  # type: ignore[assignment]  # there from the first `play` on
+        self._played: tuple[Playback, float, Targets] | None = None  # of what, begun when [s]
         self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
 
     def __enter__(self) -> SimDriver:
@@ -78,10 +77,9 @@ class SimDriver:
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
         """See `control.driver.Player`."""
-        of = playback, began
-        if self._played != of:
-            self._played, self._targets = of, self._targets_of(*of)
-        found = self.world.follow(joint_names, self._targets, began + until - 1e-9, tolerance)
+        if self._played is None or self._played[:2] != (playback, began):
+            self._played = playback, began, self._targets_of(playback, began)
+        found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)
         self._pacer.wait_until(self.world.time)
         return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import chain, combinations, permutations, product
+from operator import itemgetter
 
 from armcell.collision.arms import check_two
 from armcell.core import InputError
@@ -71,29 +72,21 @@ def earliest(
     """
     one, two = cache(rounds[0]), cache(rounds[1])
 
-    def legs(pair: tuple[Order, Order]) -> tuple[Round, Round]:
-        return one(pair[0]), two(pair[1])
-
-    def alone(pair: tuple[Order, Order]) -> tuple[float, float]:
-        ends = [spans[-1][2] if spans else 0.0 for spans in timetable(legs(pair))]
-        return round(max(ends), 6), round(sum(ends), 6)
-
-    def late(pair: tuple[Order, Order]) -> tuple[float, float]:
-        if meetings is None:
-            return alone(pair)
-        tables = timetable(legs(pair))
-        lost = detours(legs(pair), tables, meetings)
+    def late(pair: tuple[Order, Order], meetings: Meetings | None = None) -> tuple[float, float]:
+        legs = one(pair[0]), two(pair[1])
+        tables = timetable(legs)
+        lost = (0.0, 0.0) if meetings is None else detours(legs, tables, meetings)
         ends = [(spans[-1][2] if spans else 0.0) + more for spans, more in zip(tables, lost, strict=True)]
         return round(max(ends), 6), round(sum(ends), 6)
 
     best = tuple(streams[0]), tuple(streams[1])
-    least = late(best)
+    least = late(best, meetings)
     while True:
         found = best
-        for pair in sorted(_near(*best), key=alone):
-            if alone(pair) >= least:
+        for undisturbed, pair in sorted(((late(pair), pair) for pair in _near(*best)), key=itemgetter(0)):
+            if undisturbed >= least:
                 break  # detours make none of the others earlier
-            if (ends := late(pair)) < least:
+            if (ends := late(pair, meetings)) < least:
                 found, least = pair, ends
         if found == best:
             return best
