@@ -35,12 +35,19 @@ REASON = 2  # exit status of a benchmark that cannot run here and says why
 
 @dataclass(frozen=True)
 class Benchmark:
-    """`python -m benchmarks.<name>`, with the arguments of a quick look; `page`: what it writes itself."""
+    """`python -m benchmarks.<name>`, with the arguments of a quick look and of a full one.
+
+    Attributes:
+        page: what it writes itself.
+        draws: whether it takes `--picture FILE`.
+    """
 
     name: str
     title: str
     quick: tuple[str, ...] = ()
+    full: tuple[str, ...] = ()
     page: str | None = None
+    draws: bool = False
 
 
 BENCHMARKS = (
@@ -58,9 +65,15 @@ BENCHMARKS = (
     Benchmark("wires", "The ROS-TCP wire", ("--seconds", "5")),
     Benchmark("two_arms", "Two arms", ("--runs", "1", "--recheck", "1", "--batches", "1")),
     Benchmark("carry", "Carrying round obstacles", ("--scenes", "4", "--recheck", "1", "--physics", "1")),
-    Benchmark("ur_stops", "Stops of two emulated UR10", ("--count", "4")),
-    Benchmark("twin_guard", "The twin guard", ("--clean", "4", "--rounds", "1")),
-    Benchmark("campaign", "Campaigns", ("--trials", "10", "--kills", "3")),
+    Benchmark("ur_stops", "Stops of two emulated UR10", ("--count", "4"), draws=True),
+    Benchmark(
+        "twin_guard",
+        "The twin guard",
+        ("--clean", "4", "--rounds", "1"),
+        ("--clean", "500", "--rounds", "10"),
+        draws=True,
+    ),
+    Benchmark("campaign", "Campaigns", ("--trials", "10", "--kills", "3"), ("--trials", "300"), draws=True),
 )
 
 
@@ -89,7 +102,14 @@ def main() -> int:
 
 def run(benchmark: Benchmark, quick: bool) -> dict[str, Any]:
     """Run one, with its output on the terminal as well."""
-    words = [sys.executable, "-m", f"benchmarks.{benchmark.name}", *(benchmark.quick if quick else ())]
+    words = [
+        sys.executable,
+        "-m",
+        f"benchmarks.{benchmark.name}",
+        *(benchmark.quick if quick else benchmark.full),
+    ]
+    if benchmark.draws and not quick:
+        words += ["--picture", str(PAGE.parent / picture(benchmark))]
     print(f"\n== {benchmark.title} ({benchmark.name})", flush=True)
     load, began, lines = os.getloadavg()[0], time.monotonic(), []
     with subprocess.Popen(
@@ -135,6 +155,10 @@ def versions() -> str:
 
 
 # --- the page ---
+def picture(benchmark: Benchmark) -> str:
+    return f"pictures/bench_{benchmark.name}.png"
+
+
 def page(kept: dict[str, Any]) -> str:
     """docs/benchmarks.md."""
     parts = [
@@ -148,7 +172,13 @@ def page(kept: dict[str, Any]) -> str:
 
 
 def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
-    where = [f"Tables and pictures: [{benchmark.title}]({benchmark.page})."] if benchmark.page else []
+    where = [f"Tables: [{benchmark.title}]({benchmark.page})."] if benchmark.page else []
+    drawn = []
+    if benchmark.draws and (PAGE.parent / picture(benchmark)).exists():
+        drawn.append(f"![{benchmark.title}]({picture(benchmark)})")
+    if benchmark.page and (PAGE.parent / benchmark.page).exists():
+        written = (PAGE.parent / benchmark.page).read_text(encoding="utf-8").splitlines()
+        drawn += [line for line in written if line.startswith("![")]
     if found is None:
         return [*where, f"Not run here yet: `make bench ONLY={benchmark.name}`."]
     how = (
@@ -161,7 +191,7 @@ def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
         how += f" It failed (status {found['status']})."
     plain, table = split(found["printed"])
     told = [] if benchmark.page else (["```\n" + "\n".join(plain) + "\n```"] if plain else [])
-    return [*where, how, *told, *(["\n".join(table)] if table and not benchmark.page else [])]
+    return [*where, how, *told, *(["\n".join(table)] if table and not benchmark.page else []), *drawn]
 
 
 def split(lines: list[str]) -> tuple[list[str], list[str]]:

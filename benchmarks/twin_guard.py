@@ -28,6 +28,7 @@ from armcell.control import DashboardClient, execute
 from armcell.control.drivers.ur import UrDriver
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
 from armcell.planning import plan, warm_up
+from benchmarks.picture import dots
 
 HOST = "127.0.0.77"
 ROOM = 0.015  # [m] that motions keep from everything: arms in physics give way by half of that
@@ -177,8 +178,10 @@ def main() -> None:
     parser.add_argument("--model", default="UR10", choices=("UR10", "UR10e"))
     parser.add_argument("--fault", default="", help="only those with this in their name")
     parser.add_argument("--seed", type=int, default=100, help="of the faults' motions and moments")
+    parser.add_argument("--picture", type=Path, help="where to draw how soon faults were noticed")
     options = parser.parse_args()
     warm_up()
+    times: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "cell.yaml"
         file.write_text(CELL.replace("HOST", HOST).replace("MODEL", options.model))
@@ -208,10 +211,13 @@ def main() -> None:
                     stop.append(stopped)
             if not first:
                 continue
+            times |= {f"{name}: noticed": first, f"{name}: stopped": stop}
             missed = int(np.isnan(first).sum())
             print(f"{name}: {missed} of {len(first)} missed, noticed in {np.nanmedian(first):.3f} s (worst "
                   f"{np.nanmax(first):.3f}), stopped in {np.nanmedian(stop):.3f} s (worst "
                   f"{np.nanmax(stop):.3f})", flush=True)  # fmt: skip
+    if options.picture and times:
+        dots(options.picture, times, "since the fault [s]", 0.5)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from armcell.control.ur_controller.controller import TRACE
 from armcell.core import SE3, ArmcellError, InputError, JointTrajectory
 from armcell.model import Part, RobotModel, compose, load_robot
 from armcell.scene import PlanningScene
+from benchmarks.picture import dots
 
 MOVE = np.array([0.8, -0.3, 0.3, 0.2, 0.3, 0.4])
 STOPS = {
@@ -202,9 +203,9 @@ def stops(hosts: list[str], ports: list[int], count: int, seed: int = 7, tell=pr
         found = read_trace(trace)
     rows = judged(found, moments)
     step = max(float(np.abs(np.diff(q, axis=0)).max()) for _, q in found.values())
-    by_kind = {s: max(r["rest_s"] for r in rows if r["stop"] == s) for s in {r["stop"] for r in rows}}
+    by_kind = {s: [r["rest_s"] for r in rows if r["stop"] == s] for s in STOPS}
     return {
-        "events": count, "worst_rest_s": max(r["rest_s"] for r in rows), "by_kind_s": by_kind,
+        "events": count, "worst_rest_s": max(r["rest_s"] for r in rows), "rest_by_kind_s": by_kind,
         "moved_after_rad": max(r["moved_rad"] for r in rows), "largest_step_rad": step, "refused": refused,
         "stood_until_resumed": unresumed, "fastest_before": max(r["speed"] for r in rows),
         "peer_stopped": events.count("peer stopped"), "resumed": events.count("resumed"),
@@ -235,6 +236,7 @@ def main() -> None:
     parser.add_argument("--max-state-age", type=float, default=0.05)
     parser.add_argument("--watchdog", type=float, default=0.1)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--picture", type=Path, help="where to draw how soon the arms rested")
     given = parser.parse_args()
     limits = {"max_state_age": given.max_state_age, "watchdog": given.watchdog}
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
@@ -247,7 +249,10 @@ def main() -> None:
         )
     if given.count:
         found["stops"] = s = stops(hosts, ports, given.count, **limits)
-        print(json.dumps(s, indent=1))
+        worst = {kind: round(max(rests, default=0.0), 3) for kind, rests in s["rest_by_kind_s"].items()}
+        print(json.dumps(s | {"rest_by_kind_s": worst}, indent=1))
+        if given.picture:
+            dots(given.picture, s["rest_by_kind_s"], "from the event until both arms rest [s]", 0.3)
     if given.json:
         given.json.write_text(json.dumps(found, indent=2) + "\n")
 

@@ -10,17 +10,27 @@ FOLDER = Path(everything.__file__).parent
 
 def test_every_benchmark_is_run():
     files = {f.stem for f in FOLDER.glob("*.py")} | {f.parent.name for f in FOLDER.glob("*/__main__.py")}
-    assert {b.name for b in everything.BENCHMARKS} == files - {"__init__", "__main__"}
+    assert {b.name for b in everything.BENCHMARKS} == files - {"__init__", "__main__", "picture"}
 
 
 def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     """With a benchmark of its own, in a process as the others."""
     (tmp_path / "benchmarks").mkdir()
     (tmp_path / "benchmarks" / "__init__.py").touch()
-    text = "import sys\nprint('a line')\nprint('| a | b |\\n|---|---|\\n| 1 | 2 |')\nsys.exit({})\n"
+    text = (
+        "import sys\nprint('a line')\nprint('| a | b |\\n|---|---|\\n| 1 | 2 |')\n"
+        "if '--picture' in sys.argv: open(sys.argv[-1], 'w')\nsys.exit({})\n"
+    )
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "own.md").write_text("# Own\n\n![A plot](pictures/own.png)\n")
     for name, status in (("good", 0), ("bad", 3), ("unable", 2)):
         (tmp_path / "benchmarks" / f"{name}.py").write_text(text.format(status))
-    table = tuple(everything.Benchmark(name, name.title()) for name in ("good", "bad", "unable", "later"))
+    table = (
+        everything.Benchmark("good", "Good", draws=True),
+        everything.Benchmark("bad", "Bad", page="own.md"),
+        everything.Benchmark("unable", "Unable", draws=True),
+        everything.Benchmark("later", "Later"),
+    )
     monkeypatch.setattr(everything, "ROOT", tmp_path)
     monkeypatch.setattr(everything, "BENCHMARKS", table)
     monkeypatch.setattr(everything, "PAGE", tmp_path / "page.md")
@@ -35,6 +45,8 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
         and "mujoco" in good
         and "failed" not in good
     )
+    assert "![Good](pictures/bench_good.png)" in good and (tmp_path / "pictures/bench_good.png").exists()
+    assert "[Bad](own.md)" in bad and "![A plot](pictures/own.png)" in bad
     assert "It failed (status 3)" in bad and "Left out: | 1 | 2 |" in unable
     assert "make bench ONLY=later" in later
     assert capfd.readouterr().out.count("a line") == 3
