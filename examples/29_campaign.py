@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from armcell.campaigns import CampaignSpec, begin, run, summary, write_report
+from armcell.campaigns import CampaignSpec, begin, run, summary, take_pictures, write_report
 
 CELL = """
 robot: panda
@@ -46,6 +46,7 @@ def main() -> None:
             print(f"   {cause['replay']}")
         for effect in data["effects"]:
             print(f"{effect['parameter']}: {effect['words']} (p = {effect['p_value']:.2g})")
+        take_pictures(store)  # of failures, for the report
         print("report:", write_report(store, stopped).name)
         store.close()
 

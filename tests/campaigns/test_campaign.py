@@ -17,6 +17,7 @@ from benchmarks.campaign import QUICK, TIMED, VARIED
 from tests.cli.helpers import call, cell_file, finished, read_json, start
 
 from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run
+from armcell.campaigns.moments import MOST
 from armcell.campaigns.store import TRIALS
 from armcell.core import InputError
 
@@ -226,6 +227,9 @@ def test_the_command(quick, tmp_path, capsys):
     page = (folder / "report.html").read_text()
     assert "http" not in page.replace("http-equiv", "") and "Failures by cause" in page
     assert "| failures | code |" in (folder / "report.md").read_text()
+    pictures = sorted(folder.glob("pictures/*"))
+    assert len(pictures) == min(len(data["failures"]), MOST) == page.count('<figure id="trial_')
+    assert f"![trial {data['failures'][0]['trial']}, seed" in (folder / "report.md").read_text()
     # Each failure replays from the command that the report gives.
     failure = data["failures"][0]
     words = failure["replay"].split()[1:]

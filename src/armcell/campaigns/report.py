@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from armcell.campaigns import plots, statistics
+from armcell.campaigns.moments import picture_file
 from armcell.campaigns.store import Store
 from armcell.campaigns.trial import replay_command
 from armcell.records import html
@@ -29,9 +30,9 @@ def write_report(store: Store, stopped: str) -> Path:
     """
     data, rows = summary(store, stopped), _in_order(store)
     (store.folder / "summary.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    (store.folder / "report.md").write_text(_markdown(data), encoding="utf-8")
+    (store.folder / "report.md").write_text(_markdown(data, store.folder), encoding="utf-8")
     file = store.folder / "report.html"
-    file.write_text(_html(data, rows), encoding="utf-8")
+    file.write_text(_html(data, rows, store.folder), encoding="utf-8")
     return file
 
 
@@ -89,7 +90,7 @@ def _share(data: dict[str, Any]) -> str:
     )
 
 
-def _markdown(data: dict[str, Any]) -> str:
+def _markdown(data: dict[str, Any], folder: Path) -> str:
     lines = [
         f"# Campaign: {data['cell']}",
         "",
@@ -112,10 +113,15 @@ def _markdown(data: dict[str, Any]) -> str:
             f"{c['message'].replace('|', '/')} | `{c['replay']}` |"
             for c in data["causes"]
         ]
+    for failure in data["failures"]:
+        file = picture_file(folder, failure["trial"])
+        if file.exists():
+            words = f"trial {failure['trial']}, seed {failure['seed']}: {failure['code']}"
+            lines += ["", f"![{words}]({file.relative_to(folder).as_posix()})", "", words]
     return "\n".join(lines) + "\n"
 
 
-def _html(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+def _html(data: dict[str, Any], rows: list[dict[str, Any]], folder: Path) -> str:
     share = data["success"]
     good = bool(share["total"]) and share["count"] == share["total"]
     body = [
@@ -126,7 +132,7 @@ def _html(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
         html.key("trials", str(data["trials"])),
         html.key("failures", str(len(data["failures"])), bad=bool(data["failures"])),
         html.key("unwanted contacts", str(data["unwanted_contacts"]), bad=data["unwanted_contacts"] > 0),
-        html.key("trials per hour and core", html.number(data["trials_per_hour_and_core"], digits=0)),
+        html.key("trials per hour and core", f"{data['trials_per_hour_and_core'] or 0:,.0f}"),
     ]
     keys += [
         html.key(f"{title}, median", html.number(found["median"], scale=scale))
@@ -141,7 +147,9 @@ def _html(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
         body.append(html.section("What was measured", html.image(histograms, "histograms")))
     body.append(html.section("Which parameter matters", _effects(data, rows)))
     body.append(html.section("Failures by cause", _causes(data)))
-    body.append(html.section("Failures", _failures(data)))
+    if moments := _moments(data, folder):
+        body.append(html.section("The moment", moments))
+    body.append(html.section("Failures", _failures(data, folder)))
     asked = json.dumps(data["asked"], indent=2)
     body.append(html.section("What was asked", f"<pre>{html.text(asked)}</pre>"))
     versions = html.text(", ".join(f"{k} {v}" for k, v in data["hashes"].items()))
@@ -174,7 +182,7 @@ def _causes(data: dict[str, Any]) -> str:
         ["count", "code", "stage", "pair", "what the first said", "replay the first"],
         [
             [
-                str(c["count"]), html.text(c["code"]), html.text(c["stage"]), html.text(c["pair"]),
+                str(c["count"]), html.name(c["code"]), html.name(c["stage"]), html.name(c["pair"]),
                 html.text(c["message"]), f"<code>{html.text(c['replay'])}</code>",
             ]
             for c in data["causes"]
@@ -183,14 +191,28 @@ def _causes(data: dict[str, Any]) -> str:
     )  # fmt: skip
 
 
-def _failures(data: dict[str, Any]) -> str:
+def _moments(data: dict[str, Any], folder: Path) -> str:
+    """What some failed trials looked like as something first touched, else at their end."""
+    figures = []
+    for failure in data["failures"]:
+        file, number = picture_file(folder, failure["trial"]), failure["trial"]
+        if file.exists():
+            words = f"trial {number}, seed {failure['seed']}: {failure['code']} {failure['message']}"
+            shown = html.image(file.read_bytes(), f"trial {number}", "key-moment")
+            figures.append(
+                f'<figure id="trial_{number}">{shown}<figcaption>{html.text(words)}</figcaption></figure>'
+            )
+    return f'<div class="pictures">{"".join(figures)}</div>' if figures else ""
+
+
+def _failures(data: dict[str, Any], folder: Path) -> str:
     if not data["failures"]:
         return '<p class="none">None.</p>'
     shown = data["failures"][:SHOWN]
     rows = [
         [
-            str(f["trial"]), str(f["seed"]), html.text(f["code"]), html.text(f["stage"]),
-            html.text(", ".join(f"{k} {html.number(v, digits=4)}" for k, v in f["values"].items())),
+            _linked(f["trial"], folder), str(f["seed"]), html.name(f["code"]), html.name(f["stage"]),
+            "<br>".join(f"{html.name(k)} {html.number(v, digits=4)}" for k, v in f["values"].items()),
             html.text(f["message"]), f"<code>{html.text(f['replay'])}</code>",
         ]
         for f in shown
@@ -198,3 +220,9 @@ def _failures(data: dict[str, Any]) -> str:
     more = len(data["failures"]) - len(shown)
     note = f'<p class="none">{more} more in summary.json</p>' if more else ""
     return html.table(["trial", "seed", "code", "stage", "values", "what", "replay"], rows, [0, 1]) + note
+
+
+def _linked(number: int, folder: Path) -> str:
+    """A trial's number, which leads to its picture."""
+    there = picture_file(folder, number).exists()
+    return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

@@ -111,6 +111,7 @@ def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, 
     try:
         with _time_to_end():
             stopped = _run(store, workers, ray)
+            _take_pictures(store)
     except KeyboardInterrupt:
         errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
         raise
@@ -187,6 +188,15 @@ def _run(store: Any, workers: int, ray: str | None) -> str:
             )  # fmt: skip
 
         return campaigns.run(store, workers, tell, ray)
+
+
+def _take_pictures(store: Any) -> None:
+    from armcell import campaigns
+
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        task = progress.add_task("pictures of failures", total=None)
+        campaigns.take_pictures(store, lambda done, of: progress.update(task, completed=done, total=of))
 
 
 def _print(data: dict[str, Any]) -> None:

@@ -132,6 +132,7 @@ def run(
             )
         from armcell.cell import health as layers
         from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
+        from armcell.cell.pictures import Pictures
         from armcell.control import drivers
         from armcell.planning import warm_up
 
@@ -168,7 +169,7 @@ def run(
             observers.append(_Bar(progress))
         live = loaded.connect(mode, seed, observers, time_scale)
         if recorder is not None and mode == "sim" and loaded.cameras:
-            observers.append(_Pictures(live.driver, recorder))
+            observers.append(Pictures(live, recorder.add_picture))
             live.ctx.observers.append(observers[-1])
         if frames:
             live.ctx.observers += camera_frames(frames, loaded, mode, live.driver, recorder)
@@ -264,26 +265,6 @@ class _Bar:
     def on_event(self, event: Event) -> None:
         if event.kind == "stage":
             self._stage = event.text if event.data.get("phase") == "begin" else "planning"
-
-    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
-        pass
-
-
-class _Pictures:
-    """Takes a picture with the cell's first camera at the end of each stage."""
-
-    def __init__(self, driver: Any, recorder: Any):
-        self._driver, self._recorder = driver, recorder
-
-    def on_state(self, sample: StateSample) -> None:
-        pass
-
-    def on_event(self, event: Event) -> None:
-        if event.kind == "stage" and event.data.get("phase") == "end":
-            from armcell.sim import render_rgb
-
-            camera = next(iter(self._driver.world.cameras.values()))
-            self._recorder.add_picture(event.time, event.text, render_rgb(self._driver.world, camera))
 
     def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
         pass

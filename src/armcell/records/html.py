@@ -59,6 +59,7 @@ pre { background:#f0f3f7; border-radius:8px; padding:12px 14px; overflow-x:auto;
       font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"DejaVu Sans Mono",monospace; }
 .log { max-height:420px; overflow-y:auto; }
 .log th:first-child { width:90px; } .log th:nth-child(2) { width:100px; }
+.name { overflow-wrap:normal; }
 .none { color:var(--soft); margin:0; }
 footer { color:var(--soft); font-size:12.5px; text-align:center; }
 @media print { body { background:#fff; } .log { max-height:none; } section { break-inside:avoid; } }
@@ -87,6 +88,11 @@ def text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if math.isfinite(value) else NONE
     return escape(str(value))
+
+
+def name(value: Any) -> str:
+    """A name with underscores, which breaks only after them."""
+    return f'<span class="name">{text(value).replace("_", "_<wbr>")}</span>'
 
 
 def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> str:

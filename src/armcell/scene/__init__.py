@@ -23,6 +23,7 @@ from armcell.scene.diff import (
     SetType,
     with_octomap,
 )
+from armcell.scene.extent import extent
 from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
 from armcell.scene.library import Kind, library, library_object, object_names
@@ -74,6 +75,7 @@ __all__ = [
     "Thread",
     "check_mesh",
     "depth_points",
+    "extent",
     "library",
     "library_object",
     "load_obstacle",

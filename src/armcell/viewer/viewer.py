@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
-from armcell.scene import CollisionObject, PlanningScene
+from armcell.scene import CollisionObject, PlanningScene, extent
 from armcell.viewer.geometry import add_link, add_object_shape, node_name
 from armcell.viewer.panel import StatusPanel
 from armcell.viewer.server import free_port, start_server, stop_server
@@ -133,7 +133,7 @@ class CellViewer:
         for name in (*self._scene.objects, *self._scene.attached):
             self._draw_object(self._scene.object(name))
         self._place_links()
-        centre, radius = self._extent()
+        centre, radius = extent(self._scene)
         camera = self._server.initial_camera
         camera.look_at = centre
         camera.position = centre + radius * np.array([2.0, 1.45, 1.05])
@@ -164,15 +164,6 @@ class CellViewer:
                 _place(self.object_frames[name], item.T_world_object)
             self._q = np.array(scene.positions)
             self._place_links()
-
-    def _extent(self) -> tuple[Array, float]:
-        """Middle and radius [m] of what a first look should show: the links' and small objects' origins."""
-        points = [*self._tree.link_transforms(self._q)[:, :3, 3]]
-        points += [
-            o.T_world_object.translation for o in self._scene.objects.values() if o.bounds()[1].max() < 2.0
-        ]
-        low, high = np.min(points, axis=0), np.max(points, axis=0)
-        return (low + high) / 2, max(0.5, float(np.linalg.norm(high - low)) / 2)
 
     def _shown(self, what: str, visible: bool) -> None:
         """A checkbox of the panel was clicked."""

@@ -1,0 +1,80 @@
+"""Pictures of trials at the moment they failed: they are run again, as the same trial gives the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from armcell.campaigns.statistics import causes
+from armcell.campaigns.store import Store
+from armcell.cell import Cell, load, run_task
+from armcell.cell.pictures import Picture, Pictures
+from armcell.cell.values import with_values
+from armcell.records import html
+
+MOST = 12  # pictures of a campaign
+LONGEST = 60.0  # [s] a trial that took longer is not run again for its picture
+NO_RUN = frozenset({"CRASHED", "TIMED_OUT", "INVALID_CELL"})  # of trials that came to no end of their own
+
+
+def picture_file(folder: Path, number: int) -> Path:
+    """Where the picture of a trial is, if there is one."""
+    return folder / "pictures" / f"trial_{number}.png"
+
+
+def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, of: None) -> None:
+    """Of the first failure of each cause, then of others, as far as they are not there yet.
+
+    Args:
+        tell: called with how many are done, and of how many.
+    """
+    wanted = list(_wanted(store))
+    if not wanted:
+        return
+    cell = with_values(load(store.spec.cell), store.spec.values)
+    (store.folder / "pictures").mkdir(exist_ok=True)
+    for done, row in enumerate(wanted):
+        tell(done, len(wanted))
+        file = picture_file(store.folder, row["trial"])
+        if not file.exists() and (picture := moment(cell, row)) is not None:
+            part = file.with_suffix(".part")
+            part.write_bytes(html.picture_png(picture))
+            part.replace(file)
+    tell(len(wanted), len(wanted))
+
+
+def _wanted(store: Store) -> Iterator[dict[str, Any]]:
+    rows = [store.rows[number] for number in sorted(store.rows)]
+    known = causes(rows)
+    first = [cause.trials[0] for cause in known]
+    others = sorted({number for cause in known for number in cause.trials} - set(first))
+    shown = [
+        row
+        for row in map(store.rows.__getitem__, [*first, *others])
+        if row["error_name"] not in NO_RUN and row["wall_s"] <= LONGEST
+    ]
+    yield from shown[:MOST]
+
+
+def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
+    """What a failed trial looked like when something first touched, else when it ended.
+
+    Returns:
+        None where it does not fail again, as where a limit on processor time has ended it, or where its
+        values make no cell.
+    """
+    taken: list[Picture] = []
+    with suppress(Exception):  # a defect may be the failure that the picture is of
+        varied = with_values(cell, row["values"])
+        with varied.connect("sim", row["seed"]) as live:
+            pictures = Pictures(live, lambda time, text, picture: taken.append(picture), stages=False)
+            live.ctx.observers.append(pictures)
+            succeeded = False
+            with suppress(Exception):
+                succeeded = run_task(varied, live, row["seed"], "sim")["success"]
+            if succeeded:
+                return None
+            return taken[0] if taken else pictures.now()
+    return None

@@ -1,0 +1,63 @@
+"""Pictures of a run for people: at the end of each stage, and when something first touches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.cell.live import LiveCell
+from armcell.core import Event, JointTrajectory, StateSample
+from armcell.scene import PlanningScene, extent
+from armcell.sim import Camera, render_rgb
+
+Picture = NDArray[np.uint8]
+
+FROM = np.array([0.75, -0.6, 0.45])  # of the radius: where one stands who looks at a robot
+FIELD = 45.0  # [deg]
+
+
+def overview(scene: PlanningScene) -> Camera:
+    """From the side in front, with the robot and what is around it in view."""
+    middle, radius = extent(scene)
+    away = 1.3 * radius / np.sin(np.deg2rad(FIELD / 2))
+    eye = middle + away * FROM / np.linalg.norm(FROM)
+    return Camera.looking_at("overview", eye, middle, fovy_deg=FIELD)
+
+
+class Pictures:
+    """An observer of a run in physics. It looks through the cell's first camera that stands still; without
+    one, from the side in front.
+
+    Args:
+        take: gets time [s], what it shows in words, and the picture (h, w, 3).
+        stages: whether at the end of each stage, too.
+    """
+
+    def __init__(self, live: LiveCell, take: Callable[[float, str, Picture], None], stages: bool = True):
+        self._driver: Any = live.driver  # one that has a world once it is connected
+        self._scene, self._take, self._stages = live.scene_at_start, take, stages
+        self._touched = False
+
+    @cached_property
+    def _camera(self) -> Camera:
+        still = (camera for camera in self._driver.world.cameras.values() if camera.link is None)
+        return next(still, None) or overview(self._scene)
+
+    def now(self) -> Picture:
+        return render_rgb(self._driver.world, self._camera)
+
+    def on_event(self, event: Event) -> None:
+        touches = event.kind == "contact" and not self._touched
+        if touches or (self._stages and event.kind == "stage" and event.data.get("phase") == "end"):
+            self._touched = self._touched or touches
+            self._take(event.time, event.text, self.now())
+
+    def on_state(self, sample: StateSample) -> None:
+        pass
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass
