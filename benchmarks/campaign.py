@@ -6,9 +6,9 @@ The same trials run in a bare loop (no engine, no store), with one worker, with 
 processes; in rounds, every other one backwards, as a machine's speed may change from minute to minute.
 
 What the engine costs is processor time: of the worker and of the campaign's process, from the first row to
-the last, against the loop's (the median of the rounds), and against that of the trials in it. Waiting for the
-processor, on a machine that others use, is not in it. `hand-over` is what passes between two rows of one
-worker beyond the trial; it and the speed-up are wall time.
+the last, against the loop's, and against that of the trials in it. Waiting for the processor, on a machine
+that others use, is not in it. `hand-over` is what passes between two rows of one worker beyond the trial; it
+and the speed-up are wall time. The ratio of two ways is the median of the rounds.
 """
 
 from __future__ import annotations
@@ -126,7 +126,12 @@ def together(rounds: list[dict[str, Any]]) -> dict[str, Any]:
             found[key] = sum(every)
         else:
             found[key] = None if value is None else sum(every) / len(every)
-    return found | {"rounds_cpu_s": [one["cpu_s"] for one in rounds]}
+    return found | {f"rounds_{key}": [one[key] for one in rounds] for key in ("cpu_s", "wall_s")}
+
+
+def ratio(a: dict[str, Any], b: dict[str, Any], what: str) -> float:
+    """Of one way to another, the median of the rounds: each round's two ran soon after each other."""
+    return median(x / y for x, y in zip(a[f"rounds_{what}"], b[f"rounds_{what}"], strict=True))
 
 
 class Watch:
@@ -292,10 +297,9 @@ def print_table(found: dict[str, Any]) -> None:
     row("trials per hour and core (processor time)", 3600 / one["cpu_s"], RATE, "", at_least=True)
     every = [3600 / spent for spent in one["rounds_cpu_s"]]
     rows.append(("the same in single rounds", f"{min(every):,.0f} to {max(every):,.0f}", "", True))
-    ratios = [a / b for a, b in zip(one["rounds_cpu_s"], loop["rounds_cpu_s"], strict=True)]
-    row("engine against a bare loop (processor time)", 100 * (median(ratios) - 1), 5, "%")
+    row("engine against a bare loop (processor time)", 100 * (ratio(one, loop, "cpu_s") - 1), 5, "%")
     row("engine against the trials in it (processor time)", 100 * one["beside_trials"], 5, "%")
-    row("two workers against one (wall time)", one["wall_s"] / two["wall_s"], 1.8, "", at_least=True)
+    row("two workers against one (wall time)", ratio(one, two, "wall_s"), 1.8, "", at_least=True)
     row("hand-over of a trial, local", one["hand_over_ms"], 10, "ms")
     if "Ray, one worker" in found:
         row("hand-over of a trial, Ray", found["Ray, one worker"]["hand_over_ms"], 10, "ms")
