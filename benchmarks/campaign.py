@@ -78,7 +78,8 @@ def main() -> None:
                 else:
                     kept = root / f"{name} {first}".replace(" ", "_")
                     parts[name].append(with_engine(spec, kept, *ways[name]))
-            print(f"trial {first} on:", json.dumps({n: p[-1] for n, p in parts.items()}), flush=True)
+            spent = ", ".join(f"{name} {rounds[-1]['cpu_s']:.3f}" for name, rounds in parts.items())
+            print(f"trial {first} on, processor time of a trial [s]: {spent}", flush=True)
         found |= {name: together(rounds) for name, rounds in parts.items()}
         found["kills"] = kills(root, given.kills)
         print("kills", json.dumps(found["kills"]), flush=True)
@@ -292,7 +293,8 @@ def print_table(found: dict[str, Any]) -> None:
     def row(what: str, value: float, bar: float, unit: str, at_least: bool = False) -> None:
         sign = ">=" if at_least else "<="
         met = value >= bar if at_least else value <= bar
-        rows.append((what, f"{value:,.4g} {unit}".strip(), f"{sign} {bar:,g} {unit}".strip(), met))
+        shown = f"{value:,.0f}" if value >= 1000 else f"{value:.4g}"
+        rows.append((what, f"{shown} {unit}".strip(), f"{sign} {bar:,g} {unit}".strip(), met))
 
     row("trials per hour and core (processor time)", 3600 / one["cpu_s"], RATE, "", at_least=True)
     every = [3600 / spent for spent in one["rounds_cpu_s"]]
