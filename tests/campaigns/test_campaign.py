@@ -16,9 +16,12 @@ import pytest
 from benchmarks.campaign import QUICK, TIMED, VARIED
 from tests.cli.helpers import call, cell_file, finished, read_json, start
 
-from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run
+from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run, write_report
 from armcell.campaigns.moments import MOST
 from armcell.campaigns.store import TRIALS
+from armcell.campaigns.trial import Trial, run_trial
+from armcell.cell import load
+from armcell.cli.campaign import run_campaign
 from armcell.core import InputError
 
 KILLS = int(os.environ.get("ARMCELL_KILLS", "3"))  # 20 were tried; each takes some seconds
@@ -132,7 +135,7 @@ def test_a_worker_that_dies_or_hangs(quick, tmp_path, monkeypatch):
     )
     monkeypatch.setenv("PYTHONPATH", f"{site}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     rows = unbroken(CampaignSpec(quick, trials=6, trial_seconds=20.0), tmp_path)
-    assert [row["error_name"] for row in rows] == ["", "", "CRASHED", "", "TIMED_OUT", ""]
+    assert [row["error_name"] for row in rows] == ["", "", "CRASHED", "", "TRIAL_TIMED_OUT", ""]
     assert "status 7" in rows[2]["message"] and "20 s" in rows[4]["message"]
 
 
@@ -160,7 +163,10 @@ def test_stop_rules(quick, tmp_path):
     for options, told in (({"half_width": 0.1}, "interval"), ({"max_seconds": 0.01}, "are over")):
         store = begin(CampaignSpec(quick, trials=5000, **options), tmp_path)
         assert told in run(store, 2)
-        assert len(store.rows) < 100
+        count = len(store.rows)
+        assert count < 100
+        if "half_width" in options:  # sure enough already: nothing is gone on with
+            assert told in run(store, 2) and len(store.rows) == count
         store.close()
 
 
@@ -199,6 +205,43 @@ def test_a_full_disk(tmp_path):
     assert list(store.rows) == [0]
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_report_on_a_full_disk(tmp_path, monkeypatch, capsys):
+    """What was there stays; the error is one of ours, and does not hide the one before it."""
+    store = Store.new(tmp_path, CampaignSpec("panda_pick"), {})
+    (store.folder / "summary.json").write_text("before")
+    (store.folder / "summary.json.part").symlink_to("/dev/full")
+    with pytest.raises(InputError, match="No space left on device.*make room"):
+        write_report(store, "it was stopped")
+    assert (store.folder / "summary.json").read_text() == "before"
+    (store.folder / "summary.json.part").symlink_to("/dev/full")
+
+    def no_worker(*_):
+        raise InputError("no worker comes up")
+
+    monkeypatch.setattr("armcell.cli.campaign._run", no_worker)
+    with pytest.raises(InputError, match="no worker comes up"):
+        run_campaign(store, 1)
+    Store.open(store.folder).close()  # nobody holds it any more
+
+
+@pytest.mark.slow
+def test_failures_of_planning_have_stage_and_pair(tmp_path):
+    cell = cell_file(
+        tmp_path, QUICK.replace("  box:", "  box: {box: [0.1, 0.1, 0.1], pose: [2, 0, 1]}\n  two:")
+    )
+    row = run_trial(load(cell), Trial(0, 0, {"objects.two.pose": [0.1, 0.0, 1.1]}))
+    assert row["error_name"] == "GOAL_IN_COLLISION"
+    assert row["stage"] == "move to extended" and "two" in row["pair"] and "box" not in row["pair"]
+
+
+def test_what_is_passed_over_is_refused(tmp_path, capsys):
+    with pytest.raises(InputError, match="adaptive sampling needs parameters.*--vary"):
+        begin(CampaignSpec("panda_pick", sampling="adaptive"), tmp_path)
+    said = call(capsys, "campaign", "--resume", tmp_path, "--seed", 9)
+    assert said.status == 2 and "asked then" in said.err
+
+
 def test_what_is_no_campaign(tmp_path, capsys):
     said = call(capsys, "campaign", "--resume", tmp_path)
     assert said.status == 1 and "campaign.json" in said.err
@@ -211,7 +254,7 @@ def test_what_is_no_campaign(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_the_command(quick, tmp_path, capsys):
+def test_the_command(quick, tmp_path, capsys, monkeypatch):
     options = (
         "--trials",
         30,
@@ -220,13 +263,17 @@ def test_the_command(quick, tmp_path, capsys):
         "--vary",
         "objects.box.pose.z=0.8,1.1",
     )
-    said = call(capsys, "campaign", quick, *options, "--runs", tmp_path, "--json", tmp_path / "s.json")
+    monkeypatch.chdir(tmp_path)
+    name = Path(quick).name
+    said = call(capsys, "campaign", name, *options, "--runs", tmp_path, "--json", tmp_path / "s.json")
+    monkeypatch.chdir("/")  # its commands work in any folder
     data = read_json(tmp_path / "s.json")
     assert said.status == 1 and f"{data['success']['count']} of 30 succeeded" in said.out
     folder = next(tmp_path.glob("*-campaign-*"))
     page = (folder / "report.html").read_text()
     assert "http" not in page.replace("http-equiv", "") and "Failures by cause" in page
     assert "| failures | code |" in (folder / "report.md").read_text()
+    assert "| trial | seed | code |" in (folder / "report.md").read_text()
     pictures = sorted(folder.glob("pictures/*"))
     assert len(pictures) == min(len(data["failures"]), MOST) == page.count('<figure id="trial_')
     assert f"![trial {data['failures'][0]['trial']}, seed" in (folder / "report.md").read_text()
@@ -243,7 +290,11 @@ def test_the_command(quick, tmp_path, capsys):
     assert call(capsys, "campaign", "--resume", folder, "--trials", 32).status == 1
     assert len(rows_of(folder / TRIALS)[0]) == 32
     said = call(capsys, "campaign", "--compare", folder, folder)
-    assert said.status == 0 and "no difference shown" in said.out
+    assert said.status == 0 and "no difference shown" in said.out and "what differs: nothing" in said.out
+    other = begin(CampaignSpec(quick, {}, trials=1, seed=7), tmp_path)
+    other.append({**next(iter(rows_of(folder / TRIALS)[0]))})
+    other.close()
+    assert "what differs: parameters, seed" in call(capsys, "campaign", "--compare", folder, other.folder).out
 
 
 @pytest.mark.slow

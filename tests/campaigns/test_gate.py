@@ -45,7 +45,7 @@ def campaign(cell, root, good, bad=0, values=None, near=0) -> Path:
     nothing = dict.fromkeys(("slip_m", "placement_error_m", "min_clearance_m", "task_time_s"))
     for k in range(good + bad + near):
         result = {
-            "success": k < good, "error_code": 1 if k < good else -4, "message": "", "stages": [],
+            "success": k < good, "error_code": 1 if k < good else -4, "message": "", "failed_at": None,
             "randomized": {}, "unwanted_contacts": [], "total_planning_time_s": 0.0, **nothing,
         }  # fmt: skip
         store.append(told(Trial(k, k, {}, near_failure=k >= good + bad), result))
@@ -65,6 +65,23 @@ def test_enough_is_what_the_exact_interval_says(cell, tmp_path):
             with pytest.raises(InputError, match=f"{good} of {good + bad} succeeded") as said:
                 gate.issue(load(cell), folder, file)
             assert not file.exists() and (bad or "72 trials without a failure" in str(said.value))
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"trials": 300}, "asked for 300"),
+        ({"half_width": 0.02}, "its interval"),
+        ({"max_seconds": 9.0}, "9 s"),
+    ],
+)
+def test_the_number_of_trials_is_fixed_beforehand(cell, tmp_path, asked, said):
+    folder = campaign(cell, tmp_path / "runs", 200)
+    data = read_json(folder / "campaign.json")
+    data["spec"] |= asked
+    (folder / "campaign.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match=f"200 trials, and was.*{said}"):
+        gate.issue(load(cell), folder, tmp_path / "gate.json")
 
 
 def test_changed_inputs_are_named(cell, tmp_path):

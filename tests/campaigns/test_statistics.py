@@ -5,14 +5,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armcell.campaigns.statistics import Share, causes, compare, effects, success, summary
+from armcell.campaigns.plots import parameter_plots
+from armcell.campaigns.statistics import Share, causes, compare, drawn, effects, success, summary
 from armcell.core import InputError
 
 
 def rows(outcomes, **columns):
-    nothing = {"near_failure": False, "error_name": "X", "stage": "", "pair": "", "message": "m"}
+    nothing = {
+        "near_failure": False,
+        "randomized": {},
+        "error_name": "X",
+        "stage": "",
+        "pair": "",
+        "message": "m",
+    }
     return [
-        {"trial": i, "success": bool(good), "values": {k: v[i] for k, v in columns.items()}, **nothing}
+        {
+            "trial": i,
+            "success": bool(good),
+            "values": {k: v[i] for k, v in columns.items()},
+            "message": "m",
+            **nothing,
+        }
         for i, good in enumerate(outcomes)
     ]
 
@@ -69,6 +83,19 @@ def test_a_part_of_a_range_is_found_too():
     x = np.random.default_rng(3).uniform(-1, 1, 300)
     found = effects(rows(np.abs(x) > 0.3, x=x.tolist()))
     assert found[0].p_value < 1e-6 and found[0].words == "a part of its range fails more often"
+
+
+def test_what_the_cell_draws_itself_is_looked_at_too():
+    """A trial that made no cell has no draw; what is given stands for what is drawn."""
+    y = np.random.default_rng(5).uniform(-1, 1, 100)
+    some = rows(y > 0, given=[1.0] * 100)
+    for row, at in zip(some, y, strict=True):
+        row["randomized"] = {"box": {"dy": float(at)}}
+    some += [{**row, "randomized": {}, "success": False} for row in rows([0] * 3, given=[1.0] * 3)]
+    assert drawn(some[0]) == {"randomize.box.dy": y[0], "given": 1.0}
+    found = effects(some)
+    assert [e.path for e in found] == ["randomize.box.dy"] and found[0].p_value < 1e-9
+    assert parameter_plots(some, ["randomize.box.dy", "given"])
 
 
 def test_nothing_matters_in_nineteen_of_twenty():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armcell.control.safety import Fault
-from armcell.control.twin import Rehearsal, Stage, TwinBands, TwinGuard, learned
+from armcell.control.twin import UNWATCHED, Rehearsal, Stage, TwinBands, TwinGuard, learned
 from armcell.control.twin.bands import SMOOTHED, Seen
 from armcell.control.twin.guard import SLOW, STOP_AFTER
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
@@ -175,7 +175,7 @@ def driven(bands, twin, fault=lambda seen: seen, begin=0.7, ramp=0.0, arm=None):
     """
     notes, trips, robot, motion = [], [], Robot(ramp), Followed()
     guard = TwinGuard(SimpleNamespace(play=lambda *_: twin), TwinBands({"arm": bands}, {}),
-                      lambda arm, kind, text: notes.append((motion.t, kind, text)))  # fmt: skip
+                      note=lambda arm, kind, text: notes.append((motion.t, kind, text)))  # fmt: skip
     trajectory = turn(0.1)
     assert guard.rehearse(trajectory, HOME, {}, {}) is None
     guard.trips = {"arm": lambda: robot.seen.trip}
@@ -330,12 +330,26 @@ def test_a_clock_that_may_be_wrong_hides_no_offset(bands, twins):
 def test_refused_is_told_and_nothing_of_before_is_compared(bands, twins):
     bad = replace(twins[0], outcome=Outcome(ErrorCode.CONTROL_FAILED, "in physics a touches b"))
     notes = []
-    guard = TwinGuard(SimpleNamespace(play=lambda *_: bad), None, lambda *note: notes.append(note))
+    guard = TwinGuard(SimpleNamespace(play=lambda *_: bad), None, note=lambda *note: notes.append(note))
     refused = guard.rehearse(turn(0.1), HOME, {}, {})
     assert refused.message == "the twin refuses it: in physics a touches b" and refused.evidence["twin"]
     assert notes == [("all", "twin refused", "in physics a touches b")]
     motion = Followed()
     assert guard.watching(motion, turn(0.2), [], lambda f: None) is motion  # another trajectory
+
+
+def test_a_twin_without_bands_says_once_that_it_compares_nothing(twins):
+    notes = []
+    guard = TwinGuard(SimpleNamespace(play=lambda *_: twins[0]), note=lambda *note: notes.append(note))
+    for _ in range(2):
+        trajectory = turn(0.1)
+        guard.rehearse(trajectory, HOME, {}, {})
+        guard.watching(Followed(), trajectory, [Robot(0.0)], lambda f: None)
+    assert notes == [("all", "twin", UNWATCHED)]
+    assert guard.motions == []  # nor does it keep them
+    guard.learning = True
+    guard.watching(Followed(), trajectory, [Robot(0.0)], lambda f: None)
+    assert len(guard.motions) == 1
 
 
 def test_currents_are_judged_by_the_mean_of_some_looks(bands, twins):

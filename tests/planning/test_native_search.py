@@ -26,6 +26,8 @@ from armcell.planning.native.planner import NativePlanner, NativeSettings
 from armcell.planning.native.prm import Roadmap
 from armcell.planning.native.prm import plan as plan_on
 from armcell.planning.native.tree import new_trees, put
+from armcell.planning.problem import find_planner, first_uses
+from armcell.planning.question import ask
 
 
 def question(scene, goal):
@@ -378,3 +380,10 @@ def test_public_problems(robot):
             judged(checker, waypoints, task.start, task.goals)
         gained.append(length(better.waypoints) / length(first.waypoints))
     assert max(gained) <= 1.0 and np.mean(gained) < 0.99
+
+
+def test_compiling_a_planner_is_not_on_the_time_of_its_first_request(monkeypatch):
+    began = []
+    monkeypatch.setitem(first_uses, find_planner("native", "PRM"), lambda: began.append(time.monotonic()))
+    asked = ask(panda_wall(), request(beyond_panda(), planner_id="PRM"))
+    assert len(began) == 1 and asked.began >= began[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
 from armcell.campaigns.store import Store
 from armcell.campaigns.trial import Trial
-from armcell.cell import content_hashes
+from armcell.cell import cell_names, content_hashes
 from armcell.core import InputError
 from armcell.planning import warm_up
 
@@ -31,6 +32,12 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
     Raises:
         InputError: what is wrong, before anything runs.
     """
+    if spec.sampling == "adaptive" and not spec.parameters:
+        raise InputError(
+            "adaptive sampling needs parameters, to go where they fail", cure="--vary PATH=LOW,HIGH"
+        )
+    if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
+        spec = replace(spec, cell=str(file.resolve()))  # its commands are to work in any folder
     return Store.new(runs, spec, content_hashes(checked_cell(spec)))
 
 
@@ -68,6 +75,8 @@ def run(
         MissingExtraError: Ray is not installed.
     """
     spec = store.spec
+    if _sure_enough(store):
+        return _sure(spec)
     warm_up()  # compiled once, before every worker does
     began, count = time.monotonic(), 0
     with _workers(store, workers, ray) as found:
@@ -81,7 +90,7 @@ def run(
                 if spec.max_seconds is not None and time.monotonic() - began > spec.max_seconds:
                     return f"{spec.max_seconds:g} s are over"
                 if _sure_enough(store):
-                    return f"the interval is within {spec.half_width:.2%} to each side"
+                    return _sure(spec)
     return f"all {spec.trials} trials are done"
 
 
@@ -91,6 +100,10 @@ def _workers(store: Store, count: int, ray: str | None) -> Workers:
     from armcell.campaigns.cluster import RayWorkers
 
     return RayWorkers(store.spec, store.hashes, count, ray)
+
+
+def _sure(spec: CampaignSpec) -> str:
+    return f"the interval is within {spec.half_width:.2%} to each side"
 
 
 def _sure_enough(store: Store) -> bool:

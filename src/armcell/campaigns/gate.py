@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.statistics import Share, success
 from armcell.campaigns.store import TRIALS, asked, rows_of
 from armcell.cell import Cell, cell_names, content_hashes
@@ -58,6 +59,12 @@ def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> d
             cure=f"armcell gate {cell.file}",
         )  # fmt: skip
     rows, _ = rows_of(folder / TRIALS)
+    if spec.half_width is not None or spec.max_seconds is not None or len(rows) != spec.trials:
+        raise InputError(
+            f"has {len(rows)} trials, and {_asked(spec)}: where the number was not fixed beforehand, the "
+            "interval promises too much",
+            file=folder, cure=f"armcell gate {_name(cell)} --trials {max(len(rows), 72)}",
+        )  # fmt: skip
     share = success(rows)
     low, high = share.clopper_pearson
     if share.total == 0 or low < least:
@@ -187,6 +194,14 @@ def _signature(record: Mapping[str, Any], key: bytes) -> str:
 
 
 # --- words ---
+def _asked(spec: CampaignSpec) -> str:
+    if spec.half_width is not None:
+        return f"was to stop when its interval is within {spec.half_width:.2%} to each side"
+    if spec.max_seconds is not None:
+        return f"was to stop after {spec.max_seconds:g} s"
+    return f"was asked for {spec.trials}"
+
+
 def _cure(count: int, total: int, least: float) -> str:
     if count == total:
         more = next(n for n in range(total + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from armcell.campaigns.statistics import causes
-from armcell.campaigns.store import Store
+from armcell.campaigns.store import Store, write_whole
 from armcell.cell import Cell, load, run_task
 from armcell.cell.pictures import Picture, Pictures
 from armcell.cell.values import with_values
@@ -16,7 +16,9 @@ from armcell.records import html
 
 MOST = 12  # pictures of a campaign
 LONGEST = 60.0  # [s] a trial that took longer is not run again for its picture
-NO_RUN = frozenset({"CRASHED", "TIMED_OUT", "INVALID_CELL"})  # of trials that came to no end of their own
+NO_RUN = frozenset(
+    {"CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL"}
+)  # of trials that came to no end of their own
 
 
 def picture_file(folder: Path, number: int) -> Path:
@@ -29,19 +31,20 @@ def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, 
 
     Args:
         tell: called with how many are done, and of how many.
+    Raises:
+        InputError: the folder cannot be written to, or the disk is full.
     """
     wanted = list(_wanted(store))
     if not wanted:
         return
     cell = with_values(load(store.spec.cell), store.spec.values)
-    (store.folder / "pictures").mkdir(exist_ok=True)
     for done, row in enumerate(wanted):
         tell(done, len(wanted))
         file = picture_file(store.folder, row["trial"])
         if not file.exists() and (picture := moment(cell, row)) is not None:
-            part = file.with_suffix(".part")
-            part.write_bytes(html.picture_png(picture))
-            part.replace(file)
+            with suppress(OSError):  # then writing says so
+                file.parent.mkdir(exist_ok=True)
+            write_whole(file, html.picture_png(picture))
     tell(len(wanted), len(wanted))
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from armcell.campaigns.statistics import Row, Share
+from armcell.campaigns.statistics import Row, Share, drawn, fairly_drawn
 from armcell.records.plots import DPI, PALETTE, WIDTH_IN
 
 GOOD, INK = PALETTE[0], "#374151"
@@ -19,7 +19,7 @@ BINS = 10
 
 def share_plot(rows: Sequence[Row]) -> bytes:
     """Success so far with its 95 % interval, over the number of trials."""
-    fair = sorted((row for row in rows if not row["near_failure"]), key=lambda row: row["trial"])
+    fair = sorted(fairly_drawn(rows), key=lambda row: row["trial"])
     figure, (ax,) = _figure(1, 1, 2.2)
     counts = np.unique(np.geomspace(1, max(len(fair), 1), 200).astype(int))
     good = np.cumsum([bool(row["success"]) for row in fair])
@@ -35,13 +35,18 @@ def share_plot(rows: Sequence[Row]) -> bytes:
 
 
 def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
-    """For each parameter the share of success in tenths of its range, with intervals; None without any."""
+    """For each parameter the share of success in tenths of its range, with intervals; None without any.
+
+    Args:
+        paths: as in `statistics.drawn`.
+    """
     if not paths:
         return None
     columns = min(3, len(paths))
     figure, axes = _figure(-(-len(paths) // columns), columns, 2.3)
     for ax, path in zip(axes, paths):
-        values = [row["values"][path] for row in rows]
+        some_rows = [row for row in fairly_drawn(rows) if path in drawn(row)]
+        values = [drawn(row)[path] for row in some_rows]
         if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
             edges = np.linspace(min(values), max(values), BINS + 1)
             where = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
@@ -51,7 +56,7 @@ def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
             where, names = np.array([kinds.index(str(v)) for v in values]), list(range(len(kinds)))
             ax.set_xticks(names, kinds, fontsize=7)
         for k, at in enumerate(names):
-            some = [row for row, w in zip(rows, where, strict=True) if w == k]
+            some = [row for row, w in zip(some_rows, where, strict=True) if w == k]
             if some:
                 share = Share(sum(bool(row["success"]) for row in some), len(some))
                 low, high = share.wilson

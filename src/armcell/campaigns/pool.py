@@ -168,4 +168,4 @@ class Pool(Generic[W]):
                 if worker.trial is not None and late > self.spec.trial_seconds:
                     trial = worker.trial
                     self._replace(worker)
-                    yield failed(trial, "TIMED_OUT", f"not over after {self.spec.trial_seconds:g} s")
+                    yield failed(trial, "TRIAL_TIMED_OUT", f"not over after {self.spec.trial_seconds:g} s")

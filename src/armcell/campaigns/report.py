@@ -8,11 +8,13 @@ from typing import Any
 
 from armcell.campaigns import plots, statistics
 from armcell.campaigns.moments import picture_file
-from armcell.campaigns.store import Store
+from armcell.campaigns.store import Store, write_whole
 from armcell.campaigns.trial import replay_command
 from armcell.records import html
 
 SHOWN = 200  # failures in the table
+PLOTTED = 12  # parameters, those that matter most
+DRAWN = 8  # values of one failure
 MEASURED = {
     "task_time_s": ("task [s]", 1.0),
     "planning_s": ("planning [ms]", 1000.0),
@@ -23,16 +25,18 @@ MEASURED = {
 
 
 def write_report(store: Store, stopped: str) -> Path:
-    """Write all three; returns the HTML file.
+    """Write all three; returns the HTML file. Each appears whole, or stays as it was.
 
     Args:
         stopped: why the campaign ended, in words.
+    Raises:
+        InputError: the folder cannot be written to, or the disk is full.
     """
     data, rows = summary(store, stopped), _in_order(store)
-    (store.folder / "summary.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    (store.folder / "report.md").write_text(_markdown(data, store.folder), encoding="utf-8")
+    write_whole(store.folder / "summary.json", (json.dumps(data, indent=2) + "\n").encode())
+    write_whole(store.folder / "report.md", _markdown(data, store.folder).encode())
     file = store.folder / "report.html"
-    file.write_text(_html(data, rows, store.folder), encoding="utf-8")
+    write_whole(file, _html(data, rows, store.folder).encode())
     return file
 
 
@@ -71,7 +75,7 @@ def summary(store: Store, stopped: str) -> dict[str, Any]:
             {
                 "trial": row["trial"], "seed": row["seed"], "code": row["error_name"], "stage": row["stage"],
                 "message": row["message"], "values": row["values"],
-                "replay": replay_command(spec.cell, row, spec.values),
+                "drawn": statistics.drawn(row), "replay": replay_command(spec.cell, row, spec.values),
             }
             for row in rows
             if not row["success"]
@@ -94,7 +98,7 @@ def _markdown(data: dict[str, Any], folder: Path) -> str:
     lines = [
         f"# Campaign: {data['cell']}",
         "",
-        f"**{_share(data)}**",
+        f"**{_share(data)}**, {data['unwanted_contacts']} unwanted contacts",
         "",
         f"Ended because {data['stopped']}.",
     ]
@@ -112,6 +116,13 @@ def _markdown(data: dict[str, Any], folder: Path) -> str:
             f"| {c['count']} | {c['code']} | {c['stage'] or '-'} | {c['pair'] or '-'} | "
             f"{c['message'].replace('|', '/')} | `{c['replay']}` |"
             for c in data["causes"]
+        ]
+    if data["failures"]:
+        lines += ["", "| trial | seed | code | stage | what | replay |", "|---|---|---|---|---|---|"]
+        lines += [
+            f"| {f['trial']} | {f['seed']} | {f['code']} | {f['stage'] or '-'} | "
+            f"{f['message'].replace('|', '/')} | `{f['replay']}` |"
+            for f in data["failures"][:SHOWN]
         ]
     for failure in data["failures"]:
         file = picture_file(folder, failure["trial"])
@@ -158,7 +169,7 @@ def _html(data: dict[str, Any], rows: list[dict[str, Any]], folder: Path) -> str
 
 
 def _effects(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
-    paths = [e["parameter"] for e in data["effects"]]
+    paths = [e["parameter"] for e in data["effects"]][:PLOTTED]
     if not paths:
         paths = sorted({path for row in rows for path in row["values"]})
         text = "All trials went alike: nothing can be said." if rows else "No trial."
@@ -212,7 +223,7 @@ def _failures(data: dict[str, Any], folder: Path) -> str:
     rows = [
         [
             _linked(f["trial"], folder), str(f["seed"]), html.name(f["code"]), html.name(f["stage"]),
-            "<br>".join(f"{html.name(k)} {html.number(v, digits=4)}" for k, v in f["values"].items()),
+            _drawn(f["drawn"]),
             html.text(f["message"]), f"<code>{html.text(f['replay'])}</code>",
         ]
         for f in shown
@@ -220,6 +231,12 @@ def _failures(data: dict[str, Any], folder: Path) -> str:
     more = len(data["failures"]) - len(shown)
     note = f'<p class="none">{more} more in summary.json</p>' if more else ""
     return html.table(["trial", "seed", "code", "stage", "values", "what", "replay"], rows, [0, 1]) + note
+
+
+def _drawn(values: dict[str, Any]) -> str:
+    lines = [f"{html.name(path)} {html.number(value, digits=4)}" for path, value in values.items()]
+    more = len(lines) - DRAWN
+    return "<br>".join(lines[:DRAWN]) + (f"<br>{more} more" if more > 0 else "")
 
 
 def _linked(number: int, folder: Path) -> str:

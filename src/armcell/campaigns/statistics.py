@@ -114,20 +114,27 @@ class Effect:
         return "high values succeed more often" if self.auc > 0.5 else "low values succeed more often"
 
 
+def drawn(row: Row) -> dict[str, Any]:
+    """What was another in this trial than in others, by path: what was varied, and what the cell's
+    `randomize` drew. (A trial that made no cell has no draw.)"""
+    own = row["randomized"].items()
+    return {f"randomize.{name}.{key}": v for name, d in own for key, v in d.items()} | dict(row["values"])
+
+
 def effects(rows: Sequence[Row]) -> list[Effect]:
-    """Every varied parameter, the one that matters most first; empty where all trials went alike.
+    """Every parameter that was drawn, the one that matters most first; empty where all trials went alike.
 
     For numbers Mann and Whitney's test (does one side of the range succeed more?) and Kolmogorov and
     Smirnov's (does any part of it?), for choices chi squared. They need trials that were drawn independently:
     those put near failures share all parameters of a failure, and would make each of them look guilty.
     """
-    rows = fairly_drawn(rows)
-    good = np.array([bool(row["success"]) for row in rows])
-    if not len(rows) or good.all() or not good.any():
-        return []
+    draws = [(drawn(row), bool(row["success"])) for row in fairly_drawn(rows)]
     found = []
-    for path in sorted({path for row in rows for path in row["values"]}):
-        values = [row["values"].get(path) for row in rows]
+    for path in sorted({path for draw, _ in draws for path in draw}):
+        values = [draw[path] for draw, _ in draws if path in draw]
+        good = np.array([success for draw, success in draws if path in draw])
+        if good.all() or not good.any():
+            continue
         if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
             numbers = np.array(values, float)
             if np.ptp(numbers) == 0:

@@ -106,6 +106,25 @@ class Store:
         os.close(self._file)
 
 
+def write_whole(file: Path, data: bytes) -> None:
+    """Write a file beside the trials; it appears whole, or stays as it was.
+
+    Raises:
+        InputError: it cannot be written, as on a full disk.
+    """
+    part = file.with_name(f"{file.name}.part")
+    try:
+        part.write_bytes(data)
+        os.replace(part, file)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise InputError(
+            f"cannot be written ({error.strerror}); every finished trial is kept in {TRIALS}", file=file,
+            cure="make room, then go on with armcell campaign --resume FOLDER",
+        ) from None  # fmt: skip
+
+
 def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
     """What a campaign's folder says was asked, and the hashes of then."""
     file = folder / ASKED

@@ -50,17 +50,15 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
 
 def told(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
     """The row of a run's result."""
-    contacts = result["unwanted_contacts"]
-    broken = next((stage["name"] for stage in reversed(result["stages"]) if not stage["ok"]), "")
+    failed_at = result["failed_at"] or {"stage": "", "pair": ""}
     return _row(
         trial,
+        **failed_at,
         success=bool(result["success"]),
         error_name="" if result["success"] else ErrorCode(result["error_code"]).name,
         message=result["message"],
-        stage="" if result["success"] else broken,
-        pair=" and ".join(sorted((contacts[0]["body_a"], contacts[0]["body_b"]))) if contacts else "",
         randomized=result["randomized"],
-        unwanted_contacts=len(contacts),
+        unwanted_contacts=len(result["unwanted_contacts"]),
         slip_m=result["slip_m"],
         placement_error_m=result["placement_error_m"],
         min_clearance_m=result["min_clearance_m"],

@@ -13,7 +13,7 @@ from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
 from armcell.cell.versions import versions
-from armcell.core import ErrorCode, InputError, Outcome
+from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
 from armcell.tasks import TaskFailed
 
@@ -97,8 +97,9 @@ def _result(
         {"body_a": c.body_a, "body_b": c.body_b, "time_s": c.time, "depth_m": c.depth, "steps": c.count}
         for c in live.driver.unwanted_contacts()
     ]
-    outcome = _judged(outcome, errors, unwanted)
     reports = [r.as_dict() for r in live.ctx.reports]
+    failed_at = _failed_at(outcome, reports, unwanted)
+    outcome = _judged(outcome, errors, unwanted)
     clearances = [r["clearance_m"] for r in reports if r["clearance_m"] is not None]
     slips = [r["slip_m"] for r in reports if r["slip_m"] is not None]
     held = [r["slip_m"] for r in reports if r["slip_m"] is not None and r["name"] == "hold"]
@@ -107,6 +108,7 @@ def _result(
         "error_code": int(outcome.code),
         "error_name": outcome.code.name,
         "message": outcome.message,
+        "failed_at": None if outcome.ok else failed_at,
         "cell": cell.name,
         "mode": mode,
         "seed": seed,
@@ -131,6 +133,25 @@ def _result(
         "total_planning_time_s": sum(r["planning_time_s"] for r in reports),
         "wall_time_s": wall,
         "versions": versions(),
+    }
+
+
+def _failed_at(
+    outcome: Outcome, reports: list[dict[str, Any]], unwanted: list[dict[str, Any]]
+) -> dict[str, str]:
+    """The stage and the pair of bodies that a failure is of, as far as there are such.
+
+    Where planning failed, the stage that found nothing, and what touches at the start or goal; else the stage
+    that was carried out last of those that failed, and what touched first of what should not.
+    """
+    empty = [row["stage"] for row in outcome.evidence.get("stages", ()) if not row["passed"]]
+    broken = empty or [report["name"] for report in reversed(reports) if not report["ok"]]
+    touching = [(c["body_a"], c["body_b"]) for c in unwanted]
+    found = outcome.evidence.get("contacts", ())
+    touching += [(c.body_a, c.body_b) for c in found if isinstance(c, Contact)]
+    return {
+        "stage": broken[0] if broken else "",
+        "pair": " and ".join(sorted(touching[0])) if touching else "",
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ import numpy as np
 from armcell.cell.identity import content_hashes
 from armcell.control import execute
 from armcell.control.drivers.ur import UrDriver
-from armcell.control.twin import Stage, TwinBands, TwinGuard, learned
+from armcell.control.twin import UNWATCHED, Stage, TwinBands, TwinGuard, learned
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
 from armcell.planning import plan
 from armcell.scene import PlanningScene
@@ -19,6 +20,8 @@ from armcell.scene import PlanningScene
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell
     from armcell.cell.live import LiveCell
+
+logger = logging.getLogger(__name__)
 
 DECIDING = ("robot", "physics", "real")
 """Parts of a cell that the bands hang on: model, gains, and how the arms are driven."""
@@ -39,7 +42,7 @@ def twin_identity(cell: Cell) -> dict[str, str]:
 
 
 def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
-    """The guard of a cell's arms. It compares only with `watch`, and where bands were learned.
+    """The guard of a cell's arms. It compares only with `watch`, and where bands were learned; else says so.
 
     Raises:
         InputError: the bands were learned on something else; says on what.
@@ -54,7 +57,9 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
                 f"since the twin's bands were learned, what changed is: {', '.join(changed)}", file=file,
                 cure=f"learn them anew, which begins with a slow loop: armcell twin {cell.file}",
             )  # fmt: skip
-    return TwinGuard(Stage(scene, cell.physics), bands)
+    elif watch:
+        logger.warning("%s; cure: armcell twin %s", UNWATCHED, cell.file)
+    return TwinGuard(Stage(scene, cell.physics), bands, learning=not watch)
 
 
 def learn_bands(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from armcell.cli.console import check_writable, console, errors, write_json
+from armcell.core import InputError
 
 EXAMPLES = """
 Examples:
@@ -81,6 +82,10 @@ def campaign(
 
         find_cluster(ray)
     if resume is not None:
+        if vary or set_ or any(v is not None for v in (sampling, seed, half_width, max_seconds)):
+            raise typer.BadParameter(
+                "--resume goes on with what was asked then; only --trials, --workers and --ray go with it"
+            )
         store = campaigns.resume(resume)
         if trials is not None:
             store.spec = replace(store.spec, trials=trials)
@@ -108,18 +113,20 @@ def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, 
     from armcell import campaigns
 
     stopped = "it was stopped"
-    try:
-        with _time_to_end():
-            stopped = _run(store, workers, ray)
-            _take_pictures(store)
-    except KeyboardInterrupt:
-        errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
-        raise
-    finally:
+    with closing(store):
+        try:
+            with _time_to_end():
+                stopped = _run(store, workers, ray)
+                _take_pictures(store)
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt):
+                errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
+            with suppress(InputError):  # as on a full disk: the first error is the one to be told
+                campaigns.write_report(store, stopped)
+            raise
+        data = campaigns.summary(store, stopped)
+        _print(data)
         report = campaigns.write_report(store, stopped)
-        store.close()
-    data = campaigns.summary(store, stopped)
-    _print(data)
     console.print(f"report: {report}", soft_wrap=True)
     return data
 
@@ -127,7 +134,6 @@ def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, 
 def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) -> Any:
     from armcell.campaigns import CampaignSpec
     from armcell.cell.values import parsed
-    from armcell.core import InputError
     from armcell.model.files import read_yaml
 
     path = Path(cell)
@@ -218,15 +224,24 @@ def _print(data: dict[str, Any]) -> None:
 
 def _compare(first: Path, second: Path, json_file: Path | None) -> int:
     from armcell import campaigns
+    from armcell.campaigns.gate import changed_parts
     from armcell.campaigns.store import TRIALS, asked
 
-    for folder in (first, second):
-        asked(folder)  # what is no campaign's folder is said
+    (before, hashes), (after, now) = asked(first), asked(second)  # what is no campaign's folder is said
+    differ = [f"cell {before.cell} and {after.cell}"] if before.cell != after.cell else []
+    differ += changed_parts(hashes, now)
+    differ += [
+        name
+        for name in ("parameters", "values", "sampling", "seed")
+        if getattr(before, name) != getattr(after, name)
+    ]
+    console.print(f"what differs: {', '.join(differ) or 'nothing'}", soft_wrap=True, markup=False)
     found = campaigns.compare(campaigns.rows_of(first / TRIALS)[0], campaigns.rows_of(second / TRIALS)[0])
     console.print(found.words)
     if json_file is not None:
         write_json(json_file, {
             "first": found.first.as_dict(), "second": found.second.as_dict(),
-            "difference": found.difference, "interval": list(found.interval), "p_value": found.p_value,
+            "what_differs": differ, "difference": found.difference, "interval": list(found.interval),
+            "p_value": found.p_value,
         })  # fmt: skip
     return 0

@@ -81,6 +81,9 @@ PIPELINE_ALIASES = {"": "native", "pilz_industrial_motion_planner": INDUSTRIAL}
 settings_makers: dict[Planner, MakeSettings] = {}
 """For planners with parameters: what makes their settings of them. A planner without takes none."""
 
+first_uses: dict[Planner, Callable[[], object]] = {}
+"""For planners that are not used by default: what has them compiled, before the time of a request runs."""
+
 
 def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
     """A planner's settings from a request's parameters, or None where there are none.

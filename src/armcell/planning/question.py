@@ -16,6 +16,7 @@ from armcell.planning import planners as _registered  # noqa: F401  (fills the r
 from armcell.planning.constraint_sense import check_constraints
 from armcell.planning.placed import Placed
 from armcell.planning.planner_configs import Choice, choose
+from armcell.planning.problem import first_uses
 from armcell.planning.speed import check_speed
 from armcell.planning.workspace import Workspace
 from armcell.scene import PlanningScene
@@ -71,7 +72,6 @@ def ask(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | No
     Raises:
         InputError: unknown group, pipeline, planner, parameter, joint, link or frame; an impossible number.
     """
-    began = time.monotonic()
     check_scaling(request.velocity_scaling, "velocity scaling")
     check_scaling(request.acceleration_scaling, "acceleration scaling")
     check_speed(request.max_cartesian_speed)
@@ -83,6 +83,9 @@ def ask(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | No
         raise InputError(f"attempts is {request.attempts}, it must be a whole number, at least 1")
     group = scene.model.group(request.group)
     choice = choose(request)
+    if choice.planner in first_uses:
+        first_uses[choice.planner]()
+    began = time.monotonic()
     if not group.joint_names:
         raise InputError(f"group {request.group!r} has no joints")
     if request.start is not None:  # an unknown joint in it is misuse and raises

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 SLOW_AFTER, STOP_AFTER = LASTING, 12
 """Looks in a row outside a band until the arms are slowed, and until they are stopped."""
+UNWATCHED = "motions are rehearsed, but not compared with the twin while they run: it has no bands yet"
 FAR = 3.0  # bands from the twin at which they are stopped as soon as they would be slowed
 SLOW = 0.25  # of the speed
 LATE = 0.02  # [s] by which the clock of a motion may be wrong whose points are sent
@@ -60,19 +61,21 @@ class TwinGuard:
 
     Args:
         stage: where motions are rehearsed.
-        bands: None: nothing is compared, only rehearsed and kept in `motions`, to learn from.
+        bands: None: nothing is compared, only rehearsed.
+        learning: whether motions are kept in `motions`, to learn bands from.
         note: told what the guard did: an arm's name, a kind, a text. It goes into the run's record.
     """
 
     def __init__(
-        self, stage: Stage, bands: TwinBands | None = None,
+        self, stage: Stage, bands: TwinBands | None = None, learning: bool = False,
         note: Callable[[str, str, str], None] = lambda arm, kind, text: None,
     ):  # fmt: skip
-        self.stage, self.bands, self.note = stage, bands, note
+        self.stage, self.bands, self.learning, self.note = stage, bands, learning, note
         self.trips: Mapping[str, Callable[[], float]] = {}  # shortest round trip of late [s], by arm
         self.motions: list[Motion] = []
         self._twin: Rehearsal | None = None
         self._rehearsed: JointTrajectory | None = None
+        self._said = learning  # that nothing is compared
 
     def check_calibration(self, found: Mapping[str, str]) -> None:
         """
@@ -120,6 +123,9 @@ class TwinGuard:
         twin = self._twin
         if twin is None or trajectory is not self._rehearsed:
             return following
+        if self.bands is None and not self._said:
+            self._said = True
+            self.note("all", "twin", UNWATCHED)
         return Watched(self, following, twin, list(arms), trip, sent_for, forced)
 
 
@@ -135,7 +141,8 @@ class Watched:
         names = twin.joint_names
         self._columns = {arm.name: tuple(names.index(n) for n in arm.joint_names) for arm in arms}
         self._kept = {arm.name: Motion(arm.name, twin, self._columns[arm.name], []) for arm in arms}
-        guard.motions.extend(self._kept.values()) if guard.bands is None else None
+        if guard.learning:
+            guard.motions.extend(self._kept.values())
         self._outside = dict.fromkeys(self._columns, 0)
         self._doubt: dict[str, tuple[str, str]] = dict.fromkeys(
             self._columns, ("", "")

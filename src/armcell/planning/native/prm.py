@@ -22,7 +22,6 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.motion import prove_points
 from armcell.collision.kernel.simd import L
 from armcell.planning.native import roadmap as compiled
-from armcell.planning.native.compiling import announce
 from armcell.planning.native.planner import NativePlanner
 from armcell.planning.native.rrt_connect import kronecker_steps
 
@@ -138,7 +137,6 @@ def plan(
     Args:
         goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
     """
-    announce("PRM", compiled.query)
     began, before = time.thread_time(), roadmap.counts.copy()
     stop = np.zeros(1, np.int64) if stop is None else stop
     checker, step, settings = planner.checker, planner.settings.step, roadmap.settings

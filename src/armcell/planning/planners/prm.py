@@ -10,9 +10,10 @@ import numpy as np
 from armcell.model import RobotModel
 from armcell.planning.native.planner import NativePlanner
 from armcell.planning.native.prm import PRMSettings, Roadmap, plan
+from armcell.planning.native.warm_up import warm_up_roadmap
 from armcell.planning.parameters import settings_of
 from armcell.planning.planners.native import POLL, stopping, unsolved
-from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
+from armcell.planning.problem import Answer, Problem, first_uses, pipelines, settings_makers
 
 _roadmaps: WeakKeyDictionary[RobotModel, dict[tuple, Roadmap]] = WeakKeyDictionary()
 _lock = threading.Lock()
@@ -60,3 +61,4 @@ def prm(problem: Problem) -> Answer:
 
 
 settings_makers[prm] = settings_of("PRM", PRMSettings)
+first_uses[prm] = warm_up_roadmap
