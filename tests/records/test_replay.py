@@ -245,6 +245,37 @@ def test_a_run_executed_again_is_the_same_to_the_bit(tmp_path, capsys):
     assert said.status == 1 and "first different" in said.out
 
 
+def test_a_failed_run_executed_again_is_the_same(tmp_path, capsys):
+    file = cell_file(tmp_path, BOX.replace("[0.4, 0.4, 0.05]", "[0.25, 0, 1.09]"))  # where the hand shall be
+    asked = ("--mode", "fake", "--seed", 8, "--runs", tmp_path / "runs")
+    assert "GOAL_IN_COLLISION" in call(capsys, "run", file, *asked).out
+    (first,) = (tmp_path / "runs").iterdir()
+    (error,) = (e for e in read_record(first).events if e.kind == "error")
+    assert error.data["stages"][0]["seconds"] > 0  # wall clock is in it
+    said = call(capsys, "replay", first, "--execute", "--runs", tmp_path / "runs")
+    assert said.status == 0 and "events: the same" in said.out and "outcome: the same" in said.out
+
+
+def test_data_of_events_differ_by_name_and_not_by_the_wall_clock(scene, tmp_path):
+    def run(name, **data):
+        with RunRecorder(tmp_path / name, scene) as recorder:
+            recorder.on_state(StateSample(0.0, scene.state))
+            recorder.on_event(Event(0.5, "error", "no way", data))
+        return read_record(tmp_path / name)
+
+    rows = [{"stage": "pick", "seconds": 0.1, "passed": 2, "gap": float("nan")}]
+    first = run("a", stages=rows, plan_us=3.0, simplify_us=2.0, certify_us=1.0, cost_over_time=[[0.1, 2.0]])
+    again = run("b", stages=[{**rows[0], "seconds": 0.2}], plan_us=4.0, cost_over_time=[])
+    assert compare(first, again).event is None
+    found = compare(first, run("c", stages=[{**rows[0], "passed": 3}])).event
+    assert found.what == "stages[0].passed of event 1 (error: no way)"
+    assert (found.time, found.first, found.second) == (0.5, 2, 3)
+    found = compare(first, run("d", stages=rows, pairs=[1])).event
+    assert (found.what.split()[0], found.first, found.second) == ("pairs", "not there", [1])
+    found = compare(first, run("e", stages=rows * 2)).event
+    assert found.what.startswith("number of stages of") and (found.first, found.second) == (1, 2)
+
+
 @pytest.mark.slow
 def test_a_killed_run_leaves_what_was_whole(tmp_path, capsys):
     file = cell_file(tmp_path, BOX.replace("[{move: extended}]", "[{hold: 500.0}]"))
