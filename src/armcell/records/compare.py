@@ -235,6 +235,12 @@ def _data_parting(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None
     return None if same else (path, a, b)
 
 
+def _compared(event: Event) -> Mapping[str, Any]:
+    """An event's data but for how a plan was found: a planner that ends by the clock has looked at more or
+    less, and the motion is compared itself."""
+    return {k: v for k, v in event.data.items() if event.kind != "plan" or k != "evidence"}
+
+
 def _event_parting(a: Record, b: Record) -> Parting | None:
     def said(event: Event | None) -> str:
         return "nothing more" if event is None else f"{event.time:.3f} s {event.kind}: {event.text}"
@@ -248,7 +254,7 @@ def _event_parting(a: Record, b: Record) -> Parting | None:
             return Parting(at, f"event {i + 1}", said(one), said(two))
         if (one.time, one.kind, one.text) != (two.time, two.kind, two.text):
             return Parting(one.time, f"event {i + 1}", said(one), said(two))
-        if (found := _data_parting(one.data, two.data)) is not None:
+        if (found := _data_parting(_compared(one), _compared(two))) is not None:
             path, first, second = found
             return Parting(one.time, f"{path} of event {i + 1} ({one.kind}: {one.text})", first, second)
     return None
