@@ -28,7 +28,7 @@ BEHIND_A_WALL = """robot: panda
 start: {arm: home, hand: open}
 objects:
   table: {box: [1, 1, 0.1], pose: [0.5, 0, -0.051]}
-  wall: {box: [0.02, 0.2, 0.2], pose: [0.46, 0, 0.1]}
+  wall: {box: [0.02, 0.2, 0.2], pose: [0.45, 0, 0.1]}
   cube: {box: [0.05, 0.05, 0.05], pose: [0.5, 0, 0.024], movable: true}
 task: [{pick: cube}]
 """
