@@ -317,8 +317,8 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know: arrays and numpy numbers as lists and numbers, objects, contacts, poses, mappings
-    that are no dict; the rest as text."""
+    """What JSON does not know: arrays and numpy numbers as lists and numbers, objects, contacts, poses and
+    mappings by their parts, the rest as text."""
     if isinstance(value, CollisionObject):
         return object_data(value)
     if isinstance(value, SE3):
