@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from pathlib import Path
 
 import pytest
 from tests.cli.helpers import call, cell_file, read_json
@@ -149,6 +150,22 @@ def test_a_task_that_turns_out_impossible_is_reported_like_any_failure(capsys, h
     assert said.status == 1 and "does not fit on 'post'" in said.words + said.err
     assert "lift" in [s["name"] for s in read_json(here / "out.json")["stages"]]
     assert list(here.glob("runs/*/report.html"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_on_a_full_disk_the_result_is_shown_and_what_is_missing_is_named(capsys, here, monkeypatch):
+    folder = here / "runs" / "run"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr("armcell.records.new_run_folder", lambda root, cell: folder)
+    (folder / "report.html.part").symlink_to("/dev/full")
+    said = call(capsys, "run", cell_file(here), *FAKE, "--json", "out.json")
+    assert said.status == 1 and "move to extended" in said.words and "success (seed 3)" in said.words
+    assert "report.html: cannot be written: No space left on device (the run itself ended" in said.err
+    assert left_in(here) == {"cell.yaml", "out.json", "runs/run/result.json", "runs/run/run.mcap"}
+    assert read_json(folder / "result.json") == read_json(here / "out.json")
+    (folder / "run.mcap.part").symlink_to("/dev/full")
+    said = call(capsys, "run", cell_file(here), *FAKE)
+    assert nothing_ran(said) and "no record can be begun: No space left on device (make room" in said.err
 
 
 def test_json_is_written_whole_or_not_at_all(tmp_path):

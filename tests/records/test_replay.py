@@ -24,6 +24,14 @@ objects:
   box: {box: [0.1, 0.1, 0.1], pose: [0.4, 0.4, 0.05]}
 task: [{move: extended}]
 """
+BEHIND_A_WALL = """robot: panda
+start: {arm: home, hand: open}
+objects:
+  table: {box: [1, 1, 0.1], pose: [0.5, 0, -0.051]}
+  wall: {box: [0.02, 0.2, 0.2], pose: [0.45, 0, 0.1]}
+  cube: {box: [0.05, 0.05, 0.05], pose: [0.5, 0, 0.024], movable: true}
+task: [{pick: cube}]
+"""
 
 
 class Told:
@@ -243,6 +251,78 @@ def test_a_run_executed_again_is_the_same_to_the_bit(tmp_path, capsys):
     assert said.status == 1 and "mujoco 3.1.4 ->" in said.err and "--anyway" in said.err
     said = call(capsys, "replay", tmp_path / "older", "--execute", "--anyway", "--runs", runs)
     assert said.status == 1 and "first different" in said.out
+
+
+def test_a_failed_run_executed_again_is_the_same(tmp_path, capsys):
+    file = cell_file(tmp_path, BOX.replace("[0.4, 0.4, 0.05]", "[0.25, 0, 1.09]"))  # where the hand shall be
+    asked = ("--mode", "fake", "--seed", 8, "--runs", tmp_path / "runs")
+    assert "GOAL_IN_COLLISION" in call(capsys, "run", file, *asked).out
+    (first,) = (tmp_path / "runs").iterdir()
+    (error,) = (e for e in read_record(first).events if e.kind == "error")
+    assert error.data["stages"][0]["seconds"] > 0  # wall clock is in it
+    touching = error.data["contacts"][0]
+    assert {touching["body_a"], touching["body_b"]} & {"box"} and touching["distance"] < 0
+    assert len(touching["position"]) == 3
+    said = call(capsys, "replay", first, "--execute", "--runs", tmp_path / "runs")
+    assert said.status == 0 and "events: the same" in said.out and "outcome: the same" in said.out
+
+
+def test_a_plan_says_what_was_asked_what_the_planner_tells_and_what_was_rejected(tmp_path, capsys):
+    file = cell_file(tmp_path, BEHIND_A_WALL)
+    asked = ("--mode", "fake", "--seed", 1, "--runs", tmp_path / "runs")
+    assert call(capsys, "run", file, *asked).status == 0
+    (first,) = (tmp_path / "runs").iterdir()
+    record = read_record(first)
+    rejected, *plans = (e for e in record.events if e.kind == "plan")
+    for stage, candidate, reason in rejected.data["evidence"]["rejections"]:
+        assert stage and candidate and reason
+    assert len(rejected.data["evidence"]["rejections"]) >= 4
+    assert any(row["failed"] for row in rejected.data["evidence"]["stages"])
+    by_name = {e.text: e.data for e in plans}
+    free = by_name["move to pre-grasp"]["evidence"]
+    names = record.states[0].joints.names
+    assert set(free["goal"]) < set(names) and len(free["goal"]) == 7
+    assert (free["planner_id"], free["seed"], free["attempts"]) == ("RRTConnect", 1, 1)
+    if by_name["move to pre-grasp"]["planner"] == "RRTConnect":
+        assert free["iterations"] > 0
+    motion = next(t for at, t in record.trajectories if t.joint_names == tuple(free["goal"]))
+    assert list(motion.positions[-1]) == pytest.approx(list(free["goal"].values()))
+    assert by_name["lift"]["evidence"]["goal"]["link"] == "panda_hand_tcp"
+    assert by_name["approach"]["evidence"]["planned"] == "backwards"
+    # However long a planner looked, a motion that is the same is the same.
+    said = call(capsys, "replay", first, "--execute", "--runs", tmp_path / "runs")
+    assert said.status == 0 and "events: the same" in said.out
+
+
+def test_how_a_plan_was_found_is_not_compared_but_of_a_failure_it_is(scene, tmp_path):
+    def run(name, kind, iterations):
+        with RunRecorder(tmp_path / name, scene) as recorder:
+            recorder.on_state(StateSample(0.0, scene.state))
+            recorder.on_event(Event(0.5, kind, "over there", {"evidence": {"iterations": iterations}}))
+        return read_record(tmp_path / name)
+
+    assert compare(run("a", "plan", 5), run("b", "plan", 6)).event is None
+    assert compare(run("c", "error", 5), run("d", "error", 6)).event.what.startswith("evidence.iterations")
+
+
+def test_data_of_events_differ_by_name_and_not_by_the_wall_clock(scene, tmp_path):
+    def run(name, **data):
+        with RunRecorder(tmp_path / name, scene) as recorder:
+            recorder.on_state(StateSample(0.0, scene.state))
+            recorder.on_event(Event(0.5, "error", "no way", data))
+        return read_record(tmp_path / name)
+
+    rows = [{"stage": "pick", "seconds": 0.1, "passed": 2, "gap": float("nan")}]
+    first = run("a", stages=rows, plan_us=3.0, simplify_us=2.0, certify_us=1.0, cost_over_time=[[0.1, 2.0]])
+    again = run("b", stages=[{**rows[0], "seconds": 0.2}], plan_us=4.0, cost_over_time=[])
+    assert compare(first, again).event is None
+    found = compare(first, run("c", stages=[{**rows[0], "passed": 3}])).event
+    assert found.what == "stages[0].passed of event 1 (error: no way)"
+    assert (found.time, found.first, found.second) == (0.5, 2, 3)
+    found = compare(first, run("d", stages=rows, pairs=[1])).event
+    assert (found.what.split()[0], found.first, found.second) == ("pairs", "not there", [1])
+    found = compare(first, run("e", stages=rows * 2)).event
+    assert found.what.startswith("number of stages of") and (found.first, found.second) == (1, 2)
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import typer
 
 from armcell.cli.console import check_writable, console, err, write_json
 from armcell.cli.page import serve_page
+from armcell.cli.results import keep_result
 
 REPLAY_EXAMPLES = """
 Examples:
@@ -69,16 +70,15 @@ def replay(
 
 
 def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> int:
-    from armcell.records import execute_again, new_run_folder, write_report
+    from armcell.records import execute_again, new_run_folder
     from armcell.records.again import checked_cell
 
     checked_cell(record, anyway)  # what forbids it is said before a folder is made
     folder = new_run_folder(runs, f"{record.about['cell']}-again")
     found, result, recorder = execute_again(record, folder, anyway)
-    write_json(folder / "result.json", result)
-    write_report(folder, result, recorder)
     console.print(f"run again: {folder}", soft_wrap=True)
     _print(found)
+    keep_result(recorder, result)
     if json_file is not None:
         write_json(json_file, _as_json(found))
     return 0 if found.same_course else 1

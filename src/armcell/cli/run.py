@@ -12,9 +12,10 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from armcell.cli.camera_frames import camera_frames
-from armcell.cli.console import check_writable, console, errors, millimetres, stage_table, write_json
+from armcell.cli.console import check_writable, console, errors, millimetres, stage_table
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of, gate_words
+from armcell.cli.results import keep_result
 from armcell.cli.ros1 import OWN_MASTER
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
@@ -189,8 +190,10 @@ def run(
         result["command"] = shlex.join(["armcell", "run", cell, *draw, "--mode", mode, *sets])
         if progress is not None:
             progress.stop()
-        report = _written(recorder, result, json_file)
-        _print(result, report)
+        _print(result)
+        report = keep_result(recorder, result, json_file)
+        if report is not None:
+            console.print(f"report: {report}", soft_wrap=True)
         if viewer is not None and sys.stdin.isatty():
             console.print(f"the view stays at {viewer.url}; press Enter to end")
             sys.stdin.readline()
@@ -211,19 +214,7 @@ def _tell_failed_layer(health: Any, headless: bool) -> None:
         errors.print("start: " + ", ".join(words), highlight=False)
 
 
-def _written(recorder: Any, result: dict[str, Any], json_file: Path | None) -> Path | None:
-    if json_file is not None:
-        write_json(json_file, result)
-    if recorder is None:
-        return None
-    from armcell.records import write_report
-
-    recorder.finish(result)
-    write_json(recorder.folder / "result.json", result)
-    return write_report(recorder.folder, result, recorder)
-
-
-def _print(result: dict[str, Any], report: Path | None) -> None:
+def _print(result: dict[str, Any]) -> None:
     console.print(stage_table(result))
     numbers = [
         f"slip in hold {millimetres(result['slip_m'], 3)}" if result["slip_m"] is not None else "",
@@ -247,8 +238,6 @@ def _print(result: dict[str, Any], report: Path | None) -> None:
     else:
         console.print(f"[red]failed[/red]: {result['error_name']}: ", end="")
         console.print(result["message"], markup=False)
-    if report is not None:
-        console.print(f"report: {report}", soft_wrap=True)
 
 
 class _Bar:

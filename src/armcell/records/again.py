@@ -38,7 +38,7 @@ def execute_again(
         result = run_task(cell, live, seed, mode)
         result["command"] = command_of(record)
         recorder.finish(result)
-    return compare(record, read_record(recorder.mcap_file)), result, recorder
+    return compare(record, read_record(folder)), result, recorder
 
 
 def checked_cell(record: Record, anyway: bool = False) -> Any:

@@ -14,7 +14,11 @@ from armcell.records.reader import Array, Record, RecordedJoints, RecordedState
 
 THRESHOLDS = (1e-9, 1e-6, 1e-4, 1e-2)
 """[rad or m] joints, [m] objects: when the two were first so far apart is said."""
-TIMINGS = ("planning_time_s", "wall_time_s", "total_planning_time_s", "started_s")
+TIMINGS = (
+    "planning_time_s", "wall_time_s", "total_planning_time_s", "started_s",
+    "seconds",  # of a stage of a search
+    "plan_us", "simplify_us", "certify_us", "cost_over_time",  # of planners
+)  # fmt: skip
 """Wall clock, in events and results: differs between any two runs and means nothing."""
 AT_ONCE = NANO // 1000
 """[ns] two states are of the same instant."""
@@ -210,10 +214,31 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 
 # --- events, plans, outcome ---
-def _untimed(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {k: _untimed(v) for k, v in value.items() if k not in TIMINGS}
-    return [_untimed(v) for v in value] if isinstance(value, list | tuple) else value
+def _data_parting(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
+    """The first value of two events' data that is not the same: its path ("stages[0].passed") and both."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for key in dict.fromkeys((*a, *b)):
+            here = f"{path}.{key}" if path else str(key)
+            if key in TIMINGS:
+                continue
+            if key not in a or key not in b:
+                return here, *(m.get(key, "not there") for m in (a, b))
+            if (found := _data_parting(a[key], b[key], here)) is not None:
+                return found
+        return None
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        for i, (one, two) in enumerate(zip(a, b)):
+            if (found := _data_parting(one, two, f"{path}[{i}]")) is not None:
+                return found
+        return None if len(a) == len(b) else (f"number of {path}", len(a), len(b))
+    same = a == b or (a != a and b != b)  # two that are not numbers
+    return None if same else (path, a, b)
+
+
+def _compared(event: Event) -> Mapping[str, Any]:
+    """An event's data but for how a plan was found: a planner that ends by the clock has looked at more or
+    less, and the motion is compared itself."""
+    return {k: v for k, v in event.data.items() if event.kind != "plan" or k != "evidence"}
 
 
 def _event_parting(a: Record, b: Record) -> Parting | None:
@@ -227,13 +252,11 @@ def _event_parting(a: Record, b: Record) -> Parting | None:
                 return None  # what is missing is not known
             at = next(e.time for e in (one, two) if e is not None)
             return Parting(at, f"event {i + 1}", said(one), said(two))
-        if (one.time, one.kind, one.text, _untimed(one.data)) != (
-            two.time,
-            two.kind,
-            two.text,
-            _untimed(two.data),
-        ):
+        if (one.time, one.kind, one.text) != (two.time, two.kind, two.text):
             return Parting(one.time, f"event {i + 1}", said(one), said(two))
+        if (found := _data_parting(_compared(one), _compared(two))) is not None:
+            path, first, second = found
+            return Parting(one.time, f"{path} of event {i + 1} ({one.kind}: {one.text})", first, second)
     return None
 
 

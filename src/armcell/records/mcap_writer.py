@@ -15,6 +15,7 @@ import logging
 import re
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike, NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from armcell.core import SE3, Event, JointState, JointTrajectory, StateSample
+from armcell.core import SE3, Contact, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
 from armcell.records.shapes import object_data, pose_data
 from armcell.scene import WORLD, CollisionObject, PlanningScene
@@ -316,9 +317,14 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know: arrays and numpy numbers as lists and numbers, objects, the rest as text."""
+    """What JSON does not know: arrays and numpy numbers as lists and numbers, objects, contacts, poses and
+    mappings by their parts, the rest as text."""
     if isinstance(value, CollisionObject):
         return object_data(value)
     if isinstance(value, SE3):
         return pose_data(value)
+    if isinstance(value, Contact):
+        return asdict(value)
+    if isinstance(value, Mapping):
+        return dict(value)
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -93,6 +93,8 @@ class RunRecorder:
         scene: the robot and objects that are watched.
         start_ns: what cell time 0 is in the MCAP, nanoseconds since 1970; now by default.
         about: what runs, see `about_run`; without it the record can be looked at, not executed again.
+    Raises:
+        InputError: no record can be begun there: it is said before anything moves.
     """
 
     def __init__(
@@ -105,7 +107,6 @@ class RunRecorder:
         from armcell.records.mcap_writer import McapWriter
 
         self.folder = Path(folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
         self.scene = scene
         self.events: list[Event] = []
         self.trajectories: list[tuple[float, JointTrajectory]] = []
@@ -118,7 +119,14 @@ class RunRecorder:
         self._lock = threading.RLock()
         self._closed = False
         self._broken: OSError | None = None
-        self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns, about)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns, about)
+        except OSError as error:
+            raise InputError(
+                f"no record can be begun: {error.strerror}", file=self.folder,
+                cure="make room, or choose another folder (--runs)",
+            ) from None  # fmt: skip
 
     @property
     def mcap_file(self) -> Path:

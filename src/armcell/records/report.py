@@ -33,6 +33,8 @@ def write_report(folder: Path, result: Mapping[str, Any], recorder: RunRecorder)
         recorder: what was seen of the run; may be closed already.
     Returns:
         The file.
+    Raises:
+        OSError: it cannot be written; nothing of it is left.
     """
     parts = [
         _headline(result),
@@ -49,10 +51,13 @@ def write_report(folder: Path, result: Mapping[str, Any], recorder: RunRecorder)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / REPORT_FILE
     part = file.with_name(file.name + ".part")
-    part.write_text(
-        html.page(f"{result.get('cell', 'run')}: {_verdict(result)}", "\n".join(filter(None, parts)))
-    )
-    os.replace(part, file)
+    page = html.page(f"{result.get('cell', 'run')}: {_verdict(result)}", "\n".join(filter(None, parts)))
+    try:
+        part.write_text(page)
+        os.replace(part, file)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
     return file
 
 

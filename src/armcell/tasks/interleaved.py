@@ -18,7 +18,7 @@ from armcell.tasks.costs import costs
 from armcell.tasks.recipes import Vector, pick_stages, place_stages
 from armcell.tasks.search import Draft, Planning, Stage
 from armcell.tasks.steps import DONE, perform_all
-from armcell.tasks.task import Task, TaskPlan
+from armcell.tasks.task import Task, TaskPlan, tell_rejected
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +81,7 @@ def perform_parts(
         if plan.best is None:
             ctx.emit("error", plan.message, code=plan.code.name, **plan.evidence)
             return _told(Outcome(plan.code, plan.message, plan.evidence), done, again)
+        tell_rejected(ctx, plan, part.name)
         coming = _Coming(ctx, parts[i + 1], plan.best.scene) if i + 1 < len(parts) else None
         outcome = perform_all(ctx, plan.best.steps)
         if not outcome.ok:

@@ -67,6 +67,7 @@ class Merger:
                 sum(m.planning_time for m in motions),
                 min(near, default=None),
                 _both_allow(motions[0].planned_in, motions[1].planned_in),
+                {m.name: m.evidence for m in motions},
             )
         return Together(motion, tuple(grips))
 

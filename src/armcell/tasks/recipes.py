@@ -35,7 +35,7 @@ from armcell.tasks.stages import (
 )
 from armcell.tasks.stages.grasp import Sieve
 from armcell.tasks.steps import DONE, EMPTY, CheckGrasp, Dwell, Expect, Grip, perform_all
-from armcell.tasks.task import Task
+from armcell.tasks.task import Task, tell_rejected
 
 Vector = tuple[float, float, float]
 AHEAD = "what comes next"  # the stage of a pick that looks whether a grasp leads on
@@ -304,6 +304,7 @@ def planned(ctx: TaskContext, stages: Sequence[Stage], what: str) -> tuple[Draft
     task = Task(what, tuple(stages), costs[s.cost])
     plan = task.plan(Draft(ctx.scene()), Planning(s, ctx.seed, ctx.cancel), s.solutions)
     if plan.best is not None:
+        tell_rejected(ctx, plan, what)
         return plan.best, DONE
     if plan.code is not ErrorCode.PREEMPTED:
         ctx.emit("error", plan.message, code=plan.code.name, **plan.evidence)

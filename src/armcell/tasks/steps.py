@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 from armcell.control import execute
 from armcell.core import ErrorCode, JointTrajectory, Outcome
@@ -29,6 +29,7 @@ class Motion:
     planning_time: float = 0.0
     clearance: float | None = None
     planned_in: PlanningScene | None = None  # with the contacts that belong to the motion
+    evidence: Mapping[str, Any] = field(default_factory=dict)  # what was asked of the planner, what it tells
 
     @property
     def duration(self) -> float:
@@ -48,6 +49,7 @@ class Motion:
         ctx.emit(
             "plan", self.name, planner=self.planner, planning_time_s=self.planning_time,
             clearance_m=self.clearance, points=len(trajectory.times), duration_s=trajectory.duration,
+            evidence=dict(self.evidence),
         )  # fmt: skip
         watch = _Watch(ctx, trajectory, self.planned_in)
         result = execute(ctx.driver, trajectory, ctx.settings.execution, watch, ctx.progress)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from armcell.core import ErrorCode, Outcome
+from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import Cost, duration
 from armcell.tasks.failures import stage_rows, stage_table
 from armcell.tasks.interfaces import check_task
@@ -70,3 +71,10 @@ class Task:
         if failure is not None and (len(self.stages) == 1 or planning.hopeless):
             return TaskPlan(failure.code, f"{name}: {failure.message}", {**failure.evidence, **evidence})
         return TaskPlan(code, f"{name}: {planning.rejections.summary()}", evidence)
+
+
+def tell_rejected(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
+    """An event with the candidates that were not used before a plan was found, and why, if there were any."""
+    rejected = plan.evidence.get("rejections", ())
+    if rejected:
+        ctx.emit("plan", f"{what}: planned, {len(rejected)} rejected", evidence=plan.evidence)

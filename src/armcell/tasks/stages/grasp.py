@@ -150,7 +150,13 @@ def approaches(
             candidate=grasp.name,
             pre_grasp=approach.positions[0],
             approach=Motion(
-                "approach", approach, "cartesian", result.planning_time, result.min_clearance, scene
+                "approach",
+                approach,
+                "cartesian",
+                result.planning_time,
+                result.min_clearance,
+                scene,
+                {"planned": "backwards", **result.evidence},
             ),
             after_approach=at_grasp,
         )

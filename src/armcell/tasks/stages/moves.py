@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from armcell.core import (
     Outcome,
     PlanRequest,
     PlanResult,
+    PoseGoal,
 )
 from armcell.core.checks import require
 from armcell.planning import plan, plan_cartesian
@@ -85,22 +88,45 @@ class Connect:
             acceleration_scaling=self.speed.acceleration, seed=planning.seed,
             path_constraints=self.upright.constraints(draft.scene) if self.upright else Constraints(),
         )  # fmt: skip
-        result = _planned(draft.scene, request, planning)
-        yield from moved(draft, planning, self.name, result, result)
+        result, last = _planned(draft.scene, request, planning)
+        yield from moved(draft, planning, self.name, result, result, asked=_asked(last, goal))
 
 
-def _planned(scene: PlanningScene, request: PlanRequest, planning: Planning) -> PlanResult:
-    """A plan within so much CPU time. Planners look at the wall clock, which runs on while other programs
-    have the processor: what they did not get they get then, with other seeds."""
-    began = time.thread_time()
+def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
+    """What a record keeps of a request."""
+    return {
+        "goal": _goal_data(goal), "planner_id": request.planner_id, "seed": request.seed,
+        "attempts": request.attempts, "planning_time_limit_s": request.planning_time,
+    }  # fmt: skip
+
+
+def _goal_data(goal: Goal) -> Any:
+    match goal:
+        case NamedGoal():
+            return goal.name
+        case JointGoal():
+            return dict(zip(goal.state.joint_names, goal.state.positions.tolist()))
+        case PoseGoal():
+            return {"link": goal.link, "T_world_link": goal.T_world_link}
+        case _:
+            return str(goal)
+
+
+def _planned(
+    scene: PlanningScene, request: PlanRequest, planning: Planning
+) -> tuple[PlanResult, PlanRequest]:
+    """A plan within so much CPU time, and the request that it answers. Planners look at the wall clock, which
+    runs on while other programs have the processor: what they did not get they get then, with other seeds."""
+    began, last = time.thread_time(), request
     result = plan(scene, request, planning.cancel)
     for again in range(1, MOST_AGAIN):
         left = request.planning_time - (time.thread_time() - began)
         if result.code is not ErrorCode.TIMED_OUT or left < LEAST_LEFT * request.planning_time:
             break
         seed = request.seed + again * SEED_STEP
-        result = plan(scene, replace(request, planning_time=left, seed=seed), planning.cancel)
-    return result
+        last = replace(request, planning_time=left, seed=seed)
+        result = plan(scene, last, planning.cancel)
+    return result, last
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +163,8 @@ def straight(scene: PlanningScene, group: str, link: str, target: SE3, speed: Sp
     request = CartesianRequest(
         group, (target,), link, velocity_scaling=speed.velocity, acceleration_scaling=speed.acceleration
     )
-    return plan_cartesian(scene, request)
+    result = plan_cartesian(scene, request)
+    return replace(result, evidence={"goal": _goal_data(PoseGoal(target, link)), **result.evidence})
 
 
 def shifted(pose: SE3, offset: tuple[float, float, float], in_own_frame: bool) -> SE3:
@@ -156,7 +183,7 @@ def with_contacts(scene: PlanningScene, allow: tuple[tuple[str, tuple[str, ...]]
 
 def moved(
     draft: Draft, planning: Planning, name: str, result: PlanResult, outcome: Outcome | None = None,
-    planned_in: PlanningScene | None = None,
+    planned_in: PlanningScene | None = None, asked: Mapping[str, Any] = MappingProxyType({}),
 ) -> Iterator[Draft]:  # fmt: skip
     """The draft after a planned motion, if that was found; else the candidate is rejected.
 
@@ -164,13 +191,17 @@ def moved(
         outcome: of a motion from where the robot is, for its code. Not of one from a candidate's state: that
             such a start is in collision is no reason to give up all.
         planned_in: the draft's scene with the contacts of this motion, where it has such.
+        asked: of the planner, for the record.
     """
     trajectory = result.trajectory
     if not result.ok or trajectory is None:
         planning.reject(name, draft.data.get("candidate", ""), result.message, outcome)
         return
     scene = draft.scene if planned_in is None else planned_in
-    motion = Motion(name, trajectory, result.planner_id, result.planning_time, result.min_clearance, scene)
+    motion = Motion(
+        name, trajectory, result.planner_id, result.planning_time, result.min_clearance, scene,
+        {**asked, **result.evidence},
+    )  # fmt: skip
     yield draft.then(motion, scene=draft.scene.with_state(trajectory.end))
 
 

@@ -147,7 +147,15 @@ def ways_down(
             *steps,
             candidate=candidate,
             pre_place=lower.positions[0],
-            lower=Motion("lower", lower, "cartesian", result.planning_time, result.min_clearance, scene),
+            lower=Motion(
+                "lower",
+                lower,
+                "cartesian",
+                result.planning_time,
+                result.min_clearance,
+                scene,
+                {"planned": "backwards", **result.evidence},
+            ),
             after_lower=draft.scene.with_state(arm),
             **data,
         )
