@@ -116,6 +116,8 @@ def test_a_part_of_a_value_may_vary():
     )
     assert checked_cell(spec).disturbances.pushes[0].force == (0, 1, 0)
     checked_cell(CampaignSpec("panda_pick", {"settings.attempts": {"whole": [1, 3]}}))
+    by_default = {"disturbances.moved.wall.by.y": [-0.1, 0.1], "disturbances.moved.wall.turn_deg": [-5, 5]}
+    checked_cell(CampaignSpec("panda_pick", by_default))
     similar = {"objects.cube.mass": [0.1, 0.2], "objects.cube.mas": [1, 2]}  # no part of one another
     assert set(distributions(CampaignSpec("panda_pick", similar))) == set(similar)
 

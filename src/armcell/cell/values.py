@@ -107,6 +107,10 @@ def _write_out(data: dict[str, Any], path: str) -> None:
                 _table(data, block).setdefault(name, list(default))
             elif is_dataclass(default) and not isinstance(default, type):
                 _table(data, block).setdefault(name, asdict(default))
+        case ["disturbances", "moved", name, "by", _]:
+            _table(data, "disturbances", "moved", name).setdefault("by", [0.0, 0.0, 0.0])
+        case ["disturbances", "moved", name, _]:
+            _table(data, "disturbances", "moved", name)
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
@@ -147,6 +151,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
             if is_dataclass(field.default) and not isinstance(field.default, type):
                 yield from _paths(asdict(field.default), f"{block}.{field.name}.")
     yield from (f"disturbances.{name}" for name in DisturbanceSpec.model_fields)
+    yield from (f"disturbances.moved.{name}.by" for name in data.get("objects", {}))
     for name in data.get("cameras", {}):
         yield from (f"cameras.{name}.noise.{field}" for field in NoiseSpec.model_fields)
 
