@@ -114,6 +114,31 @@ def test_changed_inputs_are_named(cell, tmp_path):
         )
 
 
+LOOKING = """robot: ur10_gripper
+start: {arm: home}
+objects:
+  mat: {box: [0.1, 0.1, 0.01], pose: [0.6, 0.2, 0.005]}
+  cube: {box: [0.04, 0.04, 0.04], pose: [0.6, -0.2, 0.02], movable: true}
+cameras: {eye: {eye: [1.3, 0, 1], target: [0.7, 0, 0]}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("does", "looks"),
+    [
+        ("task: [{transfer: {object: cube, on: mat, look: eye}}]", True),
+        ("task: [{look: eye}]", True),
+        ("script: task.py", True),  # what it looks with is not known
+        ("task: [{transfer: {object: cube, on: mat}}]", False),
+    ],
+)
+def test_a_camera_counts_where_it_is_looked_with(tmp_path, does, looks):
+    (tmp_path / "task.py").write_text(TASK)
+    there = content_hashes(load(cell_file(tmp_path, LOOKING + does)))
+    moved = content_hashes(load(cell_file(tmp_path, LOOKING.replace("[1.3, 0, 1]", "[1.3, 0.35, 1]") + does)))
+    assert {name for name in moved if there.get(name) != moved[name]} == ({"cameras"} if looks else set())
+
+
 def test_an_address_changes_nothing_a_payload_does(cell, tmp_path):
     def real(host, payload):
         cell.write_text(NOD + f"real: {{arms: {{arm: {{host: {host}, payload: {payload}}}}}}}\n")

@@ -76,6 +76,10 @@ def test_what_is_no_distribution_is_told(data, told):
         ({"half_width": 0.7}, "below 0.5"),
         ({"max_seconds": -1.0}, "positive"),
         ({"values": {"p": 1}, "parameters": {"p": [0, 1]}}, "one or the other"),
+        ({"values": {"p.q": 1}, "parameters": {"p": {"choice": [{"q": 2}]}}}, "p.q is a part of p"),
+        ({"parameters": {"p.q.x": [0, 1], "p.q": {"choice": [[0, 0]]}}}, "p.q.x is a part of p.q"),
+        ({"values": {"p.q.x": 1, "p": {}}}, "p.q.x is a part of p"),
+        ({"values": {"p.x": 1}, "parameters": {"p.0": [0, 1]}}, "the same as"),
         ({"parameters": [1]}, "mapping"),
         ({"parameters": {5: [0, 1]}}, "mapping from paths"),
     ],
@@ -93,12 +97,29 @@ def test_what_cannot_be_asked_is_told(options, told):
         ({"objects.cube.mass": [-1, 1]}, "mass"),
         ({"physics.timestep": [0, 0.002]}, "timestep"),
         ({"objects.cube.mass": {"choice": [0.1, -1, 0.2, 0.3, 0.4, 0.5]}}, "mass"),
+        ({"settings.attempts": [1, 3]}, "{settings.attempts: {whole: [1, 3]}}"),
+        ({"settings.attempts": [1.2, 3.9]}, "{settings.attempts: {whole: [2, 3]}}"),
+        ({"settings.attempts": [1.2, 1.9]}, "give a whole number"),
     ],
 )
 def test_a_range_is_tried_on_the_cell_before_anything_runs(parameters, told):
     with pytest.raises(InputError) as caught:
         checked_cell(CampaignSpec("panda_pick", parameters))
     assert told in str(caught.value)
+
+
+def test_a_part_of_a_value_may_vary():
+    push = {"on": "panda_hand", "at": 1.0, "duration": 0.1, "force": [0, 1, 0]}
+    paths = {"disturbances.pushes.bump.force.y": [0, 30], "disturbances.pushes.bump.force.x": [0, 3]}
+    spec = CampaignSpec(
+        "panda_pick", paths, values={"disturbances.pushes.bump": push, "objects.cube.mass": 0.1}
+    )
+    assert checked_cell(spec).disturbances.pushes[0].force == (0, 1, 0)
+    checked_cell(CampaignSpec("panda_pick", {"settings.attempts": {"whole": [1, 3]}}))
+    by_default = {"disturbances.moved.wall.by.y": [-0.1, 0.1], "disturbances.moved.wall.turn_deg": [-5, 5]}
+    checked_cell(CampaignSpec("panda_pick", by_default))
+    similar = {"objects.cube.mass": [0.1, 0.2], "objects.cube.mas": [1, 2]}  # no part of one another
+    assert set(distributions(CampaignSpec("panda_pick", similar))) == set(similar)
 
 
 def test_a_file(tmp_path):

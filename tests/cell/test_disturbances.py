@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from tests.cli.helpers import cell_file
 from tests.model.helpers import PinRobot, pin_library
 
-from armcell.cell import load, parsed, with_values
+from armcell.cell import load, parsed, run_task, with_values
 from armcell.core import InputError, UnknownNameError
 from armcell.kinematics import kinematic_tree
 
@@ -19,6 +21,7 @@ objects:
 task: [{move: extended}]
 """
 HAND = "panda_hand"
+IN_THE_WAY = {"disturbances.moved.wall.by.y": -0.12, "disturbances.moved.wall.at": 4.0}
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +129,136 @@ def test_a_pushed_arm_gives_way_by_its_gains(cell, reference):
         np.testing.assert_allclose(moved[:7] - start, torque / kp, atol=3e-5)
 
 
+@pytest.mark.parametrize(
+    "values", [{"disturbances.latency": 0.05}, {"disturbances.joint_offset_deg.panda_joint2": 2.0}]
+)
+def test_a_motion_that_nobody_watches_is_disturbed_as_one_that_is(cell, values):
+    """Nobody watches the trials of a campaign, whose motions may be played at once."""
+
+    class Watcher:
+        def on_state(self, *news):
+            pass
+
+        on_event = on_trajectory = on_state
+
+    found = []
+    for observers in ((), (Watcher(),)):
+        with with_values(cell, values).connect("sim", 0, observers) as live:
+            assert live.arm.move_to("extended")
+            found.append((live.driver.now, live.driver.world.joint_state().positions))
+    assert found[0][0] == found[1][0]
+    np.testing.assert_array_equal(found[0][1], found[1][1])
+
+
+def yawed(angle, T):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ T.rotation.matrix
+
+
+def test_what_is_moved_stands_elsewhere_in_physics_only():
+    cell = load("panda_pick")
+    moved = with_values(
+        cell,
+        {
+            "disturbances.moved.wall.by.x": 0.03,
+            "disturbances.moved.wall.turn_deg": 20.0,
+            "disturbances.moved.post.at": 0.1,
+            "disturbances.moved.post.by": [0.0, 0.0, 0.2],
+            "disturbances.moved.cube": {"by": [0.0, 0.1, 0.0], "at": 0.05},
+        },
+    )
+    told = moved.scene(3).objects
+    with moved.connect("sim", 3) as live:
+        world = live.driver.world
+        pictures = []
+        for time in (0.0, 0.06, 0.12):
+            if time:
+                live.driver.advance(time - live.driver.now)
+            pictures.append(live.camera("overview").image(rgb=False).depth)
+            wall, post, cube = (world.object_pose(name) for name in ("wall", "post", "cube"))
+            nominal = told["wall"].T_world_object
+            np.testing.assert_allclose(wall.translation - nominal.translation, [0.03, 0, 0], atol=1e-12)
+            np.testing.assert_allclose(wall.rotation.matrix, yawed(np.deg2rad(20.0), nominal), atol=1e-12)
+            up = post.translation[2] - told["post"].T_world_object.translation[2]
+            assert up == pytest.approx(0.2 if time > 0.1 else 0.0, abs=1e-12)
+            aside = cube.translation[1] - told["cube"].T_world_object.translation[1]
+            assert aside == pytest.approx(0.1 if time > 0.05 else 0.0, abs=1e-4)
+            for name in ("wall", "post", "cube"):  # what is planned with does not know
+                assert live.scene().objects[name].T_world_object.isclose(told[name].T_world_object)
+        assert world.scene().objects["wall"].T_world_object.isclose(wall)  # this is the truth
+        world.reset()
+        assert world.object_pose("wall").isclose(nominal)
+    with cell.connect("sim", 3) as live:
+        pictures.insert(0, live.camera("overview").image(rgb=False).depth)
+    for one, next_one in pairwise(pictures):  # cameras see the wall where it is, then the cube, then the post
+        assert (np.abs(one - next_one) > 0.005).sum() > 20
+
+
+def test_a_wall_moved_into_the_way_is_touched():
+    def run(values):
+        cell = with_values(load("panda_pick"), values)
+        with cell.connect("sim", 5) as live:
+            return run_task(cell, live, 5, "sim")
+
+    plain = run({})
+    assert plain["success"] and not plain["unwanted_contacts"]
+    touched = {c[k] for c in run(IN_THE_WAY)["unwanted_contacts"] for k in ("body_a", "body_b")}
+    assert "wall" in touched
+    again = run({})  # what was moved is not there any more in the next world
+    for result in (plain, again):
+        for report in result["stages"]:
+            report.pop("planning_time_s")
+        for key in ("wall_time_s", "total_planning_time_s"):
+            result.pop(key)
+    assert again == plain
+
+
+@pytest.mark.parametrize(("by", "works"), [(0.004, True), (0.12, False)])
+def test_a_cube_that_is_not_where_it_is_believed(by, works):
+    """A little aside, it is grasped; far away, the hand closes around nothing."""
+    cell = with_values(load("panda_pick"), {"disturbances.moved.cube.by.x": by, "settings.attempts": 1})
+    with cell.connect("sim", 5) as live:
+        picked = live.arm.pick("cube")
+        assert bool(picked) == works, picked.message
+        lifted = live.driver.world.object_pose("cube").translation[2] > 0.1
+        assert lifted == works
+
+
+def test_where_a_moved_cube_is_put_is_judged_by_physics():
+    """The hand takes it where it is and lays it down as if it were where it is believed."""
+    cell = with_values(load("panda_pick"), {"disturbances.moved.cube.by.y": 0.006})
+    with cell.connect("sim", 5) as live:
+        result = run_task(cell, live, 5, "sim")
+        believed, is_at = live.driver.object_poses()["cube"], live.driver.world.object_pose("cube")
+        off = np.linalg.norm((is_at.translation - believed.translation)[:2])
+        assert off == pytest.approx(0.006, abs=1e-3)
+        assert result["placement_error_m"] == pytest.approx(off, abs=1e-3)
+        assert not result["success"] and "mm from where it should" in result["message"]
+
+
+def test_others_than_the_moved_one_are_known_in_the_hand():
+    aside = {"box": [0.04, 0.04, 0.04], "pose": [0.3, -0.5, 0.019], "movable": True, "mass": 0.1}
+    cell = with_values(load("panda_pick"), {"objects.other": aside, "disturbances.moved.other.by.x": 0.02})
+    with cell.connect("sim", 5) as live:
+        assert live.arm.pick("cube")
+        assert live.driver.gripper("hand").held == "cube"
+        told, there = live.driver.object_poses(), live.driver.world.object_pose
+        assert told["cube"].isclose(there("cube"))
+        assert there("other").translation[0] - told["other"].translation[0] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_what_is_moved_is_looked_for_and_found():
+    """Beside a camera's objects nothing changes: the cube is picked where it was seen, not where it was."""
+    cell = with_values(load("six_axis_camera"), {"disturbances.moved.cube.by.y": 0.05})
+    with cell.connect("sim", 1) as live:
+        assert live.look("above")
+        seen = live.scene().objects["cube"].T_world_object.translation
+        there = live.driver.world.object_pose("cube").translation
+        nominal = cell.scene(1).objects["cube"].T_world_object.translation
+        np.testing.assert_allclose(seen, there, atol=0.01)
+        assert there[1] - nominal[1] == pytest.approx(0.05, abs=1e-3)
+
+
 def test_what_is_wrong_is_named(cell):
     far = {"at": 0, "duration": 1, "force": [0, 0, 1]}
     for path, value, told in (
@@ -136,6 +269,12 @@ def test_what_is_wrong_is_named(cell):
         ("disturbances.pushes.bump", {"on": "panda_hnd", **far}, "panda_hand"),
         ("disturbances.pushes.bump", {"on": "block", "duraton": 1, **far}, "duration"),
         ("disturbances.pushes.lean.force.x", 1.0, "unknown parameter"),
+        ("disturbances.moved.blok.by.x", 0.1, "did you mean 'block'"),
+        ("disturbances.moved.block.buy.x", 0.1, "unknown"),
+        ("disturbances.moved.block.turn", 0.1, "did you mean 'turn_deg'"),
+        ("disturbances.moved.block.by.x", float("nan"), "nan is none: give one"),
+        ("disturbances.moved.block.turn_deg", float("inf"), "inf is none: give one"),
+        ("disturbances.moved.block.at", -1.0, "greater than or equal to 0"),
         ("disturbance.latency", 1.0, "did you mean 'disturbances.latency'"),
         ("physics.arm_kq", 1.0, "did you mean 'arm_k"),
         ("phisics.arm_kp", 1.0, "did you mean 'physics.arm_kp'"),

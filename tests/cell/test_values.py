@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from armcell.cell import load
 from armcell.cell.values import parsed, with_values
 from armcell.core import InputError, UnknownNameError
+from armcell.sim import DepthNoise
+from armcell.tasks import TaskSettings
+from armcell.tasks.settings import Speed
+
+NOISELESS = DepthNoise(farthest=1e6)  # as a cell file says it
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +67,44 @@ def test_what_cannot_be_set_is_named(cell, path, value, told):
     with pytest.raises(InputError) as caught:
         with_values(cell, {path: value})
     assert told in str(caught.value)
+
+
+def test_what_has_a_name_or_a_default_may_be_changed_in_part():
+    seeing = load("six_axis_camera")
+    for name, known in (("above", DepthNoise.for_stereo()), ("overview", NOISELESS)):
+        other = with_values(seeing, {f"cameras.{name}.noise.floor": 0.003})
+        noise = next(camera.noise for camera in other.cameras if camera.name == name)
+        assert noise == replace(known, floor=0.003)
+        for path in (f"cameras.{name}.noise.flor", f"cameras.{name}.noise.floor.x"):
+            with pytest.raises(InputError, match="noise"):
+                with_values(seeing, {path: 1.0})
+    with pytest.raises(UnknownNameError, match=r"did you mean 'cameras\.above\.noise\.floor'"):
+        with_values(seeing, {"cameras.abov.noise.floor": 0.003})
+
+
+def test_a_part_of_a_setting_leaves_the_rest_at_its_default(cell):
+    other = with_values(
+        cell,
+        {
+            "settings.free.velocity": 0.3,
+            "settings.execution.path_tolerance": 0.2,
+            "physics.gravity.z": -1.6,
+        },
+    )
+    want = replace(TaskSettings().execution, path_tolerance=0.2)
+    assert other.settings == replace(
+        TaskSettings(), free=Speed(0.3, TaskSettings.free.acceleration), execution=want
+    )
+    assert other.physics.gravity == (0.0, 0.0, -1.6)
+    with pytest.raises(InputError, match="did you mean 'velocity'"):
+        with_values(cell, {"settings.free.velocty": 0.3})
+
+
+def test_a_value_that_is_given_stays_as_it_is(cell):
+    pose = [0.5, -0.2, 0.025]
+    given = {"objects.cube.pose": pose, "objects.cube.pose.x": 0.4}
+    assert with_values(cell, given).scene().objects["cube"].T_world_object.translation[0] == 0.4
+    assert pose == [0.5, -0.2, 0.025]
 
 
 def test_as_text():

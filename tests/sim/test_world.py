@@ -213,7 +213,7 @@ def test_wrong_names_and_values():
     for call in (
         lambda: world.gripper_state("claw"),
         lambda: world.object_pose("tube"),
-        lambda: world.set_object_pose("table", SE3.identity()),
+        lambda: world.set_object_pose("tube", SE3.identity()),
         lambda: world.set_arm_target(["elbow"], [0.0]),
         lambda: world.monitor.allow("cube", "tube"),
         lambda: world.link_pose("claw"),
@@ -229,3 +229,29 @@ def test_wrong_names_and_values():
     ):
         with pytest.raises(InputError):
             call()
+
+
+def test_a_fixed_object_that_is_put_elsewhere_is_felt_there_until_a_reset():
+    found = []
+    for compiled in (True, False):
+        world = Grasping().world
+        if not compiled:
+            world._steps = None
+        start = world.object_pose("table")
+        world.step(300)  # all that is far apart is not compared any more
+        kept = world.snapshot()
+        world.set_object_pose("table", start.shifted(x=-0.3, z=0.5))  # into the hand and the forearm
+        assert world.scene().objects["table"].T_world_object.isclose(start.shifted(x=-0.3, z=0.5))
+        world.step(3)
+        touched = [(c.body_a, c.body_b, c.depth) for c in world.contacts()]
+        assert any("table" in pair and "panda_" in "".join(pair) for *pair, _ in touched)
+        found.append(touched)
+        world.restore(kept)
+        assert world.object_pose("table").isclose(start, 0.0, 0.0)
+        world.set_object_pose("table", start.shifted(z=-1.0))
+        world.step(200)  # so the cube falls
+        assert world.object_pose("cube").translation[2] < -0.1
+        world.reset()
+        assert world.object_pose("table").isclose(start, 0.0, 0.0)
+        assert world.scene().objects["table"] is world.built.objects["table"]
+    assert found[0] == found[1]

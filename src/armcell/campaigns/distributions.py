@@ -66,10 +66,13 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Values that a cell is tried with beforehand: the least, the middle and the greatest; every choice."""
+    """Values that a cell is tried with beforehand: the least, the greatest and two between; every choice.
+
+    One of the two is no round share of the range: from 1 to 3, all others are whole numbers.
+    """
     if isinstance(found, Choice):
         return list(found.values)
-    return [found.at(u) for u in (0.0, 0.5, 1.0 - 2.0**-53)]
+    return [found.at(u) for u in (0.0, 0.37, 0.5, 1.0 - 2.0**-53)]
 
 
 KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")

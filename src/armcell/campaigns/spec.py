@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
-from armcell.campaigns.distributions import Distribution, distribution, ends
+from armcell.campaigns.distributions import Distribution, Uniform, distribution, ends
 from armcell.cell import Cell, load
-from armcell.cell.values import with_values
+from armcell.cell.values import place_of, with_values
 from armcell.core import InputError, UnknownNameError
 from armcell.model.files import read_yaml
 
@@ -68,10 +70,23 @@ class CampaignSpec:
                 raise InputError(
                     f"{name} is not a mapping from paths", cure="e.g. {objects.cube.mass: [0.1, 1]}"
                 )
+        self._check_places()
+        distributions(self)  # what is wrong with them is said now
+
+    def _check_places(self) -> None:
+        """No two paths may be one place of the cell, or one within the other: which would count?
+
+        But a value may be a whole of which parameters vary a part, as a push of which the force varies.
+        """
         both = set(self.parameters) & set(self.values)
         if both:
             raise InputError(f"{', '.join(sorted(both))}: in parameters and in values; give one or the other")
-        distributions(self)  # what is wrong with them is said now
+        for outer, inner in permutations((*self.values, *self.parameters), 2):
+            place, within = place_of(outer), place_of(inner)
+            part_varies = outer in self.values and inner in self.parameters and within != place
+            if within[: len(place)] == place and not part_varies:
+                how = "the same as" if within == place else "a part of"
+                raise InputError(f"{inner} is {how} {outer}", cure="give one or the other")
 
     @staticmethod
     def read(file: str | Path) -> CampaignSpec:
@@ -117,5 +132,23 @@ def checked_cell(spec: CampaignSpec) -> Cell:
         raise InputError("the cell has no task", file=cell.file, cure=cure)
     for path, found in distributions(spec).items():
         for value in ends(found):
-            with_values(cell, {path: value}).scene(spec.seed)
+            try:
+                with_values(cell, {path: value}).scene(spec.seed)
+            except UnknownNameError:
+                raise
+            except InputError as error:
+                raise _cured(error, cell, path, found, value) from None
     return cell
+
+
+def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
+    """The error of a value; where a whole number may stand there, with that cure."""
+    if not isinstance(found, Uniform) or found.whole or float(value).is_integer():
+        return error
+    try:
+        with_values(cell, {path: round(value)})
+    except InputError:
+        return error
+    low, high = math.ceil(found.low), math.floor(found.high)
+    cure = f"parameters: {{{path}: {{whole: [{low}, {high}]}}}}" if low <= high else "give a whole number"
+    return InputError(error.reason, file=error.file, element=error.element, cure=cure)

@@ -186,6 +186,13 @@ class Cell:
             scene = dropped(scene, self.spec.drop.objects, self.spec.drop.into, seed)
         return scene
 
+    def moved_unseen(self, mode: str) -> list[str]:
+        """Movable objects that a disturbance puts elsewhere: the task believes them where the cell file has
+        them, until a camera or a hand tells otherwise."""
+        moves = self.disturbances.moves if mode == "sim" else ()
+        blind = self.spec.perception.objects if self.spec.perception is not None else []
+        return [m.object for m in moves if self.spec.objects[m.object].movable and m.object not in blind]
+
     def connect(
         self,
         mode: str = "sim",
@@ -221,10 +228,14 @@ class Cell:
         if isinstance(driver, UrDriver) and driver.settings.twin:
             driver.guard = twin_guard(self, scene, watch)
         shown: Any = driver
-        if self.spec.perception is not None:
-            names, surface = self.spec.perception.objects, self.spec.perception.surface
+        look = self.spec.perception
+        blind = look.objects if look is not None else []
+        moved = self.moved_unseen(mode)
+        if blind or moved:
             # where they are is not told: as if they stood at the origin of the world
-            seen = Seen({n: scene.object(n).at(SE3.identity()) for n in names}, surface)
+            known = {n: scene.object(n).at(SE3.identity()) for n in (*blind, *moved)}
+            told = {n: scene.object(n).T_world_object for n in moved}
+            seen = Seen(known, look.surface if look is not None else None, told=told)
             shown = PerceivingDriver(driver, scene.model, seen)
         return LiveCell(
             self.name, scene, shown, settings or self.settings, observers, seed or 0, self.cameras,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from armcell.cell.schema import CellSpec
-from armcell.control.disturbances import Disturbances, Push
+from armcell.control.disturbances import Disturbances, Move, Push
 from armcell.core import InputError, UnknownNameError
 from armcell.model import RobotModel
 
@@ -16,7 +16,7 @@ def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbanc
     """
     Raises:
         UnknownNameError: a joint, link or object that there is not.
-        InputError: a fixed object, a joint that does not turn.
+        InputError: a fixed object that is pushed, one screwed in that is moved, a joint that does not turn.
     """
     given = spec.disturbances
     fingers = {g.joint_name for g in model.grippers.values()}
@@ -35,9 +35,17 @@ def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbanc
                 f"the object {push.on!r} is fixed", file=file, element=place, cure="give it 'movable: true'"
             )
         raise UnknownNameError("link or object", push.on, [*model.links, *movable], file=file, element=place)
+    for name in given.moved:
+        place = f"disturbances/moved/{name}"
+        if name not in spec.objects:
+            raise UnknownNameError("object", name, spec.objects, file=file, element=place)
+        if (thread := spec.objects[name].thread) is not None:
+            reason, cure = f"the object is screwed into {thread.into!r}", "move that, or push this"
+            raise InputError(reason, file=file, element=place, cure=cure)
     return Disturbances(
         {name: float(np.deg2rad(value)) for name, value in given.joint_offset_deg.items()},
         float(np.deg2rad(given.joint_noise_deg)),
         given.latency,
         tuple(Push(push.on, push.at, push.duration, push.force) for push in given.pushes.values()),
+        tuple(Move(n, m.at, m.by, float(np.deg2rad(m.turn_deg))) for n, m in given.moved.items()),
     )

@@ -40,7 +40,8 @@ def content_hashes(cell: Cell) -> dict[str, str]:
         "code": code_hash(),
         **{f"versions.{name}": version for name, version in versions().items()},
     }
-    looked_at = cell.spec.perception is not None or any(step.look for step in cell.spec.task)
+    by_task = any(step.camera for step in cell.spec.task)
+    looked_at = by_task or cell.spec.perception is not None or cell.spec.script is not None  # which may look
     passed_over = {"description", "script", *(() if looked_at else ("cameras", "markers"))}
     rest = {k: v for k, v in spec.items() if k not in parts and k not in passed_over}
     return {name: _hash(part) for name, part in {**parts, **rest}.items()}

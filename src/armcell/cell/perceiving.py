@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,6 +27,20 @@ class Seen:
     known: dict[str, CollisionObject]
     surface: str | None = None
     poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object, of those that were seen
+    told: Mapping[str, SE3] = field(default_factory=dict)  # and of those believed somewhere before that
+
+    def __post_init__(self) -> None:
+        self.poses.update(self.told)
+
+    def forget(self) -> None:
+        self.poses.clear()
+        self.poses.update(self.told)
+
+    @property
+    def unknown(self) -> dict[str, CollisionObject]:
+        """Those whose poses nobody but a camera tells, where they were seen last."""
+        names = (n for n in self.known if n not in self.told)
+        return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
     def taken_from(self, scene: PlanningScene) -> PlanningScene:
         """A scene without the objects that nobody has seen yet."""
@@ -58,7 +73,7 @@ class PerceivingDriver:
 
     def __enter__(self) -> PerceivingDriver:
         self._driver.__enter__()
-        self._seen.poses.clear()
+        self._seen.forget()
         self._held.clear()
         return self
 
@@ -73,6 +88,8 @@ class PerceivingDriver:
 
     def gripper(self, gripper: str) -> GripperReading:
         reading = self._driver.gripper(gripper)
+        if reading.held is not None and reading.held not in self._seen.known:
+            return reading  # the driver knows where that is
         blocked = reading.force_per_finger > 1.0 and reading.width > 1e-3
         if gripper not in self._held and blocked:
             near = self._near(gripper)
@@ -117,8 +134,8 @@ def look_with(
     scene = ctx.scene()
     settings = settings or LookSettings(surface=seen.surface if seen is not None else None)
     known = {n: o for n, o in scene.objects.items() if o.movable and n != OCTOMAP}
-    if seen is not None:
-        known = {n: o.at(seen.poses.get(n, SE3.identity())) for n, o in seen.known.items()}
+    if seen is not None and seen.unknown:
+        known = seen.unknown
     wanted = tuple(o for n, o in known.items() if n not in scene.attached)
     report = StageReport(f"look with {camera.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
@@ -129,7 +146,7 @@ def look_with(
     ctx.reports.append(report)
     if seen is not None:
         for item in sight.objects:
-            if item.known and item.T_world_object is not None:
+            if item.known and item.name in seen.known and item.T_world_object is not None:
                 seen.poses[item.name] = item.T_world_object
         ctx.change_scene(seen.put_into)
     ctx.emit("stage", report.name, phase="end")

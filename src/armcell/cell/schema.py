@@ -271,6 +271,14 @@ class PushSpec(Strict):
     force: tuple[float, float, float]  # [N]
 
 
+class MovedSpec(Strict):
+    """An object that stands elsewhere than planners believe: from `at` on, by so much from where it was."""
+
+    by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes
+    turn_deg: float = 0.0  # about the upright axis through its origin
+    at: float = Field(0.0, ge=0)  # [s]
+
+
 class DisturbanceSpec(Strict):
     """What is wrong with the simulated robot and what happens to it; real ones bring their own."""
 
@@ -278,6 +286,7 @@ class DisturbanceSpec(Strict):
     joint_noise_deg: float = Field(default=0.0, ge=0)  # standard deviation of measured positions
     latency: float = Field(default=0.0, ge=0, le=1)  # [s] from a command until the arm acts
     pushes: dict[str, PushSpec] = {}
+    moved: dict[str, MovedSpec] = {}  # by object
 
 
 class CellSpec(Strict):
@@ -329,7 +338,8 @@ def validated(data: dict[str, Any], file: Path) -> CellSpec:
                 raise UnknownNameError("key", first["loc"][-1], known, file=file, element=place) from None
         more = len(error.errors()) - 1
         reason = first["msg"].removeprefix("Value error, ") + (f" (and {more} more)" if more else "")
-        raise InputError(reason, file=file, element=place) from None
+        cure = f"{first['input']} is none: give one" if first["type"] == "finite_number" else None
+        raise InputError(reason, file=file, element=place, cure=cure) from None
 
 
 def _known_keys(location: tuple) -> list[str]:
@@ -351,7 +361,8 @@ def _known_keys(location: tuple) -> list[str]:
     if location[0] == "drop":
         return list(DropSpec.model_fields)
     if location[0] == "disturbances":
-        return list((PushSpec if "pushes" in location else DisturbanceSpec).model_fields)
+        block = {"pushes": PushSpec, "moved": MovedSpec}.get(str(location[1]), DisturbanceSpec)
+        return list(block.model_fields)
     if "place" in location:
         return list(PlaceSpec.model_fields)
     model = tables.get(str(location[0]))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields, is_dataclass
+from math import isfinite
 from typing import Any
 
 import yaml
 
+from armcell.cell.cameras import noise_of
 from armcell.cell.cell import Cell
-from armcell.cell.schema import CellSpec, DisturbanceSpec, validated
+from armcell.cell.schema import CellSpec, DisturbanceSpec, NoiseSpec, validated
 from armcell.core import InputError, UnknownNameError
 from armcell.model.files import yaml_value
 from armcell.sim import PhysicsSettings
@@ -24,6 +27,8 @@ OPEN_BLOCKS = (
     "randomize",
     "disturbances",
 )  # whose keys a cell file need not name
+BLOCKS = {"settings": TaskSettings, "physics": PhysicsSettings}
+NOISES = ("none", "stereo")  # a camera's noise by name
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
@@ -62,7 +67,13 @@ def parsed(setting: str) -> tuple[str, Any]:
         raise InputError(f"{path}: {text!r} is not a value: {str(error).splitlines()[0]}") from None
 
 
+def place_of(path: str) -> tuple[str, ...]:
+    """The path's parts, the same for two ways to write one place (`pose.x` and `pose.0`)."""
+    return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
+
+
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
+    _write_out(data, path)
     *above, last = path.split(".")
     at: Any = data
     for depth, part in enumerate(above):
@@ -76,11 +87,37 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
             at[part] = list(at[part])
         at = at[part]
     if isinstance(at, list):
-        at[_index(at, last, path)] = value
+        at[_index(at, last, path)] = copy.deepcopy(value)  # the next path may be within it
     elif isinstance(at, dict) and (above or last in CellSpec.model_fields):
-        at[last] = value
+        at[last] = copy.deepcopy(value)
     else:
         raise UnknownNameError("parameter", path, set(_known(data)))
+
+
+def _write_out(data: dict[str, Any], path: str) -> None:
+    """What a path leads into, where the file has a name for it or leaves it to its default."""
+    match path.split("."):
+        case ["cameras", name, "noise", _]:
+            camera = _table(data, "cameras").get(name)
+            if isinstance(camera, dict) and (noise := camera.get("noise", "none")) in NOISES:
+                camera["noise"] = {k: v for k, v in asdict(noise_of(noise)).items() if isfinite(v)}
+        case [("settings" | "physics") as block, name, _, *_]:
+            default = getattr(BLOCKS[block], name, None)
+            if isinstance(default, tuple):
+                _table(data, block).setdefault(name, list(default))
+            elif is_dataclass(default) and not isinstance(default, type):
+                _table(data, block).setdefault(name, asdict(default))
+        case ["disturbances", "moved", name, "by", _]:
+            _table(data, "disturbances", "moved", name).setdefault("by", [0.0, 0.0, 0.0])
+        case ["disturbances", "moved", name, _]:
+            _table(data, "disturbances", "moved", name)
+
+
+def _table(data: Any, *keys: str) -> dict[str, Any]:
+    """What stands under keys, made where there is nothing; an empty one where no table may be."""
+    for key in keys:
+        data = data.setdefault(key, {}) if isinstance(data, dict) else {}
+    return data if isinstance(data, dict) else {}
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
@@ -108,12 +145,15 @@ def _index(at: list[Any], part: str, path: str) -> int:
 def _known(data: dict[str, Any]) -> Iterator[str]:
     """Paths that may be given: those of the file, and what has a default in blocks that it may not name."""
     yield from _paths(data)
-    for block, names in (
-        ("physics", [field.name for field in fields(PhysicsSettings)]),
-        ("settings", [field.name for field in fields(TaskSettings)]),
-        ("disturbances", list(DisturbanceSpec.model_fields)),
-    ):
-        yield from (f"{block}.{name}" for name in names)
+    for block, settings in BLOCKS.items():
+        for field in fields(settings):
+            yield f"{block}.{field.name}"
+            if is_dataclass(field.default) and not isinstance(field.default, type):
+                yield from _paths(asdict(field.default), f"{block}.{field.name}.")
+    yield from (f"disturbances.{name}" for name in DisturbanceSpec.model_fields)
+    yield from (f"disturbances.moved.{name}.by" for name in data.get("objects", {}))
+    for name in data.get("cameras", {}):
+        yield from (f"cameras.{name}.noise.{field}" for field in NoiseSpec.model_fields)
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:

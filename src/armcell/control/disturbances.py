@@ -24,6 +24,23 @@ class Push:
 
 
 @dataclass(frozen=True)
+class Move:
+    """An object put elsewhere, which nobody but a camera is told.
+
+    Attributes:
+        object: fixed or movable.
+        at: [s] when, on the driver's clock.
+        by: [m] from where it then is, in world axes.
+        turn: [rad] about the upright axis through its origin.
+    """
+
+    object: str
+    at: float
+    by: tuple[float, float, float]
+    turn: float
+
+
+@dataclass(frozen=True)
 class Disturbances:
     """None by default.
 
@@ -32,12 +49,15 @@ class Disturbances:
         joint_noise: [rad] standard deviation of an arm's measured positions, each joint and time by itself.
         latency: [s] from a command to the arm until it acts.
         pushes: forces from outside.
+        moves: objects put elsewhere.
     """
 
     joint_offsets: Mapping[str, float] = field(default_factory=dict)
     joint_noise: float = 0.0
     latency: float = 0.0
     pushes: tuple[Push, ...] = ()
+    moves: tuple[Move, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(any(self.joint_offsets.values()) or self.joint_noise or self.latency or self.pushes)
+        of_the_arm = any(self.joint_offsets.values()) or self.joint_noise or self.latency
+        return bool(of_the_arm or self.pushes or self.moves)

@@ -102,11 +102,15 @@ class _DrawnScene:
         awake = replace(world.settings, sleep=False)  # asleep, cameras would not be moved either
         self.built: BuiltModel = build(world.built.scene, awake, visuals=True, decals=self.decals)
         self.data = mujoco.MjData(self.built.mj)
-        model = self.built.mj
+        model, names = self.built.mj, world.built.objects
+        self._bodies = [self.built.body[n] for n in names], [world.built.body[n] for n in names]
         self._camera = model.camera(RENDER_CAMERA).id
         self._renderers: dict[tuple[int, int, bool], GLRenderer] = {}  # by size and kind
 
     def follow(self, world: SimWorld) -> None:
+        own, theirs = self._bodies  # fixed ones may have been put elsewhere
+        self.built.mj.body_pos[own] = world.mj_model.body_pos[theirs]
+        self.built.mj.body_quat[own] = world.mj_model.body_quat[theirs]
         self.data.qpos[:] = world.mj_data.qpos
         mujoco.mj_kinematics(self.built.mj, self.data)
         mujoco.mj_comPos(self.built.mj, self.data)

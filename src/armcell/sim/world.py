@@ -6,11 +6,12 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from armcell.core import SE3, ArmcellError, InputError, JointState, StateSample, UnknownNameError
 from armcell.core.joints import all_finite
@@ -33,14 +34,13 @@ from armcell.sim.grip import (
     relative_pose,
 )
 from armcell.sim.kept import kept_build
+from armcell.sim.places import Array, FixedPlaces, Poses, write_free
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.targets import Targets
 from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
-
-Array = NDArray[np.float64]
 
 BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it by 0.2 degrees a second
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -55,8 +55,8 @@ class WorldSnapshot:
 
     built: BuiltModel
     physics: Array
-    equality_data: Array
-    equality_solref: Array
+    equalities: tuple[Array, Array]
+    fixed: Poses
     drives: tuple
     servo: tuple
     welder: tuple
@@ -96,10 +96,13 @@ class SimWorld:
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
-        mujoco.set_mju_user_warning(_log_warning)  # else MuJoCo prints, and writes a file where it stands
+        mujoco.set_mju_user_warning(
+            partial(log.warning, "MuJoCo: %s")
+        )  # else MuJoCo prints, and writes a file where it stands
         self.built, self._data = kept_build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
+        self._fixed = FixedPlaces(self.mj_model)
         self._behind = False  # whether the poses in it are those of where the last step began
         self._warned = self._data.warning.number.item  # reads the counts as they are then
         self._tree = kinematic_tree(scene.model)
@@ -123,13 +126,14 @@ class SimWorld:
             else:
                 self._build(scene)
         built, data = self.built, self.mj_data
+        self._fixed.reset()
         mujoco.mj_resetData(self.mj_model, data)
         self.rng = np.random.default_rng(self.seed)
         self.monitor = ContactMonitor(built)
         self._welder = Welder(built, self.settings, self._drives)
         self._watches: dict[str, tuple[str, SE3]] = {}
         for name, start in built.object_qpos.items():
-            self._write_pose(start, built.objects[name].T_world_object)
+            write_free(data, start, built.objects[name].T_world_object)
         self.set_positions(built.scene.positions)
 
     @property
@@ -352,17 +356,20 @@ class SimWorld:
         return velocity
 
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:
-        """Put a movable object somewhere, at rest. For set-up: nothing is simulated.
+        """Put an object somewhere, at rest; a fixed one until a reset. For set-up: nothing is simulated.
 
         Raises:
-            UnknownNameError: no movable object of that name.
+            UnknownNameError: no object of that name, or one that is screwed into another.
         """
-        if name not in self.built.object_qpos:
-            raise UnknownNameError("movable object", name, self.built.object_qpos)
+        built = self.built
+        if name not in built.objects or name in built.threaded:
+            raise UnknownNameError("object", name, set(built.objects) - set(built.threaded))
         with self.lock:
-            self._write_pose(self.built.object_qpos[name], T_world_object)
-            start = self.built.object_dof[name]
-            self.mj_data.qvel[start : start + 6] = 0.0
+            if name in built.object_qpos:
+                write_free(self.mj_data, built.object_qpos[name], T_world_object)
+                self.mj_data.qvel[built.object_dof[name] :][:6] = 0.0
+            else:
+                self._fixed.put(built.body[name], T_world_object)
             self.mj_data.qacc_warmstart[:] = 0.0
             self._look_at_all()
             mujoco.mj_forward(self.mj_model, self.mj_data)
@@ -371,19 +378,15 @@ class SimWorld:
         if name not in self.built.objects:
             raise UnknownNameError("object", name, self.built.objects)
 
-    def _write_pose(self, start: int, T: SE3) -> None:
-        self.mj_data.qpos[start : start + 3] = T.translation
-        self.mj_data.qpos[start + 3 : start + 7] = T.quat_wxyz
-
     # --- the whole ---
     def scene(self) -> PlanningScene:
         """The present state as a planning scene. Positions are clipped to the limits, which physics treats
         as soft; bodies attached in the scene given are plain objects here.
         """
-        scene = self.built.scene
+        scene, moving, body, fixed = self.built.scene, self.built.moving, self.built.body, self._fixed
         q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
         objects = {
-            name: item.at(self.object_pose(name)) if name in self.built.moving else item
+            name: item.at(self.object_pose(name)) if name in moving or fixed.elsewhere(body[name]) else item
             for name, item in self.built.objects.items()
         }
         return replace(scene, positions=q, objects=objects, attached={})
@@ -464,8 +467,8 @@ class SimWorld:
         return WorldSnapshot(
             built=self.built,
             physics=physics,
-            equality_data=self.mj_model.eq_data.copy(),
-            equality_solref=self.mj_model.eq_solref.copy(),
+            equalities=(self.mj_model.eq_data.copy(), self.mj_model.eq_solref.copy()),
+            fixed=self._fixed.get_state(),
             drives=tuple(drive.get_state() for drive in self._drives.values()),
             servo=self._servo.get_state(),
             welder=self._welder.get_state(),
@@ -482,8 +485,8 @@ class SimWorld:
         if snapshot.built.mj is not self.mj_model:
             raise InputError("the snapshot is of another world")
         self.built = snapshot.built
-        self.mj_model.eq_data[:] = snapshot.equality_data
-        self.mj_model.eq_solref[:] = snapshot.equality_solref
+        self.mj_model.eq_data[:], self.mj_model.eq_solref[:] = snapshot.equalities
+        self._fixed.set_state(snapshot.fixed)
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
         self._look_at_all()
         mujoco.mj_forward(self.mj_model, self.mj_data)  # poses, contacts and forces, to be read
@@ -494,7 +497,3 @@ class SimWorld:
         self._welder.set_state(snapshot.welder)
         self.monitor._set_state(snapshot.monitor)
         self._watches = dict(snapshot.watches)
-
-
-def _log_warning(message: str) -> None:
-    log.warning("MuJoCo: %s", message)

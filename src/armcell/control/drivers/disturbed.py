@@ -1,4 +1,5 @@
-"""The simulated robot with something wrong with it: encoders that are off, noise, latency, pushes.
+"""The simulated robot with something wrong with it: encoders that are off, noise, latency, pushes, things
+that stand elsewhere.
 
 What physics does is true; what the driver says and takes is as a real controller's would be: joint positions
 in the encoders' frame, commands that act late. Object poses and slip stay true.
@@ -9,19 +10,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control.disturbances import Disturbances
+from armcell.control.disturbances import Disturbances, Move
 from armcell.control.driver import Array, DriverOptions
-from armcell.control.drivers.sim import SimDriver
-from armcell.core import JointState
+from armcell.control.drivers.sim import SteppedSim
+from armcell.core import SE3, SO3, JointState
 from armcell.scene import PlanningScene
 
 
-class DisturbedSim(SimDriver):
-    """`SimDriver` with `Disturbances`."""
+class DisturbedSim(SteppedSim):
+    """Physics with `Disturbances`. It plays nothing by itself: every command passes through them."""
 
     def __init__(self, scene: PlanningScene, options: DriverOptions, disturbances: Disturbances):
         super().__init__(scene, options)
@@ -38,13 +40,16 @@ class DisturbedSim(SimDriver):
             (first := round(push.at / step), first + max(round(push.duration / step), 1), push)
             for push in disturbances.pushes
         ]
+        self._moves = sorted(((round(move.at / step), move) for move in disturbances.moves), key=_step)
+        self._moved = 0  # how many of them
 
-    def __enter__(self) -> DisturbedSim:
+    def __enter__(self) -> Self:
         super().__enter__()
         model = self._scene.model
         self.world.set_positions(np.clip(self._scene.positions + self._offset, model.lower, model.upper))
         self._late.clear()
-        self._steps = 0
+        self._steps = self._moved = 0
+        self._move()  # what stands elsewhere from the beginning, a camera may see before time passes
         return self
 
     # --- what it says ---
@@ -91,6 +96,7 @@ class DisturbedSim(SimDriver):
         while self._steps < end:
             self._act()
             self._push()
+            self._move()
             until = min((step for step in self._events() if step > self._steps), default=end)
             self.world.step(min(until, end) - self._steps)
             self._steps = min(until, end)
@@ -103,6 +109,7 @@ class DisturbedSim(SimDriver):
             yield self._late[0][0]
         for first, last, _ in self._pushes:
             yield from (first, last)
+        yield from map(_step, self._moves[self._moved :])
 
     def _push(self) -> None:
         if not self._pushes:
@@ -112,3 +119,16 @@ class DisturbedSim(SimDriver):
         for first, last, push in self._pushes:
             if first <= self._steps < last:
                 forces[self.world.built.body[push.on], :3] += push.force
+
+    def _move(self) -> None:
+        """What is to stand elsewhere by now."""
+        while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
+            move = self._moves[self._moved][1]
+            T = self.world.object_pose(move.object)
+            turned = SO3.exp((0.0, 0.0, move.turn)) @ T.rotation
+            self.world.set_object_pose(move.object, SE3(turned, T.translation + np.array(move.by)))
+            self._moved += 1
+
+
+def _step(planned: tuple[int, Move]) -> int:
+    return planned[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,8 +17,8 @@ from armcell.sim import Pacer, PhysicsSettings, SimWorld, Targets
 PERIOD = 0.004  # [s] between commands, as nearly as whole physics steps allow
 
 
-class SimDriver:
-    """Physics in lock-step (as fast as it can) or paced by the wall clock."""
+class SteppedSim:
+    """Physics in lock-step (as fast as it can) or paced by the wall clock, told what to do every period."""
 
     name = "sim"
     is_simulated = True
@@ -28,10 +28,9 @@ class SimDriver:
         self._settings = options.physics or PhysicsSettings()
         self.period = max(round(PERIOD / self._settings.timestep), 1) * self._settings.timestep
         self._pacer = Pacer(options.time_scale)
-        self._played: tuple[Playback, float, Targets] | None = None  # of what, begun when [s]
         self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
 
-    def __enter__(self) -> SimDriver:
+    def __enter__(self) -> Self:
         o = self._options
         self.world = SimWorld(self._scene, self._settings, o.cameras, o.seed, o.decals)
         self._pacer.reset()
@@ -73,25 +72,6 @@ class SimDriver:
         self.world.step(max(round(duration / self._settings.timestep), 1))
         self._pacer.wait_until(self.world.time)
 
-    def play(
-        self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
-    ) -> tuple[float, int]:
-        """See `control.driver.Player`."""
-        if self._played is None or self._played[:2] != (playback, began):
-            self._played = playback, began, self._targets_of(playback, began)
-        found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)
-        self._pacer.wait_until(self.world.time)
-        return found
-
-    def _targets_of(self, playback: Playback, began: float) -> Targets:
-        period, duration = self.period, playback.duration
-
-        def wanted(times: Array) -> tuple[Array, Array]:
-            return playback.at_times(np.minimum(times - began + period, duration))
-
-        timestep = self._settings.timestep
-        return Targets(wanted, timestep, round(period / timestep))
-
     def stop(self) -> None:
         state = self.world.joint_state()
         fingers = {g.joint_name for g in self.world.robot.grippers.values()}
@@ -123,6 +103,33 @@ class SimDriver:
 
     def welds(self) -> list[WeldRecord]:
         return [WeldRecord(w.object, w.gripper, w.time, w.reason, w.released_at) for w in self.world.welds]
+
+
+class SimDriver(SteppedSim):
+    """Physics that plays trajectories by itself."""
+
+    def __init__(self, scene: PlanningScene, options: DriverOptions):
+        super().__init__(scene, options)
+        self._played: tuple[Playback, float, Targets] | None = None  # of what, begun when [s]
+
+    def play(
+        self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
+    ) -> tuple[float, int]:
+        """See `control.driver.Player`."""
+        if self._played is None or self._played[:2] != (playback, began):
+            self._played = playback, began, self._targets_of(playback, began)
+        found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)
+        self._pacer.wait_until(self.world.time)
+        return found
+
+    def _targets_of(self, playback: Playback, began: float) -> Targets:
+        period, duration = self.period, playback.duration
+
+        def wanted(times: Array) -> tuple[Array, Array]:
+            return playback.at_times(np.minimum(times - began + period, duration))
+
+        timestep = self._settings.timestep
+        return Targets(wanted, timestep, round(period / timestep))
 
 
 drivers.register("sim")(SimDriver)  # not above the class: it would hide that it is one

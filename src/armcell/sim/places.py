@@ -1,0 +1,46 @@
+"""Where objects are in MuJoCo: free ones in the state, fixed ones in the model."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3
+
+Array = NDArray[np.float64]
+Poses = tuple[Array, Array]
+"""Of all bodies in their parents: positions (body, 3) and quaternions (body, 4), wxyz."""
+
+
+def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
+    """The pose of a free object whose joint begins at `start` in qpos."""
+    data.qpos[start : start + 3] = T_world_object.translation
+    data.qpos[start + 3 : start + 7] = T_world_object.quat_wxyz
+
+
+class FixedPlaces:
+    """Where a compiled model has its fixed bodies. Another one may be put there until a reset."""
+
+    def __init__(self, model: mujoco.MjModel):
+        self._model = model
+        self._first = self.get_state()
+
+    def put(self, body: int, T_world_body: SE3) -> None:
+        self._model.body_pos[body], self._model.body_quat[body] = (
+            T_world_body.translation,
+            T_world_body.quat_wxyz,
+        )
+
+    def elsewhere(self, body: int) -> bool:
+        """Whether it is not where it was compiled."""
+        return any((a[body] != b[body]).any() for a, b in zip(self._first, self.get_state(), strict=True))
+
+    def reset(self) -> None:
+        self.set_state(self._first)
+
+    def get_state(self) -> Poses:
+        return self._model.body_pos.copy(), self._model.body_quat.copy()
+
+    def set_state(self, poses: Poses) -> None:
+        self._model.body_pos[:], self._model.body_quat[:] = poses
