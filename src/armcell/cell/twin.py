@@ -58,7 +58,7 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
                 cure=f"learn them anew, which begins with a slow loop: armcell twin {cell.file}",
             )  # fmt: skip
     elif watch:
-        logger.warning("%s; cure: armcell twin %s", UNWATCHED, cell.file)
+        logger.info("%s; cure: armcell twin %s", UNWATCHED, cell.file)
     return TwinGuard(Stage(scene, cell.physics), bands, learning=not watch)
 
 

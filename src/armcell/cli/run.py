@@ -135,6 +135,7 @@ def run(
         from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
         from armcell.cell.pictures import Pictures
         from armcell.control import drivers
+        from armcell.control.twin import UNWATCHED
         from armcell.planning import warm_up
 
         drivers[mode]  # an unknown mode is said before anything is made
@@ -169,6 +170,9 @@ def run(
             progress.remove_task(loading)
             observers.append(_Bar(progress))
         live = loaded.connect(mode, seed, observers, time_scale)
+        guard = getattr(live.driver, "guard", None)  # of real arms
+        if guard is not None and guard.bands is None:
+            errors.print(f"{UNWATCHED}; cure: armcell twin {cell}", soft_wrap=True)
         if recorder is not None and mode == "sim" and loaded.cameras:
             observers.append(Pictures(live, recorder.add_picture))
             live.ctx.observers.append(observers[-1])
