@@ -63,7 +63,7 @@ def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> d
         raise InputError(
             f"has {len(rows)} trials, and {_asked(spec)}: where the number was not fixed beforehand, the "
             "interval promises too much",
-            file=folder, cure=f"armcell gate {_name(cell)} --trials {max(len(rows), 72)}",
+            file=folder, cure=f"armcell gate {_name(cell)} --trials {max(len(rows), _fewest(least))}",
         )  # fmt: skip
     share = success(rows)
     low, high = share.clopper_pearson
@@ -202,9 +202,14 @@ def _asked(spec: CampaignSpec) -> str:
     return f"was asked for {spec.trials}"
 
 
+def _fewest(least: float, above: int = 0) -> int:
+    """Trials without a failure that show a share."""
+    return next(n for n in range(above + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
+
+
 def _cure(count: int, total: int, least: float) -> str:
     if count == total:
-        more = next(n for n in range(total + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
+        more = _fewest(least, total)
         return f"{more} trials without a failure show it: armcell gate CELL --trials {more}"
     return "see the campaign's report for the causes, mend them, and run it again"
 

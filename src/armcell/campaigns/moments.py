@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import logging
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,11 @@ from armcell.cell.pictures import Picture, Pictures
 from armcell.cell.values import with_values
 from armcell.records import html
 
+logger = logging.getLogger(__name__)
+
 MOST = 12  # pictures of a campaign
 LONGEST = 60.0  # [s] a trial that took longer is not run again for its picture
-NO_RUN = frozenset(
-    {"CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL"}
-)  # of trials that came to no end of their own
+NO_RUN = ("CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL")  # of trials that came to no end of their own
 
 
 def picture_file(folder: Path, number: int) -> Path:
@@ -34,7 +35,7 @@ def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, 
     Raises:
         InputError: the folder cannot be written to, or the disk is full.
     """
-    wanted = list(_wanted(store))
+    wanted = _wanted(store)
     if not wanted:
         return
     cell = with_values(load(store.spec.cell), store.spec.values)
@@ -48,7 +49,7 @@ def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, 
     tell(len(wanted), len(wanted))
 
 
-def _wanted(store: Store) -> Iterator[dict[str, Any]]:
+def _wanted(store: Store) -> list[dict[str, Any]]:
     rows = [store.rows[number] for number in sorted(store.rows)]
     known = causes(rows)
     first = [cause.trials[0] for cause in known]
@@ -58,26 +59,28 @@ def _wanted(store: Store) -> Iterator[dict[str, Any]]:
         for row in map(store.rows.__getitem__, [*first, *others])
         if row["error_name"] not in NO_RUN and row["wall_s"] <= LONGEST
     ]
-    yield from shown[:MOST]
+    return shown[:MOST]
 
 
 def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
     """What a failed trial looked like when something first touched, else when it ended.
 
     Returns:
-        None where it does not fail again, as where a limit on processor time has ended it, or where its
-        values make no cell.
+        None where it does not fail again, as where a limit on processor time has ended it, or where nothing
+        can be drawn.
     """
     taken: list[Picture] = []
-    with suppress(Exception):  # a defect may be the failure that the picture is of
-        varied = with_values(cell, row["values"])
+    varied = with_values(cell, row["values"])
+    try:
         with varied.connect("sim", row["seed"]) as live:
             pictures = Pictures(live, lambda time, text, picture: taken.append(picture), stages=False)
             live.ctx.observers.append(pictures)
             succeeded = False
-            with suppress(Exception):
+            with suppress(Exception):  # a defect may be the failure that the picture is of
                 succeeded = run_task(varied, live, row["seed"], "sim")["success"]
-            if succeeded:
-                return None
-            return taken[0] if taken else pictures.now()
-    return None
+            if not succeeded and not taken:
+                taken.append(pictures.now())
+    except Exception as error:  # a report without a picture is better than none
+        logger.warning("trial %d has no picture: %s", row["trial"], error)
+        return None
+    return None if succeeded else taken[0]

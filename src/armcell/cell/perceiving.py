@@ -107,6 +107,10 @@ class PerceivingDriver:
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
 
+    def true_poses(self) -> dict[str, SE3]:
+        """T_world_object of movable objects as physics has them."""
+        return self._driver.object_poses()
+
     def _follow(self) -> None:
         for gripper, (name, T_tcp_object) in self._held.items():
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object

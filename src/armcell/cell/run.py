@@ -10,6 +10,7 @@ import numpy as np
 
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
+from armcell.cell.perceiving import PerceivingDriver
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
 from armcell.cell.versions import versions
@@ -89,8 +90,9 @@ def _result(
 ) -> dict[str, Any]:  # fmt: skip
     live.ctx.report_news()
     poses = live.driver.object_poses()
-    for name in cell.moved_unseen(mode):  # judged by where it is, not by where the task believes it
-        poses[name] = live.driver.world.object_pose(name)  # type: ignore[attr-defined]  # physics has it
+    if isinstance(live.driver, PerceivingDriver):  # judged by where it is, not by where the task believes it
+        truth = live.driver.true_poses()
+        poses |= {name: truth[name] for name in cell.moved_unseen(mode)}
     errors = [
         float(np.linalg.norm(poses[name].translation - target.T_world_object.translation))
         for name, target in placements

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,26 +21,23 @@ def keep_result(recorder: Any, result: dict[str, Any], json_file: Path | None = 
     Raises:
         InputError: what could not be written; whatever else could be, is.
     """
-    failed: dict[Path, OSError] = {}
     report = None
+    files: dict[Path, Callable[[Path], object]] = {}
     if json_file is not None:
-        try:
-            write_json(json_file, result)
-        except OSError as error:
-            failed[json_file] = error
+        files[json_file] = lambda file: write_json(file, result)
     if recorder is not None:
-        from armcell.records import write_report
+        from armcell.records import REPORT_FILE, write_report
 
         recorder.finish(result)
-        numbers = recorder.folder / "result.json"
+        report = recorder.folder / REPORT_FILE
+        files[recorder.folder / "result.json"] = lambda file: write_json(file, result)
+        files[report] = lambda file: write_report(file.parent, result, recorder)
+    failed: dict[Path, OSError] = {}
+    for file, write in files.items():
         try:
-            write_json(numbers, result)
+            write(file)
         except OSError as error:
-            failed[numbers] = error
-        try:
-            report = write_report(recorder.folder, result, recorder)
-        except OSError as error:
-            failed[recorder.folder / "report.html"] = error
+            failed[file] = error
     if failed:
         file, error = next(iter(failed.items()))
         more = "".join(f", nor {other.name}" for other in list(failed)[1:])

@@ -27,14 +27,14 @@ class FixedPlaces:
         self._first = self.get_state()
 
     def put(self, body: int, T_world_body: SE3) -> None:
-        self._model.body_pos[body], self._model.body_quat[body] = (
-            T_world_body.translation,
-            T_world_body.quat_wxyz,
-        )
+        self._model.body_pos[body] = T_world_body.translation
+        self._model.body_quat[body] = T_world_body.quat_wxyz
 
     def elsewhere(self, body: int) -> bool:
         """Whether it is not where it was compiled."""
-        return any((a[body] != b[body]).any() for a, b in zip(self._first, self.get_state(), strict=True))
+        position, quaternion = self._first
+        moved = (self._model.body_pos[body] != position[body]).any()
+        return bool(moved or (self._model.body_quat[body] != quaternion[body]).any())
 
     def reset(self) -> None:
         self.set_state(self._first)

@@ -96,9 +96,8 @@ class SimWorld:
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
-        mujoco.set_mju_user_warning(
-            partial(log.warning, "MuJoCo: %s")
-        )  # else MuJoCo prints, and writes a file where it stands
+        # else MuJoCo prints, and writes a file where it stands
+        mujoco.set_mju_user_warning(partial(log.warning, "MuJoCo: %s"))
         self.built, self._data = kept_build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
