@@ -2,7 +2,8 @@
 
     python -m benchmarks.campaign --trials 100 --kills 20
 
-The same trials run in a bare loop (no engine, no store), with one worker, with two, and on Ray, each in new
+The same trials run in a bare loop (no engine, no store), in two such loops at once (what the machine gives
+two processes that have nothing to do with each other), with one worker, with two, and on Ray, each in new
 processes; in rounds, every other one backwards, as a machine's speed may change from minute to minute.
 
 What the engine costs is processor time: of the worker and of the campaign's process, from the first row to
@@ -26,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -68,13 +70,15 @@ def main() -> None:
         ways: dict[str, tuple[int, str | None]] = {"one worker": (1, None), "two workers": (2, None)}
         if importlib.util.find_spec("ray"):
             ways["Ray, one worker"] = (1, "auto")
-        parts: dict[str, list[dict[str, Any]]] = {name: [] for name in ("loop", *ways)}
+        parts: dict[str, list[dict[str, Any]]] = {name: [] for name in ("loop", "two loops", *ways)}
         for first in range(0, given.trials, share):
             spec = CampaignSpec(given.cell, trials=min(share, given.trials - first), seed=first)
             backwards = len(parts["loop"]) % 2 == 1
             for name in reversed(parts) if backwards else parts:
                 if name == "loop":
-                    parts[name].append(in_new_process(bare_loop, spec))
+                    parts[name].append(in_new_processes(bare_loop, [spec])[0])
+                elif name == "two loops":
+                    parts[name].append(side_by_side(in_new_processes(bare_loop, halves(spec))))
                 else:
                     kept = root / f"{name} {first}".replace(" ", "_")
                     parts[name].append(with_engine(spec, kept, *ways[name]))
@@ -95,9 +99,24 @@ def main() -> None:
 
 
 # --- rates ---
-def in_new_process(call: Callable[[CampaignSpec], Any], spec: CampaignSpec) -> Any:
-    with ProcessPoolExecutor(1, get_context("spawn")) as process:
-        return process.submit(call, spec).result()
+def in_new_processes(call: Callable[[CampaignSpec], Any], specs: list[CampaignSpec]) -> list[Any]:
+    """At once, each in its own."""
+    with ProcessPoolExecutor(len(specs), get_context("spawn")) as processes:
+        return list(processes.map(call, specs))
+
+
+def halves(spec: CampaignSpec) -> list[CampaignSpec]:
+    first = (spec.trials + 1) // 2
+    return [replace(spec, trials=first), replace(spec, trials=spec.trials - first, seed=spec.seed + first)]
+
+
+def side_by_side(loops: list[dict[str, Any]]) -> dict[str, Any]:
+    """What loops that ran at once did together."""
+    return {
+        "cpu_s": sum(loop["cpu_s"] for loop in loops) / len(loops),
+        "wall_s": 1 / sum(1 / loop["wall_s"] for loop in loops),
+        "succeeded": sum(loop["succeeded"] for loop in loops),
+    }
 
 
 def bare_loop(spec: CampaignSpec) -> dict[str, Any]:
@@ -302,6 +321,8 @@ def print_table(found: dict[str, Any]) -> None:
     row("engine against a bare loop (processor time)", 100 * (ratio(one, loop, "cpu_s") - 1), 5, "%")
     row("engine against the trials in it (processor time)", 100 * one["beside_trials"], 5, "%")
     row("two workers against one (wall time)", ratio(one, two, "wall_s"), 1.8, "", at_least=True)
+    given = ratio(loop, found["two loops"], "wall_s")
+    rows.append(("two bare loops at once against one (wall time)", f"{given:.4g}", "", True))
     row("hand-over of a trial, local", one["hand_over_ms"], 10, "ms")
     if "Ray, one worker" in found:
         row("hand-over of a trial, Ray", found["Ray, one worker"]["hand_over_ms"], 10, "ms")

@@ -106,7 +106,8 @@ def test_a_script_and_its_cell_in_a_graph(master, tmp_path):
         Ros1Graph(bus, Ros1Settings("outside", master=master, own_master=True)),
     ):
         bus.parameters.set("/mine/gain", 3)
-        process = start("run", script, "--cell", "panda_table", "--mode", "fake", "--ros1", "--no-own-master")
+        options = ("--mode", "fake", "--headless", "--ros1", "--no-own-master")
+        process = start("run", script, "--cell", "panda_table", *options)
         try:
             joints = bus.subscribe("/joint_states", "sensor_msgs/JointState", queue_size=1)
             assert joints.get(90) is not None  # the script's cell is in the graph, too

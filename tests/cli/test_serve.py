@@ -7,6 +7,8 @@ import time
 import pytest
 from tests.cli.helpers import call, start
 
+from armcell.records import read_record
+
 pytestmark = pytest.mark.slow
 
 
@@ -67,6 +69,31 @@ def test_serve_topic_and_ctrl_c(port, capsys):
     assert "Traceback" not in errors
 
 
+def test_what_is_served_is_recorded(port, tmp_path, capsys):
+    runs = tmp_path / "runs"
+    options = ("--unity", "--port", port, "--mode", "fake", "--seed", 5, "--record", "--runs", runs)
+    server = start("serve", "panda_pick", *options)
+    try:
+        wait_for_port(port, server)
+        at = ("--connect", f"127.0.0.1:{port}")
+        end = time.monotonic() + 60
+        while "- 0.005" not in call(capsys, "topic", "echo", "/joint_states", "-n", "1", *at).out:
+            call(capsys, "topic", "pub", "/gripper_command", "std_msgs/Float64", "{data: 0.01}", *at)
+            assert time.monotonic() < end
+    finally:
+        server.send_signal(signal.SIGINT)
+        _, errors = server.communicate(timeout=30)
+    assert server.returncode == 0 and "Traceback" not in errors, errors
+    (folder,) = runs.iterdir()
+    assert f"report: {folder}/report.html" in errors.replace("\n", "")
+    record = read_record(folder)
+    assert not record.cut and record.about["by"] == "those who join the cell" and record.about["seed"] == 5
+    assert record.result is not None and record.result["success"]
+    assert record.result["command"] == "armcell serve panda_pick --unity --mode fake --seed 5"
+    first, last = (state.sample().gripper_width["hand"] for state in (record.states[0], record.states[-1]))
+    assert first > 0.05 and last == pytest.approx(0.01, abs=1e-3)
+
+
 def test_sim_in_unitys_place(port, capsys):
     """Our simulator joins our own endpoint; a third program watches it there."""
     from armcell.ros import Bus
@@ -98,6 +125,8 @@ def test_sim_in_unitys_place(port, capsys):
         (["serve", "nope", "--unity", "--port", "0"], "unknown cell 'nope'"),
         (["serve", "panda_pick", "--unity", "--port", "0", "--protocol", "ROS3"], "protocol is 'ROS3'"),
         (["serve", "panda_pick", "--unity", "--port", "0", "--mode", "nope"], "unknown mode 'nope'"),
+        (["serve", "six_axis_pick", "--unity", "--port", "0", "--mode", "real"], "no campaign can show what"),
+        (["serve", "panda_pick", "--unity", "--port", "0", "--plan-only", "--record"], "nothing to record"),
         (["sim", "panda_pick", "--connect", "here"], "'here' is no address"),
         (["topic", "list", "--connect", "127.0.0.1:1"], "no ROS-TCP endpoint at 127.0.0.1:1"),
         (["topic", "pub", "/a", "std_msgs/Float64", "{date: 1}"], "did you mean 'data'"),

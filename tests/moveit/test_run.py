@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from armcell.cell import load
 from armcell.cli.main import main
 from armcell.core import InputError
 from armcell.moveit import current_session, run_script
+from armcell.records import read_record
 
 CTRL_C = "import signal, threading; threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]).start()\n"
 """To a script by itself, so that it is under way when it comes."""
@@ -148,6 +150,51 @@ def test_wrong_calls_of_the_command(tmp_path, capsys):
         run_script(tmp_path / "no.py", load("panda_table").connect("fake"))
 
 
+NODDING = """
+import sys
+from moveit_commander import MoveGroupCommander
+arm = MoveGroupCommander("panda_arm")
+arm.set_joint_value_target("panda_joint1", 0.3)
+arm.go()
+sys.exit(int(sys.argv[1]))
+"""
+
+
+@pytest.mark.parametrize("status", [0, 4])
+def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
+    script, numbers = tmp_path / "nodding.py", tmp_path / "out.json"
+    script.write_text(NODDING)
+    command = ["run", str(script), "--cell", "panda_table", "--mode", "fake", "--seed", "3"]
+    options = ["--time-scale", "50", "--set", "objects.cube.mass=0.07", "--json", str(numbers)]
+    assert main([*command, *options, "--runs", str(tmp_path / "runs"), "--", str(status)]) == status
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert str(folder / "report.html") in capsys.readouterr().err
+    record = read_record(folder)
+    assert record.result is not None and record.result == json.loads(numbers.read_text())
+    assert record.result["success"] is (status == 0) and record.result["seed"] == 3
+    asked = "--seed 3 --set objects.cube.mass=0.07 -- " + str(status)
+    assert record.result["command"].endswith(asked) and "nodding.py" in (folder / "report.html").read_text()
+    assert record.about["by"] == "the script nodding.py" and record.about["script"]
+    assert record.about["values"] == {"objects.cube.mass": 0.07}
+    (motion,) = (trajectory for _, trajectory in record.trajectories)
+    assert motion.end.as_dict()["panda_joint1"] == pytest.approx(0.3, abs=1e-6)
+    end = record.states[-1].joints.as_state(0.0)
+    assert end.as_dict()["panda_joint1"] == pytest.approx(0.3, abs=1e-3)
+    assert main(["replay", str(folder), "--execute"]) == 1
+    assert "led by the script nodding.py" in capsys.readouterr().err
+    assert main([*command, *options, "--headless", "--runs", str(tmp_path / "no"), "--", "0"]) == 0
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_script_moves_real_arms_for_a_reason_only(tmp_path, capsys):
+    (tmp_path / "s.py").write_text("pass\n")
+    command = ["run", str(tmp_path / "s.py"), "--cell", "six_axis_pick", "--mode", "real"]
+    for more in ([], ["--without-gate", " "]):
+        assert main([*command, *more]) == 1
+        said = capsys.readouterr().err
+        assert "no campaign can show what s.py does" in said and "--without-gate" in said
+
+
 @pytest.mark.slow
 def test_the_command_in_a_process_of_its_own_ends_by_ctrl_c(tmp_path):
     file = tmp_path / "spin.py"
@@ -155,7 +202,9 @@ def test_the_command_in_a_process_of_its_own_ends_by_ctrl_c(tmp_path):
         "import rospy\nrospy.init_node('n')\nrospy.loginfo('spinning')\nrospy.spin()\nprint('after')\n"
     )
     command = [sys.executable, "-m", "armcell", "run", str(file), "--cell", "panda_table", "--mode", "fake"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     assert process.stderr is not None
     while "spinning" not in process.stderr.readline():
         assert process.poll() is None
@@ -163,3 +212,6 @@ def test_the_command_in_a_process_of_its_own_ends_by_ctrl_c(tmp_path):
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert process.returncode == 130 and "after" in out and "Traceback" not in err
+    (folder,) = (tmp_path / "runs").iterdir()
+    record = read_record(folder)
+    assert record.result is not None and record.result["message"].endswith("status 130, interrupted")

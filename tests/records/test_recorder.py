@@ -7,7 +7,8 @@ import pytest
 from tests.records.synthetic import STAGES, panda_scene, play
 
 from armcell.core import SE3, Event, InputError, JointState, StateSample
-from armcell.records import RunRecorder, new_run_folder
+from armcell.records import RunRecorder, new_run_folder, read_record
+from armcell.records import recorder as recorder_module
 from armcell.records.stages import StageSpan, stage_spans
 
 
@@ -61,6 +62,20 @@ def test_a_clock_set_back_is_recorded_again(scene, tmp_path):
         for time in (5.0, 5.5, 0.0, 0.5):
             recorder.on_state(_sample(scene, time))
     assert recorder.series().times.tolist() == [5.0, 5.5, 0.0, 0.5]
+
+
+def test_of_a_long_run_the_record_keeps_all_and_memory_an_even_part(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder_module, "MOST_SAMPLES", 100)
+    times = np.arange(0, 1001) / 100
+    with RunRecorder(tmp_path, scene) as recorder:
+        for time in times:
+            recorder.on_state(_sample(scene, time))
+        recorder.on_state(_sample(scene, times[-1] + 0.001))
+    series = recorder.series()
+    assert 50 < len(series.times) <= 102 and series.times[-1] == pytest.approx(10.001)
+    gaps = np.diff(series.times)[:-1]
+    assert gaps.min() == pytest.approx(gaps.max()) and gaps[0] == pytest.approx(0.16)
+    assert len(read_record(tmp_path).states) == 1002
 
 
 def test_the_record_appears_when_closed_even_after_an_error_and_closing_twice_is_fine(scene, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -13,6 +14,8 @@ from armcell.cell.live import LiveCell
 from armcell.core import Event, JointTrajectory, StateSample
 from armcell.scene import PlanningScene, extent
 from armcell.sim import Camera, render_rgb
+
+logger = logging.getLogger(__name__)
 
 Picture = NDArray[np.uint8]
 
@@ -40,7 +43,7 @@ class Pictures:
     def __init__(self, live: LiveCell, take: Callable[[float, str, Picture], None], stages: bool = True):
         self._driver: Any = live.driver  # one that has a world once it is connected
         self._scene, self._take, self._stages = live.scene_at_start, take, stages
-        self._touched = False
+        self._touched = self._broken = False
 
     @cached_property
     def _camera(self) -> Camera:
@@ -54,7 +57,18 @@ class Pictures:
         touches = event.kind == "contact" and not self._touched
         if touches or (self._stages and event.kind == "stage" and event.data.get("phase") == "end"):
             self._touched = self._touched or touches
-            self._take(event.time, event.text, self.now())
+            self._try(event)
+
+    def _try(self, event: Event) -> None:
+        if self._broken:
+            return
+        try:
+            picture = self.now()
+        except Exception as error:  # graphics are the machine's matter: the run goes on without
+            self._broken = True
+            logger.warning("no more pictures of this run: %s", error)
+        else:
+            self._take(event.time, event.text, picture)
 
     def on_state(self, sample: StateSample) -> None:
         pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -50,7 +51,7 @@ def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[st
             placements.append((step.goal.object, target))
         if not outcome.ok:
             break
-    return _result(cell, live, seed, mode, outcome, placements, time.monotonic() - began)
+    return result_of(cell, live, seed, mode, outcome, time.monotonic() - began, placements)
 
 
 def _run_script(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
@@ -63,7 +64,7 @@ def _run_script(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict
         outcome = failed.outcome
     except InputError as error:  # the run so far is worth its report
         outcome = Outcome(ErrorCode.FAILURE, str(error))
-    result = _result(cell, live, seed, mode, outcome, [], time.monotonic() - began)
+    result = result_of(cell, live, seed, mode, outcome, time.monotonic() - began)
     result["measures"] = {k: v for k, v in outcome.evidence.items() if isinstance(v, int | float | str)}
     return result
 
@@ -84,10 +85,18 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
     return live.arm.move_to(step.move or "home")
 
 
-def _result(
-    cell: Cell, live: LiveCell, seed: int | None, mode: str, outcome: Outcome,
-    placements: list[tuple[str, Placement]], wall: float,
+def result_of(
+    cell: Cell, live: LiveCell, seed: int | None, mode: str, outcome: Outcome, wall: float,
+    placements: Sequence[tuple[str, Placement]] = (),
 ) -> dict[str, Any]:  # fmt: skip
+    """How a run ended, as `run_task` tells it, for one that another program has led.
+
+    Args:
+        live: still connected; to be called in the thread that steps it.
+        outcome: success is taken back where physics saw unwanted contacts.
+        wall: [s] that it took.
+        placements: objects, and where they should lie now.
+    """
     live.ctx.report_news()
     poses = live.driver.object_poses()
     if isinstance(live.driver, PerceivingDriver):  # judged by where it is, not by where the task believes it

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from armcell.cli.console import err
+from armcell.cli.console import err, errors
 from armcell.core import InputError
 
 
@@ -35,6 +35,25 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
     return {"gate": {"overridden": False, **record}}
 
 
+def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
+    """The same for motions that are no cell's task: no campaign has shown them.
+
+    Args:
+        what: they are, in words.
+    Raises:
+        InputError: no reason given to go without a gate record.
+    """
+    if mode != "real":
+        return {}
+    if not (without or "").strip():
+        raise InputError(
+            f"no campaign can show {what}: there is no gate record for that",
+            cure='--without-gate "REASON"; a cell\'s own task has one: armcell gate',
+        )
+    err(f"without a gate record: {without}")
+    return {"gate": {"overridden": True, "reason": without, "else": f"no campaign can show {what}"}}
+
+
 def gate_words(passed: dict[str, Any]) -> str:
     found = passed["gate"]
     if found["overridden"]:
@@ -44,3 +63,12 @@ def gate_words(passed: dict[str, Any]) -> str:
         f"gate passed: {shown['succeeded']} of {shown['trials']} in simulation, "
         f"at least {shown['interval'][0]:.1%}; {found['file']}"
     )
+
+
+def tell_unwatched(driver: Any, cell: str) -> None:
+    """Say on standard error where real arms move without being compared with their twin."""
+    guard = getattr(driver, "guard", None)
+    if guard is not None and guard.bands is None:
+        from armcell.control.twin import UNWATCHED
+
+        errors.print(f"{UNWATCHED}; cure: armcell twin {cell}", soft_wrap=True)

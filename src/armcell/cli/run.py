@@ -11,10 +11,10 @@ from typing import Any
 import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table
 from armcell.cli.draw import SEED, drawn
-from armcell.cli.gating import gate_of, gate_words
+from armcell.cli.gating import gate_of, gate_words, tell_unwatched
+from armcell.cli.recording import Kept, begin_record, watch
 from armcell.cli.results import keep_result
 from armcell.cli.ros1 import OWN_MASTER
 from armcell.core import Event, JointTrajectory, Observer, StateSample
@@ -52,7 +52,7 @@ def run(
     headless: bool = typer.Option(
         False,
         "--headless",
-        help="For scripts: no run folder, no pictures, no progress bar; as fast as it can.",
+        help="For programs: no run folder, no pictures, no progress bar; as fast as it can.",
     ),
     runs: Path = typer.Option(
         Path("runs"), metavar="FOLDER", help="Where run folders with report and record go."
@@ -90,8 +90,12 @@ def run(
     a record that Foxglove opens (run.mcap). Exit status 0 if the task succeeded, 1 if not.
 
     A script (SCRIPT.py --cell CELL) is run as it is, with no ROS installed, in real time unless --time-scale
-    says else; the exit status is its own. Arguments of its own stand after --.
+    says else; the exit status is its own. Arguments of its own stand after --. Its run is kept as well.
     """
+    if json_file is not None:
+        check_writable(json_file)
+    if headless and view:
+        raise typer.BadParameter("--headless and --view exclude each other")
     if cell.endswith(".py") or in_cell is not None:
         from armcell.cli.script import run_script_command
 
@@ -106,6 +110,8 @@ def run(
             view,
             port,
             without_gate,
+            Kept(None if headless else runs, json_file, frames),
+            set_,
             ros1,
             own_master,
         )
@@ -114,10 +120,7 @@ def run(
         raise typer.BadParameter("--ros1 is for scripts; a cell is served to ROS 1 by `armcell serve --ros1`")
     if arguments:
         raise typer.BadParameter(f"unexpected argument {arguments[0]!r}")
-    if json_file is not None:
-        check_writable(json_file)
-    if headless and view:
-        raise typer.BadParameter("--headless and --view exclude each other")
+    kept = Kept(None if headless else runs, json_file, frames)
     progress = None
     if not headless and errors.is_terminal:
         progress = Progress(
@@ -133,9 +136,7 @@ def run(
             )
         from armcell.cell import health as layers
         from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
-        from armcell.cell.pictures import Pictures
         from armcell.control import drivers
-        from armcell.control.twin import UNWATCHED
         from armcell.planning import warm_up
 
         drivers[mode]  # an unknown mode is said before anything is made
@@ -151,7 +152,7 @@ def run(
         warm_up()
         scene = loaded.scene(seed)
         observers: list[Observer] = []
-        viewer = recorder = None
+        viewer = None
         if view:
             from armcell.viewer import CellViewer
 
@@ -159,25 +160,16 @@ def run(
             observers.append(viewer)
             console.print(f"view: {viewer.url}")
             time_scale = time_scale or 1.0
-        if not headless:
-            from armcell.records import RunRecorder, about_run, new_run_folder
-
-            about = {**about_run(loaded, seed, mode, values), **passed}
-            recorder = RunRecorder(new_run_folder(runs, loaded.name), scene, about=about)
+        recorder = begin_record(loaded, scene, seed, mode, kept, values, **passed)
+        if recorder is not None:
             stack.enter_context(recorder)
             observers.append(recorder)
         if progress is not None and loading is not None:
             progress.remove_task(loading)
             observers.append(_Bar(progress))
         live = loaded.connect(mode, seed, observers, time_scale)
-        guard = getattr(live.driver, "guard", None)  # of real arms
-        if guard is not None and guard.bands is None:
-            errors.print(f"{UNWATCHED}; cure: armcell twin {cell}", soft_wrap=True)
-        if recorder is not None and mode == "sim" and loaded.cameras:
-            observers.append(Pictures(live, recorder.add_picture))
-            live.ctx.observers.append(observers[-1])
-        if frames:
-            live.ctx.observers += camera_frames(frames, loaded, mode, live.driver, recorder)
+        tell_unwatched(live.driver, cell)
+        watch(live, loaded, mode, recorder, kept)
         with ExitStack() as connected:
             with health.layer("drivers"):
                 connected.enter_context(live)

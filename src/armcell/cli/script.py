@@ -5,20 +5,27 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from armcell.cli.console import console, err
+from armcell.cli.gating import gate_of_others
+from armcell.cli.recording import Kept, LedRun
 from armcell.cli.ros1 import check_remap
-from armcell.core import InputError, Observer
+from armcell.core import InputError
+
+if TYPE_CHECKING:
+    from armcell.moveit.session import Session
 
 
 def run_script_command(
     script: str, cell: str | None, arguments: list[str], seed: int | None, mode: str,
     time_scale: float | None, auto_grip: bool | None, view: bool, port: int, without_gate: str | None,
-    ros1: bool = False, own_master: bool | None = None,
+    kept: Kept, set_: Sequence[str] = (), ros1: bool = False, own_master: bool | None = None,
 ) -> int:  # fmt: skip
     """Run a rospy / moveit_commander script unchanged against a cell; its exit status.
 
@@ -30,19 +37,13 @@ def run_script_command(
     file = Path(script)
     if not file.is_file():
         raise InputError("there is no such script", file=file)
-    from armcell.cell import load
+    from armcell.cell import load, parsed, with_values
     from armcell.control import drivers
-    from armcell.moveit import run_script
+    from armcell.moveit import INTERRUPTED, run_script
     from armcell.moveit.lint import closes_gripper_itself
 
     drivers[mode]  # an unknown mode is said before anything is made
-    if mode == "real":
-        if not without_gate:
-            raise InputError(
-                f"no campaign can show what {file.name} does: a script has no gate record",
-                cure='--without-gate "REASON"; a cell\'s own task has one: armcell gate',
-            )
-        err(f"without a gate record: {without_gate}")
+    gate = gate_of_others(mode, f"what {file.name} does", without_gate)
     if auto_grip is None:
         auto_grip = not closes_gripper_itself(file)
         if auto_grip:
@@ -53,12 +54,20 @@ def run_script_command(
     logging.basicConfig(level=logging.WARNING, format="[%(levelname)s] %(message)s", stream=sys.stderr)
     logging.getLogger("armcell").setLevel(logging.WARNING)
     with ExitStack() as stack:
-        loaded = load(cell)
-        observers: list[Observer] = []
+        values = dict(parsed(one) for one in set_)
+        loaded = with_values(load(cell), values)
+        scene = loaded.scene(seed)
+        command = ["armcell", "run", script, "--cell", cell, "--mode", mode]
+        command += [] if seed is None else ["--seed", str(seed)]
+        command += [part for one in set_ for part in ("--set", one)]
+        command += ["--", *arguments] if arguments else []
+        by = f"the script {file.name}"
+        run = LedRun(loaded, scene, seed, mode, kept, values, by, command, script=file, gate=gate)
+        observers = run.observers
         if view:
             from armcell.viewer import CellViewer
 
-            viewer = stack.enter_context(CellViewer(loaded.scene(seed), port=port, title=loaded.name))
+            viewer = stack.enter_context(CellViewer(scene, port=port, title=loaded.name))
             observers.append(viewer)
             console.print(f"view: {viewer.url}")
         live = loaded.connect(mode, seed, observers, time_scale or 1.0)
@@ -68,7 +77,17 @@ def run_script_command(
 
             remap = [a for a in arguments if ":=" in a]
             joined = from_environment("armcell", remap, own_master=own_master)
-        status, _ = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined)
+        run.begin(live)
+
+        def ended(status: int, session: Session) -> None:
+            why = ", interrupted" if status == INTERRUPTED else ""
+            failure = f"the script ended with status {status}{why}" if status else ""
+            run.end(session.served.call, live, failure)
+
+        try:
+            status, _ = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
+        finally:
+            run.keep()
     return status
 
 

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from rich.text import Text
 
 from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
+from armcell.cli.gating import gate_of_others
+from armcell.cli.recording import Kept, LedRun
 from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
@@ -28,6 +31,34 @@ MODE = typer.Option("sim", help="sim: physics. fake: follows every command exact
 SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: slow motion.")
 RATE = typer.Option(30.0, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
 SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
+RECORD = typer.Option(
+    None, "--record/--no-record", show_default=False,
+    help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
+)  # fmt: skip
+RUNS = typer.Option(Path("runs"), metavar="FOLDER", help="Where run folders go.")
+WITHOUT_GATE = typer.Option(
+    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
+)
+
+
+@dataclass(frozen=True)
+class _Served:
+    """What a cell is served with.
+
+    Attributes:
+        command: the words that were typed, up to the cell's options.
+        runs: folder of run folders; None: keep no record.
+    """
+
+    command: tuple[str, ...]
+    cell: str
+    mode: str
+    seed: int | None
+    time_scale: float
+    rate: float
+    seconds: float | None
+    runs: Path | None
+    without_gate: str | None
 
 
 def serve(
@@ -57,6 +88,9 @@ def serve(
         False, "--auto-grip", help="A gripper closes where the arm rests with an object between its fingers."
     ),
     seconds: float | None = SECONDS,
+    record: bool | None = RECORD,
+    runs: Path = RUNS,
+    without_gate: str | None = WITHOUT_GATE,
 ) -> int:
     """Run a cell and serve it: states out; trajectories, planning (move_group), pick, place and grasps in.
 
@@ -66,6 +100,10 @@ def serve(
     """
     if not (unity or ros1 or ros2):
         raise InputError("nothing to serve", cure="give --unity, --ros1 or --ros2")
+    if plan_only and record:
+        raise InputError(
+            "--plan-only has nothing to record: the simulator is elsewhere", cure="record there: armcell sim"
+        )
     check_remap(ros1, remap, own_master)
     check_domain(ros2, domain)
     from armcell.ros import Bus, Schema
@@ -89,7 +127,11 @@ def serve(
 
         if plan_only:
             return _plan_only(cell, bus, seed or 0, seconds, status, ready)
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready, True, auto_grip)
+        wanted = {"--unity": unity, "--ros1": ros1, "--ros2": ros2, "--auto-grip": auto_grip}
+        command = ("serve", cell, *(flag for flag, given in wanted.items() if given))
+        kept = runs if _records(record, mode) else None
+        served = _Served(command, cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
+        return _run(served, bus, status, ready, True, auto_grip)
 
 
 def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Wire:
@@ -126,6 +168,9 @@ def sim(
     time_scale: float = SCALE,
     rate: float = RATE,
     seconds: float | None = SECONDS,
+    record: bool | None = RECORD,
+    runs: Path = RUNS,
+    without_gate: str | None = WITHOUT_GATE,
 ) -> int:
     """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it.
 
@@ -135,13 +180,16 @@ def sim(
     check_domain(ros2, domain)
     if (ros1 or ros2) == (connect is not None):
         raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
+    to = ("--connect", connect) if connect else ("--ros1",) * ros1 + ("--ros2",) * ros2
+    kept = runs if _records(record, mode) else None
+    served = _Served(("sim", cell, *to), cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
     if connect is None:
         joins: list[Callable[[ExitStack, Any], Wire]] = []
         if ros1:
             joins.append(lambda stack, bus: join_ros1(stack, bus, "armcell_sim", own_master, remap, None))
         if ros2:
             joins.append(lambda stack, bus: join_ros2(stack, bus, "armcell_sim", domain))
-        return _sim_node(cell, joins, mode, seed, time_scale, rate, seconds)
+        return _sim_node(served, joins)
     from armcell.ros import Bus
     from armcell.ros.codec import CODECS
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
@@ -173,16 +221,17 @@ def sim(
         )
 
     try:
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, joined)
+        return _run(served, bus, status, joined)
     finally:
         if client is not None:
             client.close()
 
 
-def _sim_node(
-    cell: str, joins: list[Callable[[ExitStack, Any], Wire]], mode: str, seed: int | None, time_scale: float,
-    rate: float, seconds: float | None,
-) -> int:  # fmt: skip
+def _records(record: bool | None, mode: str) -> bool:
+    return mode == "real" if record is None else record
+
+
+def _sim_node(what: _Served, joins: list[Callable[[ExitStack, Any], Wire]]) -> int:
     from armcell.ros import Bus
 
     bus = Bus()
@@ -196,7 +245,7 @@ def _sim_node(
         def status() -> str:
             return "  ".join(wire.status() for wire in wires)
 
-        return _run(cell, bus, mode, seed, time_scale, rate, seconds, status, ready)
+        return _run(what, bus, status, ready)
 
 
 def address(text: str) -> tuple[str, int]:
@@ -212,17 +261,24 @@ def address(text: str) -> tuple[str, int]:
 
 
 def _run(
-    cell: str, bus: Any, mode: str, seed: int | None, time_scale: float, rate: float, seconds: float | None,
-    status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
+    what: _Served, bus: Any, status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
     auto_grip: bool = False,
 ) -> int:  # fmt: skip
     from armcell.cell.health import first_layers
     from armcell.ros.nodes import ServedCell
 
+    mode, seed = what.mode, drawn(what.seed, what.mode)
+    gate = gate_of_others(mode, "what clients do", what.without_gate)
     tell = partial(errors.print, markup=False, highlight=False)
-    loaded, health = first_layers(cell, mode, tell)
-    live = loaded.connect(mode, drawn(seed, mode), time_scale=time_scale)
-    served = ServedCell(live, bus, rate, plan, auto_grip)
+    loaded, health = first_layers(what.cell, mode, tell)
+    scene = loaded.scene(seed)
+    command = ["armcell", *what.command, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
+    run = LedRun(
+        loaded, scene, seed, mode, Kept(what.runs), {}, "those who join the cell", command, gate=gate
+    )
+    live = loaded.connect(mode, seed, run.observers, what.time_scale)
+    run.begin(live)
+    served = ServedCell(live, bus, what.rate, plan, auto_grip)
 
     def all_status() -> str:
         ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
@@ -233,11 +289,16 @@ def _run(
         served.start(layer=health.layer)
         ready()
         with line:
-            _until(seconds, line, served.thread)
+            _until(what.seconds, line, served.thread)
     except KeyboardInterrupt:
         pass
     finally:
-        served.close()
+        try:
+            if served.node.ready.is_set():
+                run.end(served.call, live, str(served.failure or ""))
+        finally:
+            served.close()
+            run.keep()
     if served.failure is not None:
         raise served.failure
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import runpy
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from armcell.cell import LiveCell
@@ -20,6 +20,7 @@ INTERRUPTED = 130
 def run_script(
     script: Path, live: LiveCell, arguments: Sequence[str] = (), rate: float = 100.0,
     auto_grip: bool = False, quiet: bool = False, ros1: Ros1Settings | None = None,
+    ended: Callable[[int, Session], None] = lambda status, session: None,
 ) -> tuple[int, Session]:  # fmt: skip
     """Run a script to its end, with the motions that it has begun; then leave nothing running.
 
@@ -28,6 +29,7 @@ def run_script(
         arguments: its own, `sys.argv[1:]`.
         auto_grip: close a gripper that rests with an object between its open fingers.
         ros1: join the cell and the script to a ROS 1 graph.
+        ended: called with the exit status when all is over, while the cell is still connected.
     Returns:
         The script's exit status (130 after Ctrl-C), and the session it ran in, closed.
     Raises:
@@ -44,7 +46,9 @@ def run_script(
         sys.argv = [str(script), *arguments]
         sys.path.insert(0, str(folder))
         try:
-            return _status(script, session), session
+            status = _status(script, session)
+            ended(status, session)
+            return status, session
         finally:
             sys.argv, sys.path[:] = argv, path
             _forget(folder, set(sys.modules) - modules)

@@ -52,6 +52,11 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
             "does not say what ran", file=record.file,
             cure="records of `armcell run` do; this one can be looked at: armcell replay without --execute",
         )  # fmt: skip
+    if by := record.about.get("by"):
+        raise InputError(
+            f"was led by {by}, by the clock on the wall: that need not repeat itself", file=record.file,
+            cure="armcell replay shows it; armcell diff compares it with another run",
+        )  # fmt: skip
     mode = record.about["mode"]
     if mode not in REPEATABLE:
         raise InputError(

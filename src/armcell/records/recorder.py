@@ -25,6 +25,8 @@ logger = logging.getLogger(__name__)
 MCAP_FILE = "run.mcap"
 MAX_RATE_HZ = 100.0
 """Of the cell's clock: denser samples are passed over (the last one is always kept)."""
+MOST_SAMPLES = 60_000
+"""In memory, for the report: of a longer run (10 minutes) every other one is left out, again and again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +114,8 @@ class RunRecorder:
         self.trajectories: list[tuple[float, JointTrajectory]] = []
         self.pictures: list[Picture] = []
         self._samples: list[StateSample] = []
+        self._count, self._every = 0, 1  # samples on disk; which of them stay in memory
+        self._last: StateSample | None = None  # on disk
         self._skipped: StateSample | None = None  # the newest one, if it was passed over
         self._due = -np.inf
         self._q = np.array(scene.positions)
@@ -181,10 +185,12 @@ class RunRecorder:
         self.close()
 
     def series(self) -> Series:
-        """Everything sampled so far."""
+        """Everything sampled so far; of a long run (`MOST_SAMPLES`) evenly less."""
         with self._lock:
-            samples, skipped = list(self._samples), self._skipped
-        return _series(self.scene.model.joint_names, [*samples, skipped] if skipped else samples)
+            samples, newest = list(self._samples), self._skipped or self._last
+        if newest is not None and newest is not samples[-1]:
+            samples.append(newest)
+        return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
         """Write the last sample and finish the MCAP. May be called twice."""
@@ -217,11 +223,16 @@ class RunRecorder:
             logger.error("the record %s ends here: %s", self._mcap.file, error.strerror)
 
     def _clock_set_back(self, time: float) -> bool:
-        return bool(self._samples) and time < self._samples[-1].time - 1 / MAX_RATE_HZ
+        return self._last is not None and time < self._last.time - 1 / MAX_RATE_HZ
 
     def _keep(self, sample: StateSample) -> None:
-        self._samples.append(sample)
-        self._skipped = None
+        if self._count % self._every == 0:
+            self._samples.append(sample)
+        self._count += 1
+        if len(self._samples) > MOST_SAMPLES:
+            del self._samples[1::2]
+            self._every *= 2
+        self._last, self._skipped = sample, None
         # From one due time to the next, so that the rate holds whatever the physics' step is.
         late = not 0 <= sample.time - self._due < 1 / MAX_RATE_HZ
         self._due = (sample.time if late else self._due) + 1 / MAX_RATE_HZ

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from typing import TypeVar
 
 from armcell.cell import Cell, LiveCell
 from armcell.planning import prepare, warm_up
@@ -19,6 +20,8 @@ from armcell.ros.nodes.pick_place import PickPlaceNode
 from armcell.ros.nodes.remote_cell import RemoteCell
 from armcell.ros.nodes.states import RATE
 from armcell.tasks import TaskSettings
+
+T = TypeVar("T")
 
 
 def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
@@ -71,6 +74,10 @@ class ServedCell:
         with layer("planner"):
             if self._plan:
                 _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Run something in the cell's thread between two steps, and wait; here, where that has ended."""
+        return self.node.conductor.call(function) if self.thread.is_alive() else function()
 
     def close(self) -> None:
         """Stop what moves and leave the bus."""

@@ -1,0 +1,116 @@
+"""What is kept of a run while it goes on: its folder with the record, pictures of key moments, frames."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from armcell.cli.camera_frames import camera_frames
+from armcell.cli.console import err
+from armcell.cli.gating import gate_words, tell_unwatched
+from armcell.cli.results import keep_result
+from armcell.core import ErrorCode, Event, Observer, Outcome
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What the command line asks to keep of a run.
+
+    Attributes:
+        runs: folder of run folders; None for no record.
+        frames: CAMERA or CAMERA=HZ, each.
+    """
+
+    runs: Path | None
+    json_file: Path | None = None
+    frames: Sequence[str] = ()
+
+
+def begin_record(
+    cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
+) -> Any:
+    """A recorder in a new run folder, to be used in a `with` block; None where no record is wanted.
+
+    Args:
+        more: what else stands in the record about the run.
+    """
+    if kept.runs is None:
+        return None
+    from armcell.records import RunRecorder, about_run, new_run_folder
+
+    about = {**about_run(cell, seed, mode, values), **more}
+    return RunRecorder(new_run_folder(kept.runs, cell.name), scene, about=about)
+
+
+def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
+    """Have pictures taken of a live cell, where it has cameras."""
+    from armcell.cell.pictures import Pictures
+
+    if recorder is not None and mode == "sim" and cell.cameras:
+        live.ctx.observers.append(Pictures(live, recorder.add_picture))
+    if kept.frames:
+        live.ctx.observers += camera_frames(kept.frames, cell, mode, live.driver, recorder)
+
+
+class LedRun:
+    """The record of a run that another program leads: a script, or those that join a served cell.
+
+    Args:
+        by: who, in words.
+        command: that was typed.
+        script: the program, where it is a file.
+        gate: as `gate_of` gives it.
+    """
+
+    def __init__(
+        self, cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any],
+        by: str, command: Sequence[str], script: Path | None = None, gate: dict[str, Any] | None = None,
+    ):  # fmt: skip
+        self._cell, self._seed, self._mode, self._kept = cell, seed, mode, kept
+        self._gate, self._command = gate or {}, shlex.join(command)
+        self._began = time.monotonic()
+        self.result: dict[str, Any] | None = None
+        more = {"by": by, **self._gate}
+        if script is not None:
+            more["script"] = hashlib.sha256(script.read_bytes()).hexdigest()[:32]
+        self.recorder = begin_record(cell, scene, seed, mode, kept, values, **more)
+
+    @property
+    def observers(self) -> list[Observer]:
+        """To connect the cell with."""
+        return [] if self.recorder is None else [self.recorder]
+
+    def begin(self, live: Any) -> None:
+        """To be called before the cell is connected."""
+        tell_unwatched(live.driver, str(self._cell.file))
+        watch(live, self._cell, self._mode, self.recorder, self._kept)
+        if self.recorder is not None and self._gate:
+            self.recorder.on_event(Event(0.0, "note", gate_words(self._gate)))
+
+    def end(self, call: Callable[[Callable[[], Any]], Any], live: Any, failure: str = "") -> None:
+        """Take down how it ended.
+
+        Args:
+            call: runs a function in the thread that steps the cell, and gives its answer.
+            failure: why it did not succeed, else empty.
+        """
+        from armcell.cell import result_of
+
+        outcome = Outcome(ErrorCode.FAILURE if failure else ErrorCode.SUCCESS, failure)
+        wall = time.monotonic() - self._began
+        found = call(lambda: result_of(self._cell, live, self._seed, self._mode, outcome, wall))
+        self.result = {**found, **self._gate, "command": self._command}
+
+    def keep(self) -> None:
+        """Write numbers and report, where it got as far as an end; the record ends anyway."""
+        if self.result is not None:
+            report = keep_result(self.recorder, self.result, self._kept.json_file)
+            if report is not None:
+                err(f"report: {report}")
+        elif self.recorder is not None:
+            self.recorder.close()
