@@ -60,8 +60,11 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
 class LedRun:
     """The record of a run that another program leads: a script, or those that join a served cell.
 
+    Numbers and report are written at the end of its `with` block, where `end` was called; the record ends
+    there anyway.
+
     Args:
-        by: who, in words.
+        by: who leads it, in words.
         command: that was typed.
         script: the program, where it is a file.
         gate: as `gate_of` gives it.
@@ -106,8 +109,10 @@ class LedRun:
         found = call(lambda: result_of(self._cell, live, self._seed, self._mode, outcome, wall))
         self.result = {**found, **self._gate, "command": self._command}
 
-    def keep(self) -> None:
-        """Write numbers and report, where it got as far as an end; the record ends anyway."""
+    def __enter__(self) -> LedRun:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         if self.result is not None:
             report = keep_result(self.recorder, self.result, self._kept.json_file)
             if report is not None:

@@ -62,7 +62,9 @@ def run_script_command(
         command += [part for one in set_ for part in ("--set", one)]
         command += ["--", *arguments] if arguments else []
         by = f"the script {file.name}"
-        run = LedRun(loaded, scene, seed, mode, kept, values, by, command, script=file, gate=gate)
+        run = stack.enter_context(
+            LedRun(loaded, scene, seed, mode, kept, values, by, command, script=file, gate=gate)
+        )
         observers = run.observers
         if view:
             from armcell.viewer import CellViewer
@@ -84,10 +86,7 @@ def run_script_command(
             failure = f"the script ended with status {status}{why}" if status else ""
             run.end(session.served.call, live, failure)
 
-        try:
-            status, _ = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
-        finally:
-            run.keep()
+        status, _ = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
     return status
 
 

@@ -273,34 +273,32 @@ def _run(
     loaded, health = first_layers(what.cell, mode, tell)
     scene = loaded.scene(seed)
     command = ["armcell", *what.command, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
-    run = LedRun(
-        loaded, scene, seed, mode, Kept(what.runs), {}, "those who join the cell", command, gate=gate
-    )
-    live = loaded.connect(mode, seed, run.observers, what.time_scale)
-    run.begin(live)
-    served = ServedCell(live, bus, what.rate, plan, auto_grip)
+    by = "those who join the cell"
+    with LedRun(loaded, scene, seed, mode, Kept(what.runs), {}, by, command, gate=gate) as run:
+        live = loaded.connect(mode, seed, run.observers, what.time_scale)
+        run.begin(live)
+        served = ServedCell(live, bus, what.rate, plan, auto_grip)
 
-    def all_status() -> str:
-        ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
-        return "  ".join([status(), *ill])
+        def all_status() -> str:
+            ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
+            return "  ".join([status(), *ill])
 
-    line = _StatusLine(bus, lambda: served.node.executed, all_status)
-    try:
-        served.start(layer=health.layer)
-        ready()
-        with line:
-            _until(what.seconds, line, served.thread)
-    except KeyboardInterrupt:
-        pass
-    finally:
+        line = _StatusLine(bus, lambda: served.node.executed, all_status)
         try:
-            if served.node.ready.is_set():
-                run.end(served.call, live, str(served.failure or ""))
+            served.start(layer=health.layer)
+            ready()
+            with line:
+                _until(what.seconds, line, served.thread)
+        except KeyboardInterrupt:
+            pass
         finally:
-            served.close()
-            run.keep()
-    if served.failure is not None:
-        raise served.failure
+            try:
+                if served.node.ready.is_set():
+                    run.end(served.call, live, str(served.failure or ""))
+            finally:
+                served.close()
+        if served.failure is not None:
+            raise served.failure
     return 0
 
 

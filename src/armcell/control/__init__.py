@@ -4,6 +4,7 @@ from armcell.control import drivers as _registered  # noqa: F401  (fills the tab
 from armcell.control.driver import ContactRecord, Driver, DriverOptions, GripperReading, WeldRecord, drivers
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.executor import ExecutionSettings, execute, playing
+from armcell.control.following import Follower, Steps
 from armcell.control.safety import Fault, SafetyEvent, Supervisor
 from armcell.control.ur_controller import ControllerSettings, Rack
 
@@ -15,9 +16,11 @@ __all__ = [
     "DriverOptions",
     "ExecutionSettings",
     "Fault",
+    "Follower",
     "GripperReading",
     "Rack",
     "SafetyEvent",
+    "Steps",
     "Supervisor",
     "WeldRecord",
     "drivers",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import cast
@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from armcell.control.driver import Driver, Player, Rehearsing
-from armcell.control.following import Follower, Tolerances, follow_to_end
+from armcell.control.following import Follower, Steps, Tolerances, followed
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
 from armcell.core.checks import require
 from armcell.planning import explain_start
@@ -75,7 +75,7 @@ def playing(
     cancel: threading.Event | None = None,
     progress: Progress | None = None,
     alone: Player | None = None,
-) -> Generator[None, None, ExecutionResult]:
+) -> Steps:
     """`execute` step by step, for whoever lets the time pass: each `next` commands the driver for its next
     period. Several of these, of different joints, can run on one driver at once.
 
@@ -108,7 +108,7 @@ def playing(
         return ExecutionResult(refused.code, refused.message, refused.evidence, began, driver.now)
     if isinstance(driver, Follower):
         watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
-        return follow_to_end(driver, driver, trajectory, watched, cancel, progress)
+        return (yield from followed(driver, driver, trajectory, watched, cancel, progress))
     tracking, fade = 0.0, _fade(measured, trajectory, settings)
 
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from armcell.control.driver import Driver
 from armcell.control.safety import Fault
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
+
+Steps = Generator[None, None, ExecutionResult]
+"""A motion under way: each `next` after a period of the driver, until it ends with its result."""
 
 
 class Following(Protocol):
@@ -115,15 +118,15 @@ class Tolerances:
     stall_time: float  # [s]
 
 
-def follow_to_end(
+def followed(
     driver: Driver,
     follower: Follower,
     trajectory: JointTrajectory,
     settings: Tolerances,
     cancel: threading.Event | None,
     progress: Callable[[float], None] | None,
-) -> ExecutionResult:
-    """The part of `execute` behind the check of the start. Arguments as there."""
+) -> Steps:
+    """The part of `playing` behind the check of the start. Arguments as there."""
     names, began, duration = trajectory.joint_names, driver.now, trajectory.duration
     first = float(trajectory.times[0])
     tracking, advanced_at, furthest, done_at = 0.0, began, 0.0, None
@@ -149,12 +152,12 @@ def follow_to_end(
         return ended(ErrorCode.SUCCESS, "")  # it is there already: the start was checked
     following = follower.follow(trajectory)
     while True:
-        driver.advance(driver.period)
+        yield
         fault = follower.fault()
         if fault is not None:
             return stopped_by(fault)
         if cancel is not None and cancel.is_set():
-            return _cancelled(driver, following, state, ended)
+            return (yield from _cancelled(driver, following, state, ended))
         t = following.clock()
         q, speed = state()
         errors = np.min(
@@ -196,13 +199,13 @@ def follow_to_end(
 
 def _cancelled(
     driver: Driver, following: Following, state: Callable, ended: Callable[..., ExecutionResult]
-) -> ExecutionResult:
+) -> Steps:
     """Cancel, and wait until the arm rests."""
     at = following.clock()
     following.cancel()
     end = driver.now + CANCEL_TIME
     while driver.now < end:
-        driver.advance(driver.period)
+        yield
         if following.state() != "running" and state()[1] < 0.005:
             break
     return ended(ErrorCode.PREEMPTED, f"cancelled at {at:.2f} s")

@@ -1,14 +1,20 @@
 """Mode `real` end to end: the cell file's arms are emulated in physics, in a process of their own."""
 
 import json
+import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port
 
 from armcell.cell import cell_names, load
 from armcell.cell.cell import LIBRARY
 from armcell.cli.main import main
+from armcell.core import ErrorCode
+from armcell.ros import Bus, schema
+from armcell.ros.nodes import ServedCell
 
 pytestmark = pytest.mark.slow
 
@@ -56,6 +62,46 @@ def test_no_draw_moves_the_things_of_a_real_cell(cell, tmp_path):
     result, _ = run_real(*cell, tmp_path / "result.json")
     assert result["success"] and result["seed"] is None and result["randomized"] == {}
     assert "--seed" not in result["command"]
+
+
+def test_a_served_arm_tells_where_it_is_while_it_moves_and_stops_when_told(cell):
+    file, host = cell
+    bus, new, at = Bus(), schema().new, schema().message("builtin_interfaces/Duration").from_sec
+    states = bus.subscribe("/joint_states", "sensor_msgs/JointState", queue_size=1000)
+    with (
+        emulator("--cell", "six_axis_pick", hosts=[host]),
+        ServedCell(load(file).connect("real"), bus, plan=False) as served,
+    ):
+        arm = served.live.model.group("arm").joint_names
+
+        def moved(seconds: float, cancel_after: float | None = None) -> tuple[Any, list[float]]:
+            """How a motion of 0.4 rad ended, and what was heard of its joint meanwhile."""
+            here = served.call(served.live.driver.joint_state).reindexed(arm).positions
+            points = [
+                new("trajectory_msgs/JointTrajectoryPoint", q, np.zeros(6), time_from_start=at(t))
+                for t, q in ((0.0, here), (seconds, here + 0.4 * np.eye(6)[0]))
+            ]
+            while states.get(0) is not None:
+                pass
+            work = served.node.play(new("trajectory_msgs/JointTrajectory", joint_names=arm, points=points))
+            if cancel_after is not None:
+                time.sleep(cancel_after)
+                work.cancel.set()
+            assert work.wait(20)
+            heard = []
+            while (state := states.get(0)) is not None:
+                heard.append(state.position[list(state.name).index(arm[0])] - here[0])
+            return work.outcome(), heard
+
+        outcome, heard = moved(2.0)
+        assert outcome.ok, outcome
+        between = [angle for angle in heard if 0.02 < angle < 0.38]
+        assert len(between) > 20  # 30 a second
+        outcome, heard = moved(4.0, cancel_after=1.0)
+        assert outcome.code is ErrorCode.PREEMPTED and 0.005 < heard[-1] < 0.3, outcome
+        served.node.play(new("trajectory_msgs/JointTrajectory"))  # stop all, fingers too
+        assert moved(1.0)[0].ok
+        assert served.failure is None
 
 
 def test_bring_up(cell, tmp_path, capsys):

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control import Driver
+from armcell.control import Driver, Follower, Steps
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.core.checks import require
 
-Steps = Generator[None, None, ExecutionResult]
 T = TypeVar("T")
 MAX_WORKS = 16  # waiting and running
 STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
@@ -261,7 +260,9 @@ class _Some:
     def stop(self) -> None:
         state = self._driver.joint_state()
         mine = state.reindexed(n for n in state.joint_names if n in self._joints)
-        if mine.joint_names:
+        if mine.joint_names and isinstance(self._driver, Follower):
+            self._driver.hold(mine.joint_names)
+        elif mine.joint_names:
             self._driver.command(mine.joint_names, mine.positions, np.zeros(len(mine.joint_names)))
 
     def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> Any:

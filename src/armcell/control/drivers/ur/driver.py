@@ -271,9 +271,10 @@ class UrDriver(SeesNoContacts):
             arm.cancel()
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms whose joints these are where they are."""
-        for arm in self._arms_of(joint_names):
-            arm.cancel()
+        """Stop the arms whose joints these are where they are; of others, as of fingers, nothing happens."""
+        for arm in self.arms.values():
+            if set(joint_names) & set(arm.joint_names):
+                arm.cancel()
 
     def fault(self) -> Fault | None:
         """Why nothing may move: what has stopped the arms and was not resumed."""
