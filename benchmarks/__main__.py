@@ -18,7 +18,7 @@ import platform
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -45,18 +45,19 @@ class Benchmark:
     name: str
     title: str
     quick: tuple[str, ...] = ()
+    _: KW_ONLY
     full: tuple[str, ...] = ()
     page: str | None = None
     draws: bool = False
 
 
 BENCHMARKS = (
-    Benchmark("planning", "Planning beside others", ("--quick",), "benchmarks_planning.md"),
+    Benchmark("planning", "Planning beside others", ("--quick",), page="benchmarks_planning.md"),
     Benchmark(
         "planners",
         "Every planner",
         ("--seeds", "1", "--seconds", "1", "--out", os.devnull),
-        "benchmarks_planners.md",
+        page="benchmarks_planners.md",
     ),
     Benchmark("cartesian", "Straight lines"),
     Benchmark("constraints", "Path constraints", ("--runs", "3", "--rejection", "2")),
@@ -70,10 +71,16 @@ BENCHMARKS = (
         "twin_guard",
         "The twin guard",
         ("--clean", "4", "--rounds", "1"),
-        ("--clean", "500", "--rounds", "10"),
+        full=("--clean", "500", "--rounds", "10"),
         draws=True,
     ),
-    Benchmark("campaign", "Campaigns", ("--trials", "10", "--kills", "3"), ("--trials", "300"), draws=True),
+    Benchmark(
+        "campaign",
+        "Campaigns",
+        ("--trials", "20", "--rounds", "2", "--kills", "3"),
+        full=("--trials", "300"),
+        draws=True,
+    ),
 )
 
 

@@ -12,6 +12,10 @@ def test_every_benchmark_is_run():
     files = {f.stem for f in FOLDER.glob("*.py")} | {f.parent.name for f in FOLDER.glob("*/__main__.py")}
     assert {b.name for b in everything.BENCHMARKS} == files - {"__init__", "__main__", "picture"}
 
+    for benchmark in everything.BENCHMARKS:
+        assert isinstance(benchmark.quick, tuple) and isinstance(benchmark.full, tuple)
+        assert benchmark.page is None or (everything.PAGE.parent / benchmark.page).is_file()
+
 
 def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     """With a benchmark of its own, in a process as the others."""
