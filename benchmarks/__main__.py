@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from dataclasses import KW_ONLY, dataclass
+from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ PACKAGES = (
     "mujoco", "coal", "ompl", "numba", "numpy", "pin", "toppra", "ruckig", "roboplan", "ray",
     "opencv-python-headless",
 )  # fmt: skip
+LONG = 20  # lines that the page shows without a click; of more, those that are not indented
 REASON = 2  # exit status of a benchmark that cannot run here and says why
 
 
@@ -197,8 +199,24 @@ def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
     if found["status"] != 0:
         how += f" It failed (status {found['status']})."
     plain, table = split(found["printed"])
-    told = [] if benchmark.page else (["```\n" + "\n".join(plain) + "\n```"] if plain else [])
-    return [*where, how, *told, *(["\n".join(table)] if table and not benchmark.page else []), *drawn]
+    if benchmark.page:
+        return [*where, how, *drawn]
+    tables = ["\n".join(table)] if table else []
+    if len(plain) <= LONG:
+        return [how, *as_printed(plain), *tables, *drawn]
+    outline = [line for line in plain if not line.startswith(" ")]
+    shown = as_printed(outline) if len(outline) <= LONG else []
+    return [how, *shown, *tables, *drawn, folded(plain)]
+
+
+def as_printed(lines: list[str]) -> list[str]:
+    return ["```\n" + "\n".join(lines) + "\n```"] if lines else []
+
+
+def folded(lines: list[str]) -> str:
+    """To be opened by a click."""
+    text = escape("\n".join(lines), quote=False)
+    return f"<details><summary>All that it printed</summary>\n<pre>\n{text}\n</pre>\n</details>"
 
 
 def split(lines: list[str]) -> tuple[list[str], list[str]]:

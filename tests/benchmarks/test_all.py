@@ -1,5 +1,6 @@
 """`make bench` runs every benchmark that there is, and its page says what they printed."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     for only, status in ((["good"], 0), (["bad"], 1), (["unable"], 0)):
         monkeypatch.setattr(sys, "argv", ["benchmarks", "--only", *only])
         assert everything.main() == status
-    page = (tmp_path / "page.md").read_text()
+    page, kept = (tmp_path / "page.md").read_text(), json.loads((tmp_path / "kept.json").read_text())
     good, bad, unable, later = page.split("\n## ")[1:]
     assert (
         "```\na line\n```\n\n| a | b |\n|---|---|\n| 1 | 2 |" in good
@@ -53,4 +54,14 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     assert "[Bad](own.md)" in bad and "![A plot](pictures/own.png)" in bad
     assert "It failed (status 3)" in bad and "Left out: | 1 | 2 |" in unable
     assert "make bench ONLY=later" in later
+    assert "<details>" not in page
+    lines = [f"{'  ' * (n % 2)}line {n} <" for n in range(40)]
+    long = "\n\n".join(everything.section(table[0], {**kept["good"], "printed": [*lines, "| a |"]}))
+    outline, _, folded = long.partition("<details>")
+    assert (
+        "line 38 <" in outline
+        and "line 39" not in outline
+        and "line 39 &lt;" in folded
+        and "| a |" in outline
+    )
     assert capfd.readouterr().out.count("a line") == 3
