@@ -255,13 +255,15 @@ def table(folder: Path) -> list[dict[str, Any]]:
 # --- records ---
 def executed_again(cell: str, root: Path) -> dict[str, Any]:
     """A recorded run, and the same executed again: `armcell replay --execute` compares bit for bit."""
-    command = [sys.executable, "-m", "armcell"]
-    quiet = {"capture_output": True, "text": True}
-    subprocess.run([*command, "run", cell, "--seed", "7", "--runs", str(root)], **quiet)
+
+    def quietly(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-m", "armcell", *words], capture_output=True, text=True)
+
+    quietly("run", cell, "--seed", "7", "--runs", str(root))
     first = next((file.parent for file in sorted(root.glob("*/run.mcap"))), None)
     if first is None:
         return {"same": False, "said": "no record"}
-    again = subprocess.run([*command, "replay", str(first), "--execute", "--runs", str(root)], **quiet)
+    again = quietly("replay", str(first), "--execute", "--runs", str(root))
     said = (again.stdout + again.stderr).strip().splitlines()
     return {"same": again.returncode == 0, "said": said[-1] if said else ""}
 

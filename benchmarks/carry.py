@@ -137,13 +137,13 @@ def draw(rng: np.random.Generator, kind: str) -> Carry | None:
     if taken is None:
         return None
     scene, carried, supports = taken
-    problem = Carry(kind, scene, carried, *ends, supports)
+    start, goal = ends
+    problem = Carry(kind, scene, carried, start, goal, supports)
     straight = problem.plan(planning_time=0.0)
     blocked = straight.evidence.get("contacts")
     if straight.ok or not blocked:
         return None
-    goal = _at_goal(problem)
-    return problem if goal is not None else None
+    return problem if _at_goal(problem) is not None else None
 
 
 def _at_goal(problem: Carry) -> np.ndarray | None:

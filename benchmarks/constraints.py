@@ -37,6 +37,7 @@ from armcell.planning.constraints.planner import ConstrainedPlanner
 from armcell.planning.goals import joint_goals
 from armcell.planning.planners.native import planner_of
 from armcell.planning.problem import sampling_bounds
+from armcell.planning.question import ask
 from armcell.scene import CollisionObject, PlanningScene
 
 AHEAD = SO3(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))  # tip's z ahead, its x down
@@ -137,7 +138,7 @@ def by_rejection(cell: Cell, seconds: float, seed: int = 0) -> tuple[float, bool
     request, scene = cell.request(seed), cell.scene
     checker = KernelChecker(scene, scene.model.group("arm").joint_names)
     start = scene.positions[checker.columns]
-    goals, _ = joint_goals(scene, request, checker, np.random.default_rng(seed))
+    goals, _ = joint_goals(ask(scene, request), checker, np.random.default_rng(seed))
     manifold = Manifold(scene, "arm", cell.constraints)
     goals = [q for q in goals if not manifold.violations(q)]
     lower, upper = sampling_bounds(scene.model, checker.joint_names, start, goals)

@@ -159,7 +159,7 @@ def unity_service(calls):
 
         def answer():
             for _ in range(calls):
-                number = unity.read_until("__request")["srv_id"]
+                number = unity.read_until("__request")["srv_id"]  # type: ignore[call-overload]
                 name, _ = unity.read()
                 unity.command("__response", srv_id=number)
                 unity.message(name, b"\x01\x00\x00\x00\x00")
