@@ -63,6 +63,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--picture", type=Path, help="where to draw what a trial costs in each way")
     given = parser.parse_args()
+    if given.trials < 4 * given.rounds:
+        parser.error(f"{given.rounds} rounds need at least {4 * given.rounds} trials")
     found: dict[str, Any] = {"cell": given.cell, "trials": given.trials, "load_before": os.getloadavg()[0]}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)

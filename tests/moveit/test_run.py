@@ -13,6 +13,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.cli.main import main
+from armcell.control.drivers.fake import FakeDriver
 from armcell.core import InputError
 from armcell.moveit import current_session, run_script
 from armcell.records import read_record
@@ -172,7 +173,7 @@ def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     record = read_record(folder)
     assert record.result is not None and record.result == json.loads(numbers.read_text())
     assert record.result["success"] is (status == 0) and record.result["seed"] == 3
-    asked = "--seed 3 --set objects.cube.mass=0.07 -- " + str(status)
+    asked = f"--seed 3 --set objects.cube.mass=0.07 --time-scale 50 -- {status}"
     assert record.result["command"].endswith(asked) and "nodding.py" in (folder / "report.html").read_text()
     assert record.about["by"] == "the script nodding.py" and record.about["script"]
     assert record.about["values"] == {"objects.cube.mass": 0.07}
@@ -184,6 +185,35 @@ def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     assert "led by the script nodding.py" in capsys.readouterr().err
     assert main([*command, *options, "--headless", "--runs", str(tmp_path / "no"), "--", "0"]) == 0
     assert not (tmp_path / "no").exists()
+
+
+def test_of_a_cell_that_dies_the_cause_is_told_and_kept(tmp_path, capsys, monkeypatch):
+    def lost(self, duration):
+        if self.now > 0.5:
+            raise RuntimeError("arm lost")
+        real(self, duration)
+
+    real = FakeDriver.advance
+    monkeypatch.setattr(FakeDriver, "advance", lost)
+    (tmp_path / "s.py").write_text("import time\ntime.sleep(1.0)\n")
+    command = ["run", str(tmp_path / "s.py"), "--cell", "panda_table", "--mode", "fake", "--runs"]
+    assert main([*command, str(tmp_path / "runs")]) == 1
+    assert "arm lost" in capsys.readouterr().err
+    (folder,) = (tmp_path / "runs").iterdir()
+    record = read_record(folder)
+    assert record.result is not None and record.result["message"] == "RuntimeError: arm lost"
+    assert main([*command, str(tmp_path / "no"), "--frames", "overview"]) == 1
+    assert "--frames needs physics" in capsys.readouterr().err and not list((tmp_path / "no").iterdir())
+
+
+def test_ctrl_c_while_the_last_motion_ends_keeps_the_run(tmp_path):
+    """The script is over; its motion is not."""
+    status, kept = None, []
+    live = load("panda_table").connect("fake", None)
+    (tmp_path / "s.py").write_text(CTRL_C + MOVING.format(wait="wait=False"))
+    ended = lambda status, session: kept.append((status, session.served.cell.works()))  # noqa: E731
+    status, _ = run_script(tmp_path / "s.py", live, quiet=True, ended=ended)
+    assert status == 130 and kept == [(130, [])]
 
 
 def test_a_script_moves_real_arms_for_a_reason_only(tmp_path, capsys):

@@ -32,6 +32,10 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
     Raises:
         InputError: what is wrong, before anything runs.
     """
+    if spec.sampling == "adaptive" and not spec.parameters:  # not in the spec: options add to a file's
+        raise InputError(
+            "adaptive sampling needs parameters, to go where they fail", cure="--vary PATH=LOW,HIGH"
+        )
     if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
         spec = replace(spec, cell=str(file.resolve()))  # its commands are to work in any folder
     return Store.new(runs, spec, content_hashes(checked_cell(spec)))

@@ -70,8 +70,8 @@ def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
         can be drawn.
     """
     taken: list[Picture] = []
-    varied = with_values(cell, row["values"])
     try:
+        varied = with_values(cell, row["values"])
         with varied.connect("sim", row["seed"]) as live:
             pictures = Pictures(live, lambda time, text, picture: taken.append(picture), stages=False)
             live.ctx.observers.append(pictures)

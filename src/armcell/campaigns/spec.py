@@ -71,10 +71,6 @@ class CampaignSpec:
                     f"{name} is not a mapping from paths", cure="e.g. {objects.cube.mass: [0.1, 1]}"
                 )
         self._check_places()
-        if self.sampling == "adaptive" and not self.parameters:
-            raise InputError(
-                "adaptive sampling needs parameters, to go where they fail", cure="--vary PATH=LOW,HIGH"
-            )
         distributions(self)  # what is wrong with them is said now
 
     def _check_places(self) -> None:

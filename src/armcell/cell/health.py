@@ -21,6 +21,7 @@ from armcell.control import drivers
 from armcell.control.drivers.ur.settings import real_settings
 from armcell.control.following import Follower
 from armcell.core import ArmcellError, InputError, JointGoal, PlanRequest
+from armcell.core.protocols import offers
 from armcell.planning import plan
 
 LAYERS = ("description", "controllers", "drivers", "planner", "task")
@@ -61,7 +62,7 @@ class Health:
 
     def now(self, live: LiveCell) -> dict[str, str]:
         """The states while it runs: a driver that has stopped its arms says why."""
-        stopped = live.driver.fault() if isinstance(live.driver, Follower) else None
+        stopped = live.driver.fault() if offers(live.driver, Follower) else None
         return {**self.states, **({"drivers": f"stopped: {stopped}"} if stopped is not None else {})}
 
 
@@ -130,7 +131,7 @@ def check_driver(live: LiveCell) -> str:
     missing = [n for n in live.model.joint_names if n not in state.joint_names]
     if bad or missing:
         raise InputError(f"the driver {live.driver.name!r} tells no position of {', '.join(bad + missing)}")
-    fault = live.driver.fault() if isinstance(live.driver, Follower) else None
+    fault = live.driver.fault() if offers(live.driver, Follower) else None
     if fault is not None:
         raise InputError(
             f"the driver {live.driver.name!r} has stopped: {fault.text}", cure=fault.cure or None

@@ -14,7 +14,7 @@ from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import err
 from armcell.cli.gating import gate_words, tell_unwatched
 from armcell.cli.results import keep_result
-from armcell.core import ErrorCode, Event, Observer, Outcome
+from armcell.core import ArmcellError, ErrorCode, Event, InputError, Observer, Outcome
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,13 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
         live.ctx.observers.append(Pictures(live, recorder.add_picture))
     if kept.frames:
         live.ctx.observers += camera_frames(kept.frames, cell, mode, live.driver, recorder)
+
+
+def in_words(error: BaseException | None) -> str:
+    """Why a run did not succeed; empty where nothing was raised."""
+    if error is None or isinstance(error, ArmcellError):
+        return "" if error is None else str(error)
+    return f"{type(error).__name__}: {error}"
 
 
 class LedRun:
@@ -112,10 +119,17 @@ class LedRun:
     def __enter__(self) -> LedRun:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self.result is not None:
+    def __exit__(self, kind: type[BaseException] | None, *more: Any) -> None:
+        if self.result is None:
+            if self.recorder is not None:
+                self.recorder.__exit__(kind, *more)
+            return
+        try:
             report = keep_result(self.recorder, self.result, self._kept.json_file)
-            if report is not None:
-                err(f"report: {report}")
-        elif self.recorder is not None:
-            self.recorder.close()
+        except InputError as error:
+            if self.result["success"]:
+                raise
+            err(str(error))  # why the run failed matters more
+            return
+        if report is not None:
+            err(f"report: {report}")

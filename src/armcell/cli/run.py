@@ -52,7 +52,7 @@ def run(
     headless: bool = typer.Option(
         False,
         "--headless",
-        help="For programs: no run folder, no pictures, no progress bar; as fast as it can.",
+        help="For programs: no run folder, no pictures, no progress bar.",
     ),
     runs: Path = typer.Option(
         Path("runs"), metavar="FOLDER", help="Where run folders with report and record go."
@@ -98,6 +98,11 @@ def run(
         raise typer.BadParameter("--headless and --view exclude each other")
     if cell.endswith(".py") or in_cell is not None:
         from armcell.cli.script import run_script_command
+
+        if gate is not None:
+            raise typer.BadParameter(
+                "--gate is for a cell's own task; a script goes by --without-gate REASON"
+            )
 
         return run_script_command(
             cell,

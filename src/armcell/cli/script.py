@@ -14,7 +14,7 @@ import typer
 
 from armcell.cli.console import console, err
 from armcell.cli.gating import gate_of_others
-from armcell.cli.recording import Kept, LedRun
+from armcell.cli.recording import Kept, LedRun, in_words
 from armcell.cli.ros1 import check_remap
 from armcell.core import InputError
 
@@ -44,6 +44,7 @@ def run_script_command(
 
     drivers[mode]  # an unknown mode is said before anything is made
     gate = gate_of_others(mode, f"what {file.name} does", without_gate)
+    gripping = auto_grip
     if auto_grip is None:
         auto_grip = not closes_gripper_itself(file)
         if auto_grip:
@@ -60,6 +61,10 @@ def run_script_command(
         command = ["armcell", "run", script, "--cell", cell, "--mode", mode]
         command += [] if seed is None else ["--seed", str(seed)]
         command += [part for one in set_ for part in ("--set", one)]
+        command += [] if time_scale is None else ["--time-scale", f"{time_scale:g}"]
+        command += [] if gripping is None else ["--auto-grip" if gripping else "--no-auto-grip"]
+        command += ["--ros1"] if ros1 else []
+        command += ["--without-gate", str(without_gate)] if gate else []
         command += ["--", *arguments] if arguments else []
         by = f"the script {file.name}"
         run = stack.enter_context(
@@ -84,9 +89,11 @@ def run_script_command(
         def ended(status: int, session: Session) -> None:
             why = ", interrupted" if status == INTERRUPTED else ""
             failure = f"the script ended with status {status}{why}" if status else ""
-            run.end(session.served.call, live, failure)
+            run.end(session.served.call, live, in_words(session.served.failure) or failure)
 
-        status, _ = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
+        status, session = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
+        if session.served.failure is not None:
+            raise session.served.failure
     return status
 
 

@@ -18,7 +18,7 @@ from rich.text import Text
 from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of_others
-from armcell.cli.recording import Kept, LedRun
+from armcell.cli.recording import Kept, LedRun, in_words
 from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
@@ -29,13 +29,14 @@ REFRESH = 1.0  # [s]
 CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file.")
 MODE = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics.")
 SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: slow motion.")
-RATE = typer.Option(30.0, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
+HERTZ = 30.0
+RATE = typer.Option(HERTZ, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
 SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
 RECORD = typer.Option(
     None, "--record/--no-record", show_default=False,
     help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
 )  # fmt: skip
-RUNS = typer.Option(Path("runs"), metavar="FOLDER", help="Where run folders go.")
+RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]")
 WITHOUT_GATE = typer.Option(
     None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
 )
@@ -89,7 +90,7 @@ def serve(
     ),
     seconds: float | None = SECONDS,
     record: bool | None = RECORD,
-    runs: Path = RUNS,
+    runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
     """Run a cell and serve it: states out; trajectories, planning (move_group), pick, place and grasps in.
@@ -129,7 +130,8 @@ def serve(
             return _plan_only(cell, bus, seed or 0, seconds, status, ready)
         wanted = {"--unity": unity, "--ros1": ros1, "--ros2": ros2, "--auto-grip": auto_grip}
         command = ("serve", cell, *(flag for flag, given in wanted.items() if given))
-        kept = runs if _records(record, mode) else None
+        command += ("--types", str(types)) if types is not None else ()
+        kept = _records(record, mode, runs)
         served = _Served(command, cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
         return _run(served, bus, status, ready, True, auto_grip)
 
@@ -169,7 +171,7 @@ def sim(
     rate: float = RATE,
     seconds: float | None = SECONDS,
     record: bool | None = RECORD,
-    runs: Path = RUNS,
+    runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
     """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it.
@@ -181,7 +183,7 @@ def sim(
     if (ros1 or ros2) == (connect is not None):
         raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
     to = ("--connect", connect) if connect else ("--ros1",) * ros1 + ("--ros2",) * ros2
-    kept = runs if _records(record, mode) else None
+    kept = _records(record, mode, runs)
     served = _Served(("sim", cell, *to), cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
     if connect is None:
         joins: list[Callable[[ExitStack, Any], Wire]] = []
@@ -227,8 +229,10 @@ def sim(
             client.close()
 
 
-def _records(record: bool | None, mode: str) -> bool:
-    return mode == "real" if record is None else record
+def _records(record: bool | None, mode: str, runs: Path | None) -> Path | None:
+    """The folder of run folders; None for no record."""
+    wanted = (mode == "real" or runs is not None) if record is None else record
+    return (runs or Path("runs")) if wanted else None
 
 
 def _sim_node(what: _Served, joins: list[Callable[[ExitStack, Any], Wire]]) -> int:
@@ -273,6 +277,9 @@ def _run(
     loaded, health = first_layers(what.cell, mode, tell)
     scene = loaded.scene(seed)
     command = ["armcell", *what.command, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
+    command += [] if what.time_scale == 1.0 else ["--time-scale", f"{what.time_scale:g}"]
+    command += [] if what.rate == HERTZ else ["--rate", f"{what.rate:g}"]
+    command += ["--without-gate", str(what.without_gate)] if gate else []
     by = "those who join the cell"
     with LedRun(loaded, scene, seed, mode, Kept(what.runs), {}, by, command, gate=gate) as run:
         live = loaded.connect(mode, seed, run.observers, what.time_scale)
@@ -284,6 +291,7 @@ def _run(
             return "  ".join([status(), *ill])
 
         line = _StatusLine(bus, lambda: served.node.executed, all_status)
+        failure: BaseException | None = None
         try:
             served.start(layer=health.layer)
             ready()
@@ -291,10 +299,14 @@ def _run(
                 _until(what.seconds, line, served.thread)
         except KeyboardInterrupt:
             pass
+        except BaseException as error:
+            failure = error
+            raise
         finally:
             try:
                 if served.node.ready.is_set():
-                    run.end(served.call, live, str(served.failure or ""))
+                    served.rest()
+                    run.end(served.call, live, in_words(served.failure or failure))
             finally:
                 served.close()
         if served.failure is not None:

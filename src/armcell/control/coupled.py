@@ -13,6 +13,7 @@ from armcell.control.driver import Driver, Rehearsing, Watch
 from armcell.control.executor import ExecutionSettings, Progress
 from armcell.control.following import Follower, Paced
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome, Playback
+from armcell.core.protocols import offers
 
 Array = NDArray[np.float64]
 
@@ -63,14 +64,14 @@ def execute_coupled(
         joint = names[int(np.argmax(off))]
         text = f"{joint} is {off.max():.3f} from the trajectory's start: plan again from the current state"
         return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": float(off.max())}))
-    paced = driver if isinstance(driver, Paced) else None
+    paced = driver if offers(driver, Paced) else None
     if scalings is None and paced is not None:
         scalings = lambda: (paced.speed_fraction,)  # noqa: E731
-    rehearsing = driver if isinstance(driver, Rehearsing) else None
+    rehearsing = driver if offers(driver, Rehearsing) else None
     if rehearsing is not None and (refused := rehearsing.rehearse(trajectory)) is not None:
         return ended(refused)
     twin = rehearsing and rehearsing.watch(trajectory, correct is not None)
-    follower = driver if isinstance(driver, Follower) else None
+    follower = driver if offers(driver, Follower) else None
     sent = _Sent(0.0 if paced is None else paced.latency)
     playback = Playback(trajectory)
     clock, scale, last = 0.0, 1.0, 0.0 if paced is None else paced.tick

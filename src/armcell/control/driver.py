@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -156,7 +156,6 @@ class SeesNoContacts:
         return []
 
 
-@runtime_checkable
 class Rehearsing(Protocol):
     """A driver that tries a trajectory elsewhere before a robot gets it."""
 

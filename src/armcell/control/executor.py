@@ -14,6 +14,7 @@ from armcell.control.driver import Driver, Player, Rehearsing
 from armcell.control.following import Follower, Steps, Tolerances, followed
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
 from armcell.core.checks import require
+from armcell.core.protocols import offers
 from armcell.planning import explain_start
 
 
@@ -103,10 +104,10 @@ def playing(
             code, text, {"joint": joint, "error": worst}, began, began,
             explainer=partial(explain_start, measured, start, tolerance, code, text),
         )  # fmt: skip
-    refused = driver.rehearse(trajectory) if isinstance(driver, Rehearsing) else None
+    refused = driver.rehearse(trajectory) if offers(driver, Rehearsing) else None
     if refused is not None:
         return ExecutionResult(refused.code, refused.message, refused.evidence, began, driver.now)
-    if isinstance(driver, Follower):
+    if offers(driver, Follower):
         watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
         return (yield from followed(driver, driver, trajectory, watched, cancel, progress))
     tracking, fade = 0.0, _fade(measured, trajectory, settings)

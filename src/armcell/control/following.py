@@ -7,7 +7,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,6 @@ class Following(Protocol):
     def cancel(self) -> None: ...
 
 
-@runtime_checkable
 class Follower(Protocol):
     """A driver whose robot plays trajectories itself."""
 
@@ -57,7 +56,6 @@ class Follower(Protocol):
         ...
 
 
-@runtime_checkable
 class Paced(Protocol):
     """A driver whose robots may be slowed from outside, and are behind what they are sent.
 

@@ -26,6 +26,7 @@ from armcell.control.driver import (
 from armcell.control.following import Follower, Following
 from armcell.control.safety import Fault
 from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome
+from armcell.core.protocols import offers
 
 EPSILON = 1e-9  # [s]
 
@@ -165,7 +166,7 @@ class FollowingView(ArmView):
         return cast(Follower, self._driver).follow(trajectory)
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        return self._driver.rehearse(trajectory) if isinstance(self._driver, Rehearsing) else None
+        return self._driver.rehearse(trajectory) if offers(self._driver, Rehearsing) else None
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
         return cast(Rehearsing, self._driver).watch(trajectory, forced)
@@ -188,7 +189,7 @@ def run_by_turns(
         Whatever the first program that failed raised; the robot has been stopped then.
     """
     turns = Turns(driver, programs)
-    view = FollowingView if isinstance(driver, Follower) else ArmView
+    view = FollowingView if offers(driver, Follower) else ArmView
 
     def run(name: str) -> None:
         error: BaseException | None = None

@@ -47,6 +47,7 @@ def run_script(
         sys.path.insert(0, str(folder))
         try:
             status = _status(script, session)
+            session.served.rest()
             ended(status, session)
             return status, session
         finally:
@@ -70,15 +71,18 @@ def _forget(folder: Path, names: set[str]) -> None:
 
 def _status(script: Path, session: Session) -> int:
     try:
-        runpy.run_path(str(script), run_name="__main__")
+        return _run(script, session)
     except KeyboardInterrupt:
-        session.served.cell.stop()
         return INTERRUPTED
+
+
+def _run(script: Path, session: Session) -> int:
+    try:
+        runpy.run_path(str(script), run_name="__main__")
     except SystemExit as end:
         _finish(session)
         return end.code if isinstance(end.code, int) else 0 if end.code is None else _said(end.code)
     except Exception as error:
-        session.served.cell.stop()
         frames = traceback.extract_tb(error.__traceback__)
         mine = [i for i, f in enumerate(frames) if Path(f.filename).resolve() == script.resolve()]
         shown = frames[mine[0] : mine[-1] + 1] if mine else frames  # what is ours helps nobody
@@ -90,10 +94,8 @@ def _status(script: Path, session: Session) -> int:
 
 
 def _finish(session: Session) -> None:
-    """Wait for the motions that the script has begun; after Ctrl-C, which it may have caught, end them."""
-    if session.interrupted:
-        session.served.cell.stop()
-    else:
+    """Wait for the motions that the script has begun; not after Ctrl-C, which it may have caught."""
+    if not session.interrupted:
         session.finish()
 
 

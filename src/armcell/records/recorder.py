@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import re
@@ -88,7 +89,8 @@ def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
 class RunRecorder:
     """Observer that writes `run.mcap` into a folder and keeps what the report needs.
 
-    The MCAP has a temporary name until `close`; leaving the `with` block closes it, after an error too.
+    The MCAP has a temporary name until `close`; leaving the `with` block closes it, after an error too. Where
+    an error came before the first state, no folder is left.
 
     Args:
         folder: the run's folder (`new_run_folder`); made if missing.
@@ -204,8 +206,12 @@ class RunRecorder:
     def __enter__(self) -> RunRecorder:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close()
+        if kind is not None and self._last is None:  # of a run that did not begin nothing is left
+            with contextlib.suppress(OSError):
+                self.mcap_file.unlink()
+                self.folder.rmdir()
 
     # --- how ---
     def _keep_last(self) -> None:

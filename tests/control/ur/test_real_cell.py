@@ -13,6 +13,7 @@ from armcell.cell import cell_names, load
 from armcell.cell.cell import LIBRARY
 from armcell.cli.main import main
 from armcell.core import ErrorCode
+from armcell.records import RunRecorder
 from armcell.ros import Bus, schema
 from armcell.ros.nodes import ServedCell
 
@@ -102,6 +103,31 @@ def test_a_served_arm_tells_where_it_is_while_it_moves_and_stops_when_told(cell)
         served.node.play(new("trajectory_msgs/JointTrajectory"))  # stop all, fingers too
         assert moved(1.0)[0].ok
         assert served.failure is None
+
+
+def test_a_served_arm_rests_before_the_cell_is_closed(cell, tmp_path):
+    file, host = cell
+    loaded, new, at = load(file), schema().new, schema().message("builtin_interfaces/Duration").from_sec
+    with emulator("--cell", "six_axis_pick", hosts=[host]):
+        with RunRecorder(tmp_path / "record", loaded.scene(None)) as recorder:
+            served = ServedCell(loaded.connect("real", None, [recorder]), Bus(), plan=False)
+            served.start()
+            arm = served.live.model.group("arm").joint_names
+            here = served.call(served.live.driver.joint_state).reindexed(arm).positions
+            points = [
+                new("trajectory_msgs/JointTrajectoryPoint", q, np.zeros(6), time_from_start=at(t))
+                for t, q in ((0.0, here), (4.0, here + 1.2 * np.eye(6)[0]))
+            ]
+            work = served.node.play(new("trajectory_msgs/JointTrajectory", joint_names=arm, points=points))
+            time.sleep(2.0)
+            served.close()
+        assert work.outcome().code is ErrorCode.PREEMPTED and served.failure is None
+        series = recorder.series()
+        column = series.joint_names.index(arm[0])
+        assert np.nanmax(series.velocities[:, column]) > 0.2 > 0.02 > abs(series.velocities[-1, column])
+        with load(file).connect("real") as live:
+            now = live.driver.joint_state()[arm[0]]
+        assert now == pytest.approx(series.positions[-1, column], abs=2e-3)
 
 
 def test_bring_up(cell, tmp_path, capsys):

@@ -81,6 +81,7 @@ class CellNode:
                 self.ready.set()
                 while not self._stop.is_set():
                     self.conductor.turn()
+                self.conductor.settle()
         finally:
             self.conductor.close()
             for member in (

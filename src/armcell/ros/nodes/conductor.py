@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -18,9 +19,11 @@ from numpy.typing import ArrayLike
 from armcell.control import Driver, Follower, Steps
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.core.checks import require
+from armcell.core.protocols import offers
 
 T = TypeVar("T")
 MAX_WORKS = 16  # waiting and running
+SETTLE = 3.0  # [s] for what is cancelled when the cell is closed; a real arm takes 2 at most
 STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
@@ -181,6 +184,15 @@ class Conductor:
             driver.advance(min(driver.period, end - driver.now))
             self._after_step()
 
+    def settle(self) -> None:
+        """End everything that moves, and turn until it rests; nothing can be put from now on."""
+        with self._lock:
+            self._closed = True
+        self.stop()
+        end = time.monotonic() + SETTLE
+        while self.works() and time.monotonic() < end:
+            self.turn()
+
     def close(self) -> None:
         """Answer everybody who waits; nothing can be put from now on."""
         with self._lock:
@@ -260,7 +272,7 @@ class _Some:
     def stop(self) -> None:
         state = self._driver.joint_state()
         mine = state.reindexed(n for n in state.joint_names if n in self._joints)
-        if mine.joint_names and isinstance(self._driver, Follower):
+        if mine.joint_names and offers(self._driver, Follower):
             self._driver.hold(mine.joint_names)
         elif mine.joint_names:
             self._driver.command(mine.joint_names, mine.positions, np.zeros(len(mine.joint_names)))

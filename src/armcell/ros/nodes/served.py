@@ -8,10 +8,12 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import TypeVar
 
 from armcell.cell import Cell, LiveCell
+from armcell.core import InputError
 from armcell.planning import prepare, warm_up
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.access import CellAccess
 from armcell.ros.nodes.cell_node import CellNode
+from armcell.ros.nodes.conductor import SETTLE
 from armcell.ros.nodes.description import describe
 from armcell.ros.nodes.grasp_server import GraspServer
 from armcell.ros.nodes.local_cell import LocalCell
@@ -77,7 +79,20 @@ class ServedCell:
 
     def call(self, function: Callable[[], T]) -> T:
         """Run something in the cell's thread between two steps, and wait; here, where that has ended."""
-        return self.node.conductor.call(function) if self.thread.is_alive() else function()
+        if self.thread.is_alive():
+            try:
+                return self.node.conductor.call(function)
+            except InputError:
+                self.thread.join(1.0)
+                if self.thread.is_alive():
+                    raise
+        return function()
+
+    def rest(self) -> None:
+        """Stop what moves, and wait until it rests."""
+        self.cell.stop()
+        for work in self.cell.works():
+            work.wait(SETTLE)
 
     def close(self) -> None:
         """Stop what moves and leave the bus."""
