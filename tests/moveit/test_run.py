@@ -179,6 +179,9 @@ def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     assert record.about["values"] == {"objects.cube.mass": 0.07}
     (motion,) = (trajectory for _, trajectory in record.trajectories)
     assert motion.end.as_dict()["panda_joint1"] == pytest.approx(0.3, abs=1e-6)
+    (plan,) = (event for event in record.events if event.kind == "plan")
+    assert plan.text == "for a client, panda_arm" and plan.data["points"] == len(motion.times)
+    assert plan.data["planner"] == "straight line" and plan.data["evidence"]["attempts"] == 1
     end = record.states[-1].joints.as_state(0.0)
     assert end.as_dict()["panda_joint1"] == pytest.approx(0.3, abs=1e-3)
     assert main(["replay", str(folder), "--execute"]) == 1

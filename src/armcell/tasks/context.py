@@ -246,9 +246,17 @@ class TaskContext:
         for observer in self.observers:
             observer.on_event(event)
 
-    def announce(self, trajectory: JointTrajectory) -> None:
+    def announce(self, trajectory: JointTrajectory, plan: str = "", **evidence: Any) -> None:
+        """Tell of a motion that begins.
+
+        Args:
+            plan: what it is; where given, its plan is told with this evidence.
+        """
         for observer in self.observers:
             observer.on_trajectory(self.driver.now, trajectory)
+        if plan:
+            points, duration = len(trajectory.times), trajectory.duration
+            self.emit("plan", plan, points=points, duration_s=duration, **evidence)
 
 
 @dataclass

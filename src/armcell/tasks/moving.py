@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +138,7 @@ class _Along:
     close_at: float  # [s] on the trajectory
     force: float  # [N] per finger
     planned_in: PlanningScene
+    evidence: Mapping[str, Any]
     name: str = "along with it"
 
     def perform(self, ctx: TaskContext) -> Outcome:
@@ -144,7 +146,7 @@ class _Along:
         return staged(ctx, report, lambda: self._move(ctx))
 
     def _move(self, ctx: TaskContext) -> Outcome:
-        ctx.announce(self.trajectory)
+        ctx.announce(self.trajectory, self.name, planner="cartesian", evidence=dict(self.evidence))
         closing = False
 
         def progress(done: float) -> None:
@@ -218,7 +220,8 @@ class MoveAlong:
             planning.reject(self.name, grasp.name, f"in collision: {trouble}")
             return
         touching = scene.with_allowed(self.item, gripper.hand_links)
-        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching)
+        told = {"grasp": grasp.name, "velocity": self.velocity}
+        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching, told)
         yield draft.then(along=along)
 
 

@@ -45,11 +45,9 @@ class Motion:
         if isinstance(trajectory, Outcome):
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
-        ctx.announce(trajectory)
-        ctx.emit(
-            "plan", self.name, planner=self.planner, planning_time_s=self.planning_time,
-            clearance_m=self.clearance, points=len(trajectory.times), duration_s=trajectory.duration,
-            evidence=dict(self.evidence),
+        ctx.announce(
+            trajectory, self.name, planner=self.planner, planning_time_s=self.planning_time,
+            clearance_m=self.clearance, evidence=dict(self.evidence),
         )  # fmt: skip
         watch = _Watch(ctx, trajectory, self.planned_in)
         result = execute(ctx.driver, trajectory, ctx.settings.execution, watch, ctx.progress)

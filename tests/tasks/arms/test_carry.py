@@ -25,16 +25,17 @@ def cell():
 
 
 class Kept:
-    """The trajectories that were announced."""
+    """The trajectories that were announced, and the plans that were told with them."""
 
     def __init__(self):
-        self.trajectories = []
+        self.trajectories, self.plans = [], []
 
     def on_state(self, sample):
         pass
 
     def on_event(self, event):
-        pass
+        if event.kind == "plan" and "points" in event.data:
+            self.plans.append(event)
 
     def on_trajectory(self, time, trajectory):
         self.trajectories.append(trajectory)
@@ -187,6 +188,18 @@ def test_screwing_in_physics(seed):
 def test_the_same_scripts_run_without_physics(name):
     task = armcell.load(name)
     assert len((task.file.parent / task.spec.script).read_text().splitlines()) <= 60
-    with task.connect("fake") as live:
+    kept = Kept()
+    with task.connect("fake", observers=[kept]) as live:
         result = run_task(task, live, 0, "fake")
     assert result["success"], result["message"]
+    assert [(p.data["points"], p.data["duration_s"]) for p in kept.plans] == [
+        (len(t.times), t.duration) for t in kept.trajectories
+    ]
+    assert all(p.text and p.data["planner"] and "evidence" in p.data for p in kept.plans)
+    by_name = {plan.text: plan.data["evidence"] for plan in kept.plans}
+    if name == "dual_ur10_rod":
+        carried = next(e for e in by_name.values() if "poses" in e)
+        assert list(carried["ways"]) == ["straight"] * len(carried["poses"])
+        assert set(by_name["both to the ends"]["goals"]) == set(ENDS)
+    if name == "dual_ur10_screw":
+        assert by_name["screw"]["turns"] == 0.75  # twice

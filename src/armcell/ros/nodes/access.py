@@ -61,6 +61,10 @@ class CellAccess(Protocol):
         """Contacts that belong to the task from now on (or no longer)."""
         ...
 
+    def tell(self, kind: str, text: str, **data: Any) -> None:
+        """Tell who observes the cell of an event, soon."""
+        ...
+
     def stop(self) -> None:
         """End everything that moves."""
         ...

@@ -153,6 +153,12 @@ class Conductor:
             raise value
         return value
 
+    def soon(self, function: Callable[[], None]) -> None:
+        """Run something in the driver's thread between two steps; nobody waits for it."""
+        with self._lock:
+            if not self._closed:
+                self._calls.put(function)
+
     # --- the driver's thread ---
     def turn(self) -> None:
         """One period of the driver, or one whole job."""

@@ -81,5 +81,8 @@ class LocalCell:
         driver = self._node.live.driver
         self._node.conductor.call(lambda: driver.expect_contact(body, others, expected))
 
+    def tell(self, kind: str, text: str, **data: Any) -> None:
+        self._node.conductor.soon(lambda: self._node.live.ctx.emit(kind, text, **data))
+
     def stop(self) -> None:
         self._node.conductor.stop()

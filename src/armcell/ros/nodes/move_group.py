@@ -112,6 +112,7 @@ class MoveGroupNode:
             result = plan(scene, wanted, cancel)
         except InputError as error:
             logger.warning("planning request refused: %s", error)
+            self.cell.tell("error", f"a client's request for {request.group_name} is refused: {error}")
             return PlanResult(_request_code(request, error), str(error))
         repaired = result.evidence.get("start_repaired")
         if result.ok and repaired and repaired["begins_at"] != "actual start":
@@ -122,7 +123,20 @@ class MoveGroupNode:
             logger.warning(
                 "planning for %s failed: %s: %s", request.group_name, result.code.name, result.message
             )
+        self._tell(request.group_name, result, {"seed": wanted.seed, "attempts": wanted.attempts})
         return result
+
+    def _tell(self, group: str, result: PlanResult, asked: dict[str, Any]) -> None:
+        """For the record, whether it is carried out or not."""
+        if result.trajectory is None:
+            text = f"planning for {group} failed: {result.code.name}: {result.message}"
+            self.cell.tell("error", text, evidence={**asked, **result.evidence})
+            return
+        self.cell.tell(
+            "plan", f"for a client, {group}", planner=result.planner_id, planning_time_s=result.planning_time,
+            points=len(result.trajectory.times), duration_s=result.trajectory.duration,
+            evidence={**asked, **result.evidence},
+        )  # fmt: skip
 
     def settled(self, group: str, cancel: threading.Event | None = None) -> None:
         """Return when what this group does at the moment is over: a plan from a moving state is of no use."""
@@ -188,6 +202,7 @@ class MoveGroupNode:
             return refused(code_of(error, ErrorCode.FAILURE))
         if result.fraction < 1.0:
             logger.warning("the line is followed for %.0f %%: %s", result.fraction * 100, result.message)
+        self._tell(request.group_name, result, {"fraction": result.fraction})
         # A part of the way is success with a fraction, as from move_group.
         return self.new(
             "GetCartesianPathResponse",

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -285,7 +287,8 @@ class Carrying:
             return self._told(Outcome(result.code, f"{name}: {result.message}", result.evidence))
         report.clearance_m = result.min_clearance
         self.ctx.driver.expect_contact(self.item, held.supports)
-        outcome = self._play(name, result.trajectory, report, self._correct, self._watch)
+        told = {"poses": list(poses), "seed": self.ctx.seed, **result.evidence}
+        outcome = self._play(name, result.trajectory, report, self._correct, self._watch, told)
         if outcome.ok:
             held.q = self._corrected(result.trajectory.positions[-1], self._admittance.offset)
         return self._told(outcome)
@@ -447,6 +450,7 @@ class Carrying:
     def _play(
         self, name: str, trajectory: JointTrajectory, report: StageReport | None = None,
         correct: Callable | None = None, watch: Callable | None = None,
+        evidence: Mapping[str, Any] = MappingProxyType({}),
     ) -> Outcome:  # fmt: skip
         return play(
             self.ctx,
@@ -454,6 +458,7 @@ class Carrying:
             report or StageReport(name, "cartesian"),
             correct,
             watch,
+            evidence,
         )
 
     def _told(self, outcome: Outcome) -> Outcome:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 from armcell.control.coupled import execute_coupled
 from armcell.core import Goal, JointTrajectory, Outcome, PlanRequest
 from armcell.planning import plan_together
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.guard import guarded
+from armcell.tasks.stages.moves import goal_data
 from armcell.tasks.steps import staged
 
 
@@ -26,17 +29,28 @@ def move_together(
         ctx.emit("error", f"{name}: {pair.message}")
         return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
     report = StageReport(name, pair.how, pair.planning_time)
-    return play(ctx, pair.trajectory.reindexed(scene.model.group(both).joint_names), report)
+    told = {"goals": {group: goal_data(goal) for group, goal in goals.items()}, "seed": ctx.seed,
+            "between_arms_m": pair.clearance, "message": pair.message, **pair.evidence}  # fmt: skip
+    trajectory = pair.trajectory.reindexed(scene.model.group(both).joint_names)
+    return play(ctx, trajectory, report, evidence=told)
 
 
 def play(
     ctx: TaskContext, trajectory: JointTrajectory, report: StageReport,
     correct: Callable | None = None, watch: Callable | None = None,
+    evidence: Mapping[str, Any] = MappingProxyType({}),
 ) -> Outcome:  # fmt: skip
-    """A motion of coupled arms as a stage."""
+    """A motion of coupled arms as a stage.
+
+    Args:
+        evidence: of its plan, for the record.
+    """
 
     def act() -> Outcome:
-        ctx.announce(trajectory)
+        ctx.announce(
+            trajectory, report.name, planner=report.planner, planning_time_s=report.planning_time_s,
+            clearance_m=report.clearance_m, evidence=dict(evidence),
+        )  # fmt: skip
         return guarded(
             ctx, trajectory, ctx.cancel,
             lambda stop: execute_coupled(

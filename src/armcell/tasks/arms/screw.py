@@ -74,7 +74,8 @@ def screw(
     turning = _Turning(ctx, item, force, settings, names, gripper.name, gripper.tcp_link)
 
     def act() -> Outcome:
-        ctx.announce(trajectory)
+        asked = {"turns": turns, "force_N": force}
+        ctx.announce(trajectory, "screw", planner="admittance", evidence=asked)
         result = guarded(
             ctx, trajectory, ctx.cancel,
             lambda stop: execute_coupled(

@@ -91,7 +91,7 @@ class Traffic:
             if self._behind(me):
                 return None
             back = self._plan(ctx, scene, wanted.positions[0])
-            if back is None or not self.perform(ctx, back):
+            if back is None or not self.perform(ctx, back, f"{me} comes back"):
                 return None
             now, scene, other = ctx.driver.now, ctx.whole_scene(), self.running[self.other(me)]
         arms = Arms(scene, (me, self.other(me)))
@@ -146,10 +146,10 @@ class Traffic:
         arms = Arms(scene, (ctx.group, self.other(ctx.group)))
         return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
 
-    def perform(self, ctx: ArmContext, trajectory: JointTrajectory) -> bool:
+    def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
         """A motion of the traffic's own (making way, coming back), begun now."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
-        ctx.announce(trajectory)
+        ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
         done = guarded(
             ctx, trajectory, ctx.cancel,
             lambda stop: execute(ctx.driver, trajectory, ctx.settings.execution, stop, ctx.progress),
@@ -195,7 +195,7 @@ class Traffic:
         if way is not None:
             ctx.emit("note", f"{ctx.group} makes way")
             self.made_way[ctx.group] += 1
-            self.perform(ctx, way)
+            self.perform(ctx, way, f"{ctx.group} makes way")
 
     def _gave_up(self, ctx: ArmContext, motion: Motion) -> Outcome:
         scene = ctx.whole_scene()

@@ -95,12 +95,13 @@ class Connect:
 def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
     """What a record keeps of a request."""
     return {
-        "goal": _goal_data(goal), "planner_id": request.planner_id, "seed": request.seed,
+        "goal": goal_data(goal), "planner_id": request.planner_id, "seed": request.seed,
         "attempts": request.attempts, "planning_time_limit_s": request.planning_time,
     }  # fmt: skip
 
 
-def _goal_data(goal: Goal) -> Any:
+def goal_data(goal: Goal) -> Any:
+    """What a record keeps of a goal."""
     match goal:
         case NamedGoal():
             return goal.name
@@ -164,7 +165,7 @@ def straight(scene: PlanningScene, group: str, link: str, target: SE3, speed: Sp
         group, (target,), link, velocity_scaling=speed.velocity, acceleration_scaling=speed.acceleration
     )
     result = plan_cartesian(scene, request)
-    return replace(result, evidence={"goal": _goal_data(PoseGoal(target, link)), **result.evidence})
+    return replace(result, evidence={"goal": goal_data(PoseGoal(target, link)), **result.evidence})
 
 
 def shifted(pose: SE3, offset: tuple[float, float, float], in_own_frame: bool) -> SE3:
