@@ -100,6 +100,11 @@ def test_ctrl_c_in_a_wait_ends_the_script_and_stops_the_arm(tmp_path):
     )
 
 
+def test_ctrl_c_in_a_sleep_that_nobody_catches(tmp_path, capsys):
+    status, _ = run(tmp_path, f"import rospy\n{CTRL_C}while True:\n    rospy.sleep(0.1)\n")
+    assert status == 130 and "Traceback" not in capsys.readouterr().err
+
+
 def test_ctrl_c_is_rospys_interrupt_in_a_loop(tmp_path):
     text = f"import rospy\nrate = rospy.Rate(10)\n{CTRL_C}try:\n"
     text += "    while not rospy.is_shutdown():\n        rate.sleep()\n"

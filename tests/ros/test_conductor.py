@@ -156,6 +156,32 @@ def test_calls_from_other_threads_are_answered_between_steps(driver):
     assert answers == [threading.current_thread().name, "raised"]
 
 
+def test_what_is_told_soon_cannot_end_the_cell(driver, caplog):
+    conductor, told = Conductor(driver), []
+    conductor.soon(lambda: 1 / 0)
+    conductor.soon(lambda: told.append(conductor.now))
+    conductor.turn()
+    assert told and "could not be told" in caplog.text
+
+
+def test_settling_ends_what_moves_and_nothing_can_be_put_any_more(driver):
+    def steps(d, cancel):  # needs 0.3 s to come to rest
+        while not cancel.is_set():
+            yield
+        until = driver.now + 0.3
+        while driver.now < until:
+            yield
+        return ExecutionResult(ErrorCode.PREEMPTED, "rests")
+
+    conductor = Conductor(driver)
+    slow = conductor.put(Work("slow", ("left_shoulder_pan_joint",), steps))
+    conductor.turn()
+    conductor.settle()
+    assert slow.is_over and slow.outcome().message == "rests" and not conductor.works()
+    with pytest.raises(InputError, match="closed"):
+        conductor.put(work(driver, "right"))
+
+
 def test_a_work_that_fails_ends_with_its_error_and_the_others_go_on(driver):
     conductor = Conductor(driver)
 

@@ -24,6 +24,7 @@ from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
 from armcell.cli.ros2 import join as join_ros2
 from armcell.core import InputError
+from armcell.interrupts import take_time
 
 REFRESH = 1.0  # [s]
 CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file.")
@@ -298,7 +299,9 @@ def _run(
             with line:
                 _until(what.seconds, line, served.thread)
         except KeyboardInterrupt:
-            pass
+            if not served.node.ready.is_set():
+                raise
+            take_time()
         except BaseException as error:
             failure = error
             raise

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from armcell.cell import LiveCell
 from armcell.core import InputError
+from armcell.interrupts import take_time
 from armcell.moveit.install import installed
 from armcell.moveit.session import Session
 from armcell.ros import Ros1Settings
@@ -47,6 +48,7 @@ def run_script(
         sys.path.insert(0, str(folder))
         try:
             status = _status(script, session)
+            take_time()
             session.served.rest()
             ended(status, session)
             return status, session
@@ -82,6 +84,8 @@ def _run(script: Path, session: Session) -> int:
     except SystemExit as end:
         _finish(session)
         return end.code if isinstance(end.code, int) else 0 if end.code is None else _said(end.code)
+    except KeyboardInterrupt:  # rospy's ROSInterruptException is one, and an Exception as well
+        raise
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
         mine = [i for i, f in enumerate(frames) if Path(f.filename).resolve() == script.resolve()]

@@ -210,7 +210,8 @@ class RunRecorder:
         self.close()
         if kind is not None and self._last is None:  # of a run that did not begin nothing is left
             with contextlib.suppress(OSError):
-                self.mcap_file.unlink()
+                for file in (self.mcap_file, self.mcap_file.with_name(self.mcap_file.name + ".part")):
+                    file.unlink(missing_ok=True)
                 self.folder.rmdir()
 
     # --- how ---

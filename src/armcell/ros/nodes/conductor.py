@@ -6,6 +6,7 @@ default makes it end. Everything that touches the driver happens in the thread t
 
 from __future__ import annotations
 
+import logging
 import queue
 import threading
 import time
@@ -22,6 +23,7 @@ from armcell.core.checks import require
 from armcell.core.protocols import offers
 
 T = TypeVar("T")
+logger = logging.getLogger(__name__)
 MAX_WORKS = 16  # waiting and running
 SETTLE = 3.0  # [s] for what is cancelled when the cell is closed; a real arm takes 2 at most
 STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
@@ -154,10 +156,17 @@ class Conductor:
         return value
 
     def soon(self, function: Callable[[], None]) -> None:
-        """Run something in the driver's thread between two steps; nobody waits for it."""
+        """Run something in the driver's thread between two steps; nobody waits for it, nor for its errors."""
+
+        def run() -> None:
+            try:
+                function()
+            except Exception:
+                logger.exception("an event could not be told")
+
         with self._lock:
             if not self._closed:
-                self._calls.put(function)
+                self._calls.put(run)
 
     # --- the driver's thread ---
     def turn(self) -> None:

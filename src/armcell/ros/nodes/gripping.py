@@ -185,12 +185,17 @@ class GripperNode:
         if reading.held or reading.width < 0.5 * gripper.max_width or not between:
             return
         item = between[0]
-        self._say(f"the arm rests with {item.name} between the fingers: the gripper closes")
+        text = f"the arm rests with {item.name} between the fingers"
         self._expect_contact(gripper)
         force = grip_force(item, gripper)
         joints = (gripper.joint_name, *self._live.model.group(gripper.arm_group).joint_names)
         make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: E731
-        self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))
+        try:
+            self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))
+        except InputError as error:  # the cell is about to close, or too much waits
+            self._say(f"{text}, but: {error}")
+        else:
+            self._say(f"{text}: the gripper closes")
 
     def _expect_contact(self, gripper: Gripper) -> None:
         """Fingers that close around something are meant to touch it."""

@@ -199,6 +199,7 @@ class MoveGroupNode:
             result = plan_cartesian(scene, cartesian_request_from_message(request, scene))
         except InputError as error:
             logger.warning("Cartesian request refused: %s", error)
+            self.cell.tell("error", f"a client's line for {request.group_name} is refused: {error}")
             return refused(code_of(error, ErrorCode.FAILURE))
         if result.fraction < 1.0:
             logger.warning("the line is followed for %.0f %%: %s", result.fraction * 100, result.message)

@@ -296,7 +296,9 @@ class PickPlaceNode:
         code = ErrorCode.PLANNING_FAILED
         if planning.failure is not None and planning.hopeless:
             code = planning.failure.code
-        return None, Outcome(code, planning.rejections.summary())
+        summary = planning.rejections.summary()
+        self._cell.tell("error", f"{action}: {summary}", rejections=planning.rejections.details)
+        return None, Outcome(code, summary)
 
     def _perform(self, goal: Goal, action: str, draft: Draft) -> Outcome:
         """Do what was planned, step by step."""
@@ -313,6 +315,11 @@ class PickPlaceNode:
                 match step:
                     case Motion():
                         message = trajectory_message(bus.schema, self._node.header(), step.trajectory)
+                        cell.tell(
+                            "plan", step.name, planner=step.planner, planning_time_s=step.planning_time,
+                            clearance_m=step.clearance, points=len(step.trajectory.times),
+                            duration_s=step.duration, evidence=dict(step.evidence),
+                        )  # fmt: skip
                         work = cell.play(message, planned_in=step.planned_in)
                         outcome = waited(work, goal.cancel)
                     case Grip():
