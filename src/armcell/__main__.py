@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from armcell.interrupts import end, interrupted
+from armcell._interrupts import end, interrupted
 
 
 def main() -> None:

@@ -164,7 +164,7 @@ def test_while_the_planning_panel_is_open():
 @pytest.mark.parametrize("again", [False, True])
 def test_an_orderly_end_may_take_its_time_unless_asked_again(again):
     text = """import signal, time
-from armcell import interrupts
+from armcell import _interrupts as interrupts
 signal.signal(signal.SIGINT, interrupts.interrupted)
 interrupts.take_time(0.1)  # nothing was interrupted
 time.sleep(0.3)

@@ -47,7 +47,7 @@ def test_all_in_one_process(seed):
         assert said[0] == "grasping cube" and said[-1] == "done: cube is lifted" and "cube: monitor" in said
         plans = {e.text: e.data for e in live.ctx.events if e.kind == "plan"}
         assert {"move to pre-grasp", "approach", "lift"} <= set(plans) and all(
-            plan["points"] > 2 and "goal" in plan["evidence"] or "planned" in plan["evidence"]
+            (plan["points"] > 2 and "goal" in plan["evidence"]) or "planned" in plan["evidence"]
             for plan in plans.values()
         )
         again = bus.call("/grasp", S.new("std_srvs/TriggerRequest"))  # it is held already

@@ -15,6 +15,7 @@ import typer
 from rich.live import Live
 from rich.text import Text
 
+from armcell._interrupts import take_time
 from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of_others
@@ -24,7 +25,6 @@ from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
 from armcell.cli.ros2 import join as join_ros2
 from armcell.core import InputError
-from armcell.interrupts import take_time
 
 REFRESH = 1.0  # [s]
 CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder with cell.yaml, or YAML file.")

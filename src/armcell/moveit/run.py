@@ -8,9 +8,9 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from armcell._interrupts import take_time
 from armcell.cell import LiveCell
 from armcell.core import InputError
-from armcell.interrupts import take_time
 from armcell.moveit.install import installed
 from armcell.moveit.session import Session
 from armcell.ros import Ros1Settings
