@@ -2,6 +2,8 @@
 
 import contextlib
 import struct
+import sys
+import threading
 import tracemalloc
 
 import numpy as np
@@ -15,6 +17,25 @@ from armcell.ros.schema import Schema, schema
 CODECS = [ros1(), cdr()]
 IDS = ["ros1", "cdr"]
 SHORT = schema().new("geometry_msgs/PoseWithCovariance", covariance=[1.0])  # needs 36
+
+
+def test_a_type_has_one_class_whichever_thread_asks_first():
+    def classes():
+        ready.wait()
+        found.append([fresh.message(name) for name in fresh.messages])
+
+    fresh, found, ready = Schema(), [], threading.Barrier(4)
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        threads = [threading.Thread(target=classes) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(before)
+    assert len(found) == 4 and all(each == found[0] for each in found)
 
 
 @pytest.mark.slow

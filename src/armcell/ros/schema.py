@@ -7,6 +7,7 @@ It is also the allow-list: a name from a wire is looked up here and never import
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -75,8 +76,8 @@ class Schema:
             UnknownNameError: no such type.
         """
         name = plain_name(name)
-        if name not in self._classes:
-            self._classes[name] = make_class(name, self.definition(name), self.message)
+        if name not in self._classes:  # of two threads that make it at once, all get the first one's
+            self._classes.setdefault(name, make_class(name, self.definition(name), self.message))
         return self._classes[name]
 
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
@@ -108,7 +109,7 @@ class Schema:
     def tidy(self, name: str) -> Tidy:
         """What makes a message of this type fit for the wire."""
         if name not in self._tidies:
-            self._tidies[name] = Tidy(self.definition(name), self.tidy)
+            self._tidies.setdefault(name, Tidy(self.definition(name), self.tidy))
         return self._tidies[name]
 
     # --- texts and sums ---
@@ -165,7 +166,15 @@ def _md5(text: str) -> str:
     return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
 
 
-@cache
+_first = threading.Lock()  # `cache` would let two threads make one each
+
+
 def schema() -> Schema:
     """The built-in schema."""
+    with _first:
+        return _built_in()
+
+
+@cache
+def _built_in() -> Schema:
     return Schema()
