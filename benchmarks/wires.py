@@ -159,9 +159,10 @@ def unity_service(calls):
 
         def answer():
             for _ in range(calls):
-                number = unity.read_until("__request")["srv_id"]  # type: ignore[call-overload]
+                asked = unity.read_until("__request")
+                assert isinstance(asked, dict)
                 name, _ = unity.read()
-                unity.command("__response", srv_id=number)
+                unity.command("__response", srv_id=asked["srv_id"])
                 unity.message(name, b"\x01\x00\x00\x00\x00")
 
         thread = threading.Thread(target=answer, daemon=True)

@@ -36,6 +36,13 @@ class Motion:
         """[s]"""
         return self.trajectory.duration
 
+    def told(self) -> dict[str, Any]:
+        """What a record keeps of how it was planned."""
+        return {
+            "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
+            "evidence": dict(self.evidence),
+        }  # fmt: skip
+
     def perform(self, ctx: TaskContext) -> Outcome:
         report = StageReport(self.name, self.planner, self.planning_time, clearance_m=self.clearance)
         return staged(ctx, report, lambda: self._move(ctx, report))
@@ -45,10 +52,7 @@ class Motion:
         if isinstance(trajectory, Outcome):
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
-        ctx.announce(
-            trajectory, self.name, planner=self.planner, planning_time_s=self.planning_time,
-            clearance_m=self.clearance, evidence=dict(self.evidence),
-        )  # fmt: skip
+        ctx.announce(trajectory, self.name, **self.told())
         watch = _Watch(ctx, trajectory, self.planned_in)
         result = execute(ctx.driver, trajectory, ctx.settings.execution, watch, ctx.progress)
         ctx.rested()

@@ -315,11 +315,8 @@ class PickPlaceNode:
                 match step:
                     case Motion():
                         message = trajectory_message(bus.schema, self._node.header(), step.trajectory)
-                        cell.tell(
-                            "plan", step.name, planner=step.planner, planning_time_s=step.planning_time,
-                            clearance_m=step.clearance, points=len(step.trajectory.times),
-                            duration_s=step.duration, evidence=dict(step.evidence),
-                        )  # fmt: skip
+                        points = len(step.trajectory.times)
+                        cell.tell("plan", step.name, points=points, duration_s=step.duration, **step.told())
                         work = cell.play(message, planned_in=step.planned_in)
                         outcome = waited(work, goal.cancel)
                     case Grip():
