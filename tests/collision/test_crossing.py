@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from armcell.collision.crossing import crossing, passed_at
 
 from armcell.collision import ExactChecker
-from armcell.collision.crossing import crossing, passed_at
 from armcell.core import SE3, Box, JointTrajectory
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene

@@ -7,13 +7,13 @@ import time
 
 import numpy as np
 import pytest
+from armcell.ros.nodes.together import contact_together
 from tests.control.helpers import make
+from tests.control.ungated import playing
 
 from armcell.cell import load
-from armcell.control import playing
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.ros.nodes.conductor import MAX_WORKS, Conductor, Work, remaining
-from armcell.ros.nodes.together import contact_together
 from armcell.scene import PlanningScene
 
 

@@ -61,7 +61,7 @@ def allowing(scene: PlanningScene, pairs: Iterable[Pair]) -> PlanningScene:
 def certify_from_rest(
     checker: KernelChecker, waypoints: ArrayLike, slack: ArrayLike | None = None
 ) -> Certificate:
-    """Prove a piecewise linear motion (k, n) free of contact; it may lead out of resting contact at its start.
+    """Prove a piecewise linear motion (k, n) free of contact; it may begin in resting contact and leave it.
 
     Args:
         slack: how far each joint (n,) may be off the edges [rad or m].
@@ -99,9 +99,7 @@ def certify_from_rest(
     return Certificate(False, float(along / edges), proof.contact)
 
 
-def separation(
-    exact: ExactChecker, points: Array, near: dict[Pair, Contact]
-) -> tuple[float, Contact | None]:
+def separation(exact: ExactChecker, points: Array, near: dict[Pair, Contact]) -> tuple[float, Contact | None]:
     """Where along a motion (k, n) pairs in resting contact are all separated, counted in edges.
 
     Returns:
@@ -135,7 +133,7 @@ def separation(
     return float(len(points) - 1), None
 
 
-def _contact(exact: ExactChecker, rows: Array, bodies: list[Pair], pair: Pair) -> Contact:
+def _contact(exact: ExactChecker, rows: NDArray[np.int64], bodies: list[Pair], pair: Pair) -> Contact:
     """The nearest contact of a pair of bodies where they are placed now."""
     contacts = [exact.contact_of(*map(int, exact.pairs[row])) for row in rows if bodies[row] == pair]
     return min(contacts, key=lambda c: c.distance)

@@ -19,7 +19,6 @@ from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.guard import guarded
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.stages.grasp import finger_state
@@ -156,11 +155,8 @@ class _Along:
                 ctx.driver.command_gripper(self.gripper.name, 0.0, self.force)
             ctx.observe()
 
-        result = guarded(
-            ctx, self.trajectory, ctx.cancel,
-            lambda stop: execute(ctx.driver, self.trajectory, ctx.settings.execution, stop, progress),
-            self.planned_in,
-        )  # fmt: skip
+        motion = ctx.gate.motion(self.trajectory, self.planned_in, ctx.cancel)
+        result = execute(ctx.driver, motion, ctx.settings.execution, progress)
         if not result.ok:
             return result
         reading = ctx.driver.gripper(self.gripper.name)

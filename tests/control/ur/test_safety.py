@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 from benchmarks.ur_stops import STOPS, spoilt
+from tests.control.ungated import execute
 from tests.control.ur.emulated import dashboard, emulator, free_hosts
 from tests.control.ur.rig import MOVE, swing, two_arms
 
-from armcell.control import execute
 from armcell.control.safety import Fault, Supervisor
 from armcell.control.ur_controller.controller import TRACE
 from armcell.core import InputError

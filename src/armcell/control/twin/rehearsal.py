@@ -96,7 +96,8 @@ class Stage:
             poses: T_world_object of the movable objects.
             held: object by the gripper that holds it; it goes along as if it were part of the hand.
         """
-        from armcell.control.executor import ExecutionSettings, execute
+        from armcell.control.executor import execute
+        from armcell.control.gate import UngatedMotion
 
         world = self._placed(state, poses, held)
         driver = SimDriver(self._scene, DriverOptions(physics=self._settings))
@@ -113,7 +114,7 @@ class Stage:
             rows.append((now.positions[columns], now.velocities[columns], now.efforts[columns]))
 
         keep(0.0)
-        result: Outcome = execute(driver, trajectory, ExecutionSettings(), progress=keep)
+        result: Outcome = execute(driver, UngatedMotion(trajectory), progress=keep)
         touched = world.monitor.unwanted
         if touched:
             first = touched[0]

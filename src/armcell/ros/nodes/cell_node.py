@@ -14,23 +14,23 @@ from typing import Any
 import numpy as np
 
 from armcell.cell import LiveCell
-from armcell.control import ExecutionSettings, playing
+from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.control import CHANGED, ExecutionSettings, playing
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
-from armcell.ros.nodes.conductor import Conductor, Steps, Work, remaining
+from armcell.ros.nodes.conductor import Conductor, Steps, Work
 from armcell.ros.nodes.gripping import GripperNode, gripping
 from armcell.ros.nodes.states import RATE, StatePublisher
-from armcell.ros.nodes.together import contact_together
 from armcell.scene import PlanningScene
-from armcell.tasks.guard import CHANGED, PathGuard
 
 logger = logging.getLogger(__name__)
 TRAJECTORY = "/planned_trajectory"
 STATUS = "/trajectory_status"
 ACTION = "control_msgs/FollowJointTrajectory"
+SHIFT = 0.15  # [s] that clients' motions may be late or early against each other
 
 # control_msgs/FollowJointTrajectoryResult
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
@@ -60,6 +60,7 @@ class CellNode:
         self._cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
         live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
+        live.ctx.gate.shift = SHIFT
         self._stop, self._putting = threading.Event(), threading.Lock()
         self.ready = threading.Event()
         """Set once the cell is connected and publishes."""
@@ -121,8 +122,8 @@ class CellNode:
     ) -> Work:
         """Begin a trajectory_msgs/JointTrajectory, when what moves the same joints has made way for it.
 
-        /trajectory_status tells of it. One without points stops its joints, or all where it names none. It
-        ends where something comes across its rest (`PathGuard`, also for `planned_in`).
+        /trajectory_status tells of it. One without points stops its joints, or all where it names none. The
+        motion gate proves it when it starts, with the contacts that `planned_in` allows.
 
         Raises:
             InputError: what is wrong with the message.
@@ -146,8 +147,8 @@ class CellNode:
             work.trajectory = now
             self.say(f"executing {len(now.times)} points, {now.duration:.2f} s")
             self.live.ctx.announce(now)
-            guard = PathGuard(self.live.ctx, now, planned_in, cancel)
-            return guard.judged((yield from playing(driver, now, settings, guard)))
+            motion = self.live.ctx.gate.motion(now, planned_in, cancel)
+            return (yield from playing(driver, motion, settings))
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
         return self._put_beside(work, trajectory)
@@ -157,9 +158,8 @@ class CellNode:
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say("stop")
-            return playing(
-                driver, replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
-            )
+            nothing = replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
+            return playing(driver, self.live.ctx.gate.motion(nothing))
 
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
@@ -177,7 +177,7 @@ class CellNode:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Begin a motion once it is proven free of contact beside what runs in other joints.
+        """Begin a motion; where other arms under way are what it would touch, once they have arrived.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -187,7 +187,7 @@ class CellNode:
             if (late := self._not_begun(work, others)) is not None:
                 late.wait(self.live.driver.period)  # when it begins is part of the proof
                 continue
-            if contact := self._contact(others, trajectory):
+            if contact := self._in_passing(others, trajectory):
                 self.say(f"waits until the other arm has arrived: {contact}")
                 while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
                     pass
@@ -208,20 +208,25 @@ class CellNode:
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
-    def _contact(self, others: list[Work], new: JointTrajectory) -> str:
-        """What a motion would touch that began now beside others; empty where nothing."""
-        if not others:
+    def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
+        """What a motion would touch beside others, but not once they have arrived; empty where nothing."""
+        running = [w.trajectory for w in others if w.trajectory is not None and not w.is_over]
+        if not running:
             return ""
-        scene, now = self.conductor.call(lambda: (self.live.scene(), self.live.driver.now))
-        running = [
-            remaining(w.trajectory, now - w.began)
-            for w in others
-            if w.trajectory is not None and w.began is not None and not w.is_over
-        ]
-        return contact_together(scene, running, new) if running else ""
+        scene, gate, motion = self.conductor.call(self.live.scene), self.live.ctx.gate, Moving(new)
+        now = gate.conflict(motion, scene)
+        if now is None:
+            return ""
+        for trajectory in running:
+            scene = scene.with_state(trajectory.end)
+        if first_conflict(scene, motion) is not None:
+            return ""  # it is refused at once
+        return "the motions meet" if now.contact is None else now.contact.describe()
 
     def _ended(self, work: Work) -> None:
         self.executed += 1
+        if not self._stop.is_set():
+            self.grippers.moved(work.joints)
         if work.error is not None:
             self.say(f"refused: {work.error}")
             return

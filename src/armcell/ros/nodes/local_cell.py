@@ -78,8 +78,8 @@ class LocalCell:
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         others = tuple(others)
-        driver = self._node.live.driver
-        self._node.conductor.call(lambda: driver.expect_contact(body, others, expected))
+        ctx = self._node.live.ctx
+        self._node.conductor.call(lambda: ctx.expect_contact(body, others, expected))
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
         self._node.conductor.soon(lambda: self._node.live.ctx.emit(kind, text, **data))
