@@ -216,6 +216,8 @@ def _tell_failed_layer(health: Any, headless: bool) -> None:
 
 
 def _print(result: dict[str, Any]) -> None:
+    from armcell.cell import complaints
+
     console.print(stage_table(result))
     numbers = [
         f"slip in hold {millimetres(result['slip_m'], 3)}" if result["slip_m"] is not None else "",
@@ -233,6 +235,8 @@ def _print(result: dict[str, Any]) -> None:
     console.print(", ".join(n for n in numbers if n))
     ill = [f"{name} {state}" for name, state in result["layers"].items() if state != "ok"]
     console.print("layers: " + ("; ".join(ill) or "all ok"), markup=False, highlight=False)
+    for line in complaints(result):
+        console.print(f"[red]{line}[/red]", highlight=False)
     if result["success"]:
         draw = "things where the cell file says" if result["seed"] is None else f"seed {result['seed']}"
         console.print(f"[green]success[/green] ({draw})")

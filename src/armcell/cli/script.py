@@ -37,7 +37,7 @@ def run_script_command(
     file = Path(script)
     if not file.is_file():
         raise InputError("there is no such script", file=file)
-    from armcell.cell import load, parsed, with_values
+    from armcell.cell import complaints, load, parsed, with_values
     from armcell.control import drivers
     from armcell.moveit import INTERRUPTED, run_script
     from armcell.moveit.lint import closes_gripper_itself
@@ -94,6 +94,9 @@ def run_script_command(
         status, session = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
         if session.served.failure is not None:
             raise session.served.failure
+        for line in complaints(run.result) if run.result is not None else ():
+            err(line)
+            status = status or 1
     return status
 
 

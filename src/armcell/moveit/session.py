@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from armcell.cell import LiveCell
-from armcell.core import InputError
+from armcell.core import Event, InputError, JointTrajectory, StateSample
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
@@ -39,6 +39,7 @@ class Session:
         self.bus = Bus()
         self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down)
         self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
+        live.ctx.observers.append(_Warnings(self))
         self.messages = MessageClasses(self.bus.schema)
         self.node_name = ""
         self.interrupted = False
@@ -137,6 +138,25 @@ class Session:
             pass
         while self.served.thread.is_alive() and (works := self.served.cell.works()):
             works[0].wait(CHECK)
+
+
+class _Warnings:
+    """Says what the cell reports of refused and stopped motions, unwanted contacts and lost objects."""
+
+    KINDS = ("stop", "contact", "lost")
+
+    def __init__(self, session: Session):
+        self._session = session
+
+    def on_event(self, event: Event) -> None:
+        if event.kind in self.KINDS:
+            self._session.say("WARN", event.text)
+
+    def on_state(self, sample: StateSample) -> None:
+        pass
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass
 
 
 def current_session() -> Session:

@@ -68,6 +68,7 @@ class TaskContext:
         self.gate = MotionGate(self)
         self.expected: set[frozenset[str]] = set()  # pairs whose contact is part of the task now
         self.holding: dict[str, Holding] = {}  # by object
+        self.lost: dict[str, str] = {}  # by object that fell out of a hand and was not grasped again: how
         self.at_work: tuple[TaskContext, ...] = ()  # of arms side by side, that know now what they hold
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
@@ -246,6 +247,18 @@ class TaskContext:
             self._stops_told += 1
             kind = "note" if event.kind == "twin" else "stop"
             self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)
+
+    # --- what hands hold ---
+    def take(self, held: Holding) -> None:
+        """An object is in a hand now."""
+        self.holding[held.object] = held
+        self.lost.pop(held.object, None)
+
+    def lose(self, item: str, text: str) -> None:
+        """An object has fallen out of a hand: it belongs to the world again."""
+        self.holding.pop(item, None)
+        self.lost[item] = text
+        self.emit("lost", text, object=item)
 
     # --- telling ---
     def emit(self, kind: str, text: str, **data: Any) -> None:

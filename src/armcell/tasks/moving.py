@@ -163,7 +163,7 @@ class _Along:
         if reading.held != self.item:
             return Outcome(ErrorCode.CONTROL_FAILED, f"{self.item} is not between the fingers")
         T = ctx.T_tcp_object(self.item, self.gripper)
-        ctx.holding[self.item] = Holding(self.item, self.gripper, T)
+        ctx.take(Holding(self.item, self.gripper, T))
         ctx.emit("grasp", f"holds {self.item} with {reading.force_per_finger:.0f} N per finger")
         return Watch(self.item).perform(ctx)
 

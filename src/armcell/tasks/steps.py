@@ -175,7 +175,7 @@ class Hold:
             text += f"; the scene has {self.object} at {x:.3f} {y:.3f} {z:.3f}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
-        ctx.holding[self.object] = Holding(self.object, self.gripper, T)
+        ctx.take(Holding(self.object, self.gripper, T))
         ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per finger")
         return DONE
 
@@ -287,7 +287,7 @@ def not_held(ctx: TaskContext, text: str) -> Outcome:
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
     """The same of an object that was held: it belongs to the world again."""
-    ctx.holding.pop(item, None)
+    ctx.lose(item, text)
     ctx.driver.unwatch_object(item)
     return not_held(ctx, text)
 

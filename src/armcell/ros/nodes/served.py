@@ -89,10 +89,11 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop what moves, and wait until it rests."""
+        """Stop what moves, and wait until it rests; see what the hands hold then."""
         self.cell.stop()
         for work in self.cell.works():
             work.wait(SETTLE)
+        self.call(self.cell.now)
 
     def close(self) -> None:
         """Stop what moves and leave the bus."""

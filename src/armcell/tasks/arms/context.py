@@ -21,7 +21,7 @@ class ArmContext(TaskContext):
         super().__init__(driver, parent.base, parent.settings, parent.observers, parent.seed, parent.cancel)
         self.parent, self.group, self.traffic, self.ended = parent, group, traffic, False
         self.events, self.world = parent.events, parent.world
-        self.gate = parent.gate
+        self.gate, self.lost = parent.gate, parent.lost
         traffic.contexts[group] = self
         arm = {g.name for g in parent.base.model.grippers.values() if g.arm_group == group}
         self.holding = {n: h for n, h in parent.holding.items() if h.gripper.name in arm}
