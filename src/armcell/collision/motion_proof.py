@@ -167,15 +167,24 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
     For real arms, which a speed slider or a pause slows. True also where no proof is possible: the motions
     are not of two arms that share no joint.
     """
-    groups = [_arm_of(scene, m.trajectory.joint_names) for m in (motion, other)]
-    if groups[0] is None or groups[1] is None:
+    mine, theirs = (_arm_of(scene, m.trajectory.joint_names) for m in (motion, other))
+    if mine is None or theirs is None:
         return True
-    arms = Arms(scene, (groups[0], groups[1]))
-    first, second = (
-        _whole(scene, m.trajectory, scene.model.group(g).joint_names)
-        for m, g in zip((motion, other), groups, strict=True)
-    )
-    return not arms.certify_any_time(first, second)
+    if set(scene.model.group(mine).joint_names) & set(scene.model.group(theirs).joint_names):
+        return True
+    a, room_a = _of_group(scene, motion, mine)
+    b, room_b = _of_group(scene, other, theirs)
+    return not Arms(scene, (mine, theirs)).apart_at_any_pace(a, room_a, b, room_b, 0.0)
+
+
+def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
+    """Positions (k, n) and errors (n,) of all joints of a group; those that nothing moves stay."""
+    _, points, room = _pieces(motion, (), 0.0, ERRORS[0])
+    joints = scene.model.group(group).joint_names
+    columns = [joints.index(n) for n in motion.trajectory.joint_names]
+    whole, wide = np.tile(scene.state.reindexed(joints).positions, (len(points), 1)), np.zeros(len(joints))
+    whole[:, columns], wide[columns] = points, room
+    return whole, wide
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
@@ -184,31 +193,6 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
     groups = [g for g in scene.model.groups.values() if wanted <= set(g.joint_names)]
     groups = [g for g in groups if len(g.joint_names) >= ARM_JOINTS]
     return min(groups, key=lambda g: len(g.joint_names)).name if groups else None
-
-
-def _whole(
-    scene: PlanningScene, trajectory: JointTrajectory, joint_names: tuple[str, ...]
-) -> JointTrajectory:
-    """A trajectory of all joints of a group; those that it does not move stay where they are."""
-    if trajectory.joint_names == joint_names:
-        return trajectory
-    q = np.tile(scene.state.reindexed(joint_names).positions, (len(trajectory.times), 1))
-    columns = [joint_names.index(n) for n in trajectory.joint_names]
-
-    def filled(values: Array | None, rest: Array) -> Array | None:
-        if values is None:
-            return None
-        out = rest.copy()
-        out[:, columns] = values
-        return out
-
-    still = np.zeros_like(q)
-    positions = filled(trajectory.positions, q)
-    assert positions is not None
-    return JointTrajectory(
-        joint_names, trajectory.times, positions,
-        filled(trajectory.velocities, still), filled(trajectory.accelerations, still),
-    )  # fmt: skip
 
 
 def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
