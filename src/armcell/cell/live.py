@@ -9,7 +9,16 @@ from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.control import Driver
-from armcell.core import SE3, InputError, JointGoal, Observer, Outcome, UnknownNameError
+from armcell.core import (
+    SE3,
+    InputError,
+    JointGoal,
+    JointTrajectory,
+    Observer,
+    Outcome,
+    PlanResult,
+    UnknownNameError,
+)
 from armcell.core.pauses import no_long_pauses
 from armcell.perception import LookSettings, MapSettings, Sight
 from armcell.planning import Target, goal_of, prepare
@@ -48,6 +57,7 @@ from armcell.tasks.arms import (
 )
 from armcell.tasks.clearing import ClearSettings
 from armcell.tasks.sorting import Kind
+from armcell.tasks.steps import Motion, perform_all
 
 
 class Arm:
@@ -97,6 +107,24 @@ class Arm:
     def move_to(self, target: Target) -> Outcome:
         """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
+
+    def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
+        """Play a planned motion of this arm: what `plan` returned, or a trajectory.
+
+        The motion gate proves it against the world as it is now; a motion that would touch something is not
+        started, and the outcome names the pair, the place and the time.
+
+        Raises:
+            InputError: there is no motion in it, or it moves joints of other arms.
+        """
+        planner = motion.planner_id if isinstance(motion, PlanResult) else ""
+        trajectory = motion.trajectory if isinstance(motion, PlanResult) else motion
+        if trajectory is None:
+            raise InputError("there is no trajectory to execute", cure="execute only what was planned")
+        mine = self._ctx.base.model.group(self.group).joint_names
+        if other := [n for n in trajectory.joint_names if n not in mine]:
+            raise InputError(f"joint {other[0]!r} is not one of {self.group!r}", cure=f"{list(mine)}")
+        return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
         """Grasp an object that moves at a steady speed, as on a belt, and lift it."""

@@ -16,6 +16,7 @@ from armcell.collision.certificate import Certificate
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting import certify_from_rest
 from armcell.core import Contact, JointTrajectory
+from armcell.core.checks import require
 from armcell.scene import PlanningScene
 from armcell.timing.chords import acceleration_bounds, positions_at
 
@@ -94,6 +95,8 @@ def first_conflict(
         scene: as measured now. Joints that nothing moves stay where they are.
         others: motions of other joints that run beside it, on the same clock.
         shift: [s] that the motion may be late or early against the others.
+    Raises:
+        InputError: a position that is not finite.
     """
     if motion.remaining <= 0 and not len(motion.trajectory.times):
         return None
@@ -112,6 +115,7 @@ def _conflict(
 ) -> Conflict | None:
     for error in ERRORS:
         times, points, room = _pieces(motion, others, late, error)
+        require(bool(np.isfinite(points).all()), "the motion has a position that is not finite")
         times, points = np.concatenate([[0.0], times]), np.vstack([here, points])  # up to where it is sent
         if checker.certify(points, room, evidence=False).free:
             return None

@@ -27,6 +27,8 @@ Result = TypeVar("Result", Outcome, ExecutionResult)
 CHANGED = ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
 """How a motion ends, or is refused, that would touch something: plan again from the present scene."""
 
+NOT_STARTED = "not_started"  # in the evidence of a motion that the gate refused
+
 
 class World(Protocol):
     """A cell in which something moves."""
@@ -191,7 +193,7 @@ class GuardedMotion(Executable):
         now = self._world.clock()
         code = ErrorCode.START_STATE_IN_COLLISION if self.conflict.at_start else CHANGED
         self._world.emit("stop", self._text, **self._evidence())
-        return ExecutionResult(code, self._text, self._evidence(), now, now)
+        return ExecutionResult(code, self._text, {**self._evidence(), NOT_STARTED: True}, now, now)
 
     def is_set(self) -> bool:
         if super().is_set():

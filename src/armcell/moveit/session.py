@@ -17,6 +17,7 @@ from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell
 
 logger = logging.getLogger(__name__)
+RECENT = 5  # lines of the log
 CHECK = 0.1  # [s] between two looks whether it is all over
 T = TypeVar("T")
 _current: list[Session] = []
@@ -120,6 +121,10 @@ class Session:
             self.graph.say(level.lower(), text)
         if not self._quiet:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (what a script logs is for its user)
+
+    def has_said(self, text: str) -> bool:
+        """Whether one of the last lines has a text already."""
+        return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
         """Say something about the script, once."""

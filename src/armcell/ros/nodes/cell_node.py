@@ -15,7 +15,7 @@ import numpy as np
 
 from armcell.cell import LiveCell
 from armcell.collision.motion_proof import Moving, first_conflict
-from armcell.control import CHANGED, ExecutionSettings, playing
+from armcell.control import CHANGED, NOT_STARTED, ExecutionSettings, GuardedMotion, playing
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
@@ -145,10 +145,7 @@ class CellNode:
             # Where it is now decides, not where it was when the message came.
             now = trajectory_from_message(message, model, driver.joint_state())
             work.trajectory = now
-            self.say(f"executing {len(now.times)} points, {now.duration:.2f} s")
-            self.live.ctx.announce(now)
-            motion = self.live.ctx.gate.motion(now, planned_in, cancel)
-            return (yield from playing(driver, motion, settings))
+            return (yield from playing(driver, _Announced(self, now, planned_in, cancel), settings))
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
         return self._put_beside(work, trajectory)
@@ -232,6 +229,8 @@ class CellNode:
             return
         result = work.outcome()
         what = "done" if result.ok else "stopped" if result.code is ErrorCode.PREEMPTED else "failed"
+        if result.evidence.get(NOT_STARTED):
+            what = "refused"
         self.say(f"{what}: {result.message or f'final error {result.final_error:.4f}'}")
 
     def say(self, text: str) -> None:
@@ -271,6 +270,24 @@ class CellNode:
             return Done(State.SUCCEEDED, message, result.message)
         preempted = result.code is ErrorCode.PREEMPTED
         return Done(State.PREEMPTED if preempted else State.ABORTED, message, result.message)
+
+
+class _Announced(GuardedMotion):
+    """A motion of which /trajectory_status tells when it has been proven and starts."""
+
+    def __init__(
+        self, node: CellNode, trajectory: JointTrajectory, planned_in: PlanningScene | None,
+        cancel: threading.Event,
+    ):  # fmt: skip
+        super().__init__(node.live.ctx.gate, trajectory, planned_in, cancel)
+        self._node = node
+
+    def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+        refused = super().begin(fade)
+        if refused is None:
+            self._node.say(f"executing {len(self.trajectory.times)} points, {self.trajectory.duration:.2f} s")
+            self._node.live.ctx.announce(self.trajectory)
+        return refused
 
 
 class _Feedback:
