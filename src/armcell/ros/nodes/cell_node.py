@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +23,7 @@ from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
 from armcell.ros.nodes.conductor import Conductor, Steps, Work
-from armcell.ros.nodes.gripping import GripperNode, gripping
+from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperNode, gripping
 from armcell.ros.nodes.states import RATE, StatePublisher
 from armcell.scene import PlanningScene
 
@@ -62,6 +63,9 @@ class CellNode:
         live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
         live.ctx.gate.shift = SHIFT
         self._stop, self._putting = threading.Event(), threading.Lock()
+        self.look_at_hands: Callable[[], None] = lambda: None
+        """Notes what the hands hold; in the driver's thread, often and before every motion."""
+        self._next_look = 0.0  # [s]
         self.ready = threading.Event()
         """Set once the cell is connected and publishes."""
         self.executed = 0
@@ -100,6 +104,9 @@ class CellNode:
             self._states.publish(self.live.driver)
             self._cameras.publish(self._states.tf)
         self.grippers.look()
+        if self.live.driver.now >= self._next_look:
+            self._next_look = self.live.driver.now + LOOK_PERIOD
+            self.look_at_hands()
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
@@ -283,6 +290,7 @@ class _Announced(GuardedMotion):
         self._node = node
 
     def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+        self._node.look_at_hands()
         refused = super().begin(fade)
         if refused is None:
             self._node.say(f"executing {len(self.trajectory.times)} points, {self.trajectory.duration:.2f} s")

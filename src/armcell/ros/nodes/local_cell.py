@@ -26,6 +26,7 @@ class LocalCell:
     def __init__(self, node: CellNode):
         self._node = node
         self._widths: dict[str, float] = {}  # by object, of the fingers when it was grasped
+        node.look_at_hands = lambda: self._look_at_grippers(node.live.ctx)
 
     @property
     def model(self) -> RobotModel:
