@@ -9,9 +9,11 @@ measured or moves along its own remaining trajectory.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
+
+import numpy as np
 
 from armcell.collision.motion_proof import (
     Conflict,
@@ -20,13 +22,15 @@ from armcell.collision.motion_proof import (
     first_conflict,
     passed_at,
 )
-from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome
+from armcell.core import SE3, ErrorCode, ExecutionResult, JointTrajectory, Outcome
 from armcell.scene import PlanningScene, new_obstacles
 
 Result = TypeVar("Result", Outcome, ExecutionResult)
 CHANGED = ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
 """How a motion ends, or is refused, that would touch something: plan again from the present scene."""
 
+LOOK = 0.25  # [s] between two looks whether measured objects have moved
+MOVED = 0.005  # [m] from where an object was when a motion was proven
 NOT_STARTED = "not_started"  # in the evidence of a motion that the gate refused
 
 
@@ -40,6 +44,10 @@ class World(Protocol):
 
     def scene(self) -> PlanningScene:
         """The scene as measured now, with every arm and what hands hold."""
+        ...
+
+    def object_poses(self) -> Mapping[str, SE3]:
+        """T_world_object of the objects that are measured, held ones included."""
         ...
 
     def expected_contacts(self) -> Iterable[frozenset[str]]:
@@ -173,6 +181,8 @@ class GuardedMotion(Executable):
         self._fade: JointTrajectory | None = None
         self._began: float | None = None  # [s] of the world's clock
         self._known: tuple[PlanningScene, int] | None = None  # the world and the version it was proven in
+        self._poses: Mapping[str, SE3] = {}  # of measured objects that no hand held, when it was proven
+        self._next_look = 0.0  # [s]
         self.conflict: Conflict | None = None
         self._text = ""
 
@@ -208,6 +218,8 @@ class GuardedMotion(Executable):
                 if names or now.allowed_pairs != base.allowed_pairs:
                     self._prove(names)
                 self._known = (now, version)
+            if self.conflict is None and (moved := self._moved()):
+                self._prove(moved)
             if self.conflict is not None:
                 self._world.emit("stop", self._text, **self._evidence())
         return self.conflict is not None
@@ -235,10 +247,25 @@ class GuardedMotion(Executable):
             passed = passed_at(self.trajectory, q, passed)
         return Moving(self.trajectory, min(passed, self.trajectory.duration), self._fade)
 
+    def _moved(self) -> list[str]:
+        """Measured objects that are elsewhere than when the motion was proven."""
+        now = self._world.clock()
+        if not self._poses or now < self._next_look:
+            return []
+        self._next_look = now + LOOK
+        poses = self._world.object_poses()
+        return [
+            n for n, T in self._poses.items()
+            if n in poses and np.linalg.norm(poses[n].translation - T.translation) > MOVED
+        ]  # fmt: skip
+
     def _prove(self, names: Iterable[str] = ()) -> None:
         """Look for a conflict; of the world's objects only with those named, if any are."""
         self._known = (self._world.base, self._gate.version)
         scene = self._scene()
+        measured = self._world.object_poses()
+        self._poses = {n: o.T_world_object for n, o in scene.objects.items() if n in measured}
+        self._next_look = self._world.clock() + LOOK
         if names := set(names):
             scene = replace(scene, objects={n: o for n, o in scene.objects.items() if n in names})
         expected = dict.fromkeys(self._world.expected_contacts(), True)
@@ -298,6 +325,9 @@ class DriverWorld:
             if name in scene.objects:
                 scene = scene.with_object_pose(name, pose)
         return scene
+
+    def object_poses(self) -> Mapping[str, SE3]:
+        return self.driver.object_poses()
 
     def expected_contacts(self) -> Iterable[frozenset[str]]:
         return ()

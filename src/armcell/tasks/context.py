@@ -160,6 +160,10 @@ class TaskContext:
         self.expected = self.expected | pairs if expected else self.expected - pairs
         self.driver.expect_contact(body, others, expected)
 
+    def object_poses(self) -> dict[str, SE3]:
+        """T_world_object of the objects that the driver measures."""
+        return self.driver.object_poses()
+
     def expected_contacts(self) -> Set[frozenset[str]]:
         """Pairs of bodies whose contact is part of the task now."""
         return self.expected

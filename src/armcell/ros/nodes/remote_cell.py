@@ -278,6 +278,10 @@ class RemoteCell:
         with self._lock:
             return self._scene
 
+    def object_poses(self) -> dict[str, SE3]:
+        with self._lock:
+            return dict(self._poses)
+
     def expected_contacts(self) -> Set[frozenset[str]]:
         return self._expected
 
