@@ -32,7 +32,7 @@ DEEPER = 5e-4
 """[m] By which a pair may come closer again on its way out: rounding of a motion's corners."""
 
 DRAG = 5e-3
-"""[m] That a body may move along another one before their contact has ended."""
+"""[m] That a body may move along another one, and twice their depth, before their contact has ended."""
 
 TOUCH = 1e-5
 """[m] Nearer pairs touch: the kernel calls 2 micrometers a contact, coal one."""
@@ -97,7 +97,7 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Prove a piecewise linear motion (k, n) free of contact; it may lead out of resting contact at its start.
+    """Prove a piecewise linear motion (k, n) free of contact; it may lead out of resting contact.
 
     Pairs that touch at the start, or are too near to be proven with the slack, are measured by the exact
     checker until they are apart; all other pairs are proven as ever.
@@ -251,7 +251,7 @@ class Leaving:
         return None
 
     def while_parting(self, points: Array, at: float) -> float:
-        """Where the pairs that touched stop moving apart, from a place (in edges) on; the end if they do not."""
+        """Where the pairs that touched stop moving apart, from a place (in edges) on; the end if never."""
         before = -np.inf
         for place in _places(points, at):
             self.exact.place(_between(points, place))
@@ -284,7 +284,7 @@ class Leaving:
         if len(found):
             return int(found[np.argmin(distances[found])])
         for k in np.flatnonzero(self.touching & (distances <= 0.0)):
-            if self._travel(int(k)) > DRAG:
+            if self._travel(int(k)) > DRAG - 2.0 * min(self.first[k], 0.0):
                 return int(k)
         return None
 
