@@ -40,6 +40,9 @@ TOUCH = 1e-5
 STEP = 2e-4
 """[m] Most that a touching pair moves between two of the configurations at which it is measured."""
 
+STEPS = 3000
+"""Of those: a pair that is not apart after so many slides along another one."""
+
 ROOM = 1.5
 """Times the slack's own motion that a pair must be apart before a proof with slack can succeed."""
 
@@ -126,7 +129,7 @@ def certify_from_rest(
     if worst.distance < -deepest:
         return Certificate(False, 0.0, worst)
     edges = len(points) - 1
-    leaving = Leaving(exact, points[0], near)
+    leaving = Leaving(exact, points[0], _measured(checker, points, near))
     at, contact = leaving.until_apart(points, lambda q: not checker.touches(q))
     others = KernelChecker(allowing(checker.scene, near), checker.joint_names).certify(points, slack)
     if not others.free and (contact is None or others.at <= at / edges):
@@ -150,6 +153,16 @@ def certify_from_rest(
     if proof.free:
         return Certificate(True)
     return Certificate(False, _along(farther, proof.at, rest, edges), proof.contact)
+
+
+def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
+    """Those of the pairs near each other that have to be measured on a motion's way out: the touching ones,
+    where the kernel proves that the others do not touch."""
+    touch = [pair for pair, contact in near.items() if contact.distance <= TOUCH]
+    if len(touch) == len(near):
+        return near
+    rest = KernelChecker(allowing(checker.scene, touch), checker.joint_names)
+    return touch if rest.certify(points, evidence=False).free else near
 
 
 def separation(
@@ -220,6 +233,7 @@ class Leaving:
         """
         best = np.minimum(self.first, APART)
         distances, last = self.first, len(points) - 1
+        travel, steps = np.zeros(len(self.first)), 0  # bounds of how far pairs have moved
         if not self.touching.any() and free(points[0]):
             return 0.0, None
         for i in range(last):
@@ -228,11 +242,15 @@ class Leaving:
             while t < 1.0:
                 # As far as no pair can have come into contact unseen, or a touching one much deeper.
                 most = np.maximum(0.5 * distances, np.where(self.touching, STEP, TOUCH))
+                before = t
                 t = min(t + float(np.min(most / np.maximum(per_edge, 1e-12), initial=np.inf)), 1.0)
+                travel, steps = travel + (t - before) * per_edge, steps + 1
                 q = a + t * dq
                 self.exact.place(q)
                 distances = self._distances()
-                broken = self._broken(distances, best)
+                broken = self._broken(distances, best, travel)
+                if broken is None and steps > STEPS:
+                    broken = int(np.argmin(distances))  # it keeps so near that it does not lead out
                 if broken is not None:
                     return i + t, self._contact(broken)
                 best = np.maximum(best, np.minimum(distances, APART))
@@ -276,15 +294,21 @@ class Leaving:
             distances[k] = self.exact.pair_distance(int(self.pairs[k, 0]), int(self.pairs[k, 1]))
         return distances
 
-    def _broken(self, distances: Array, best: Array) -> int | None:
-        """The pair that touches where it must not: new, deeper than before, or dragged along."""
+    def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
+        """The pair that touches where it must not: new, deeper than before, or dragged along.
+
+        Args:
+            travel: bounds (p,) of how far the pairs have moved [m], where they are known.
+        """
         new = ~self.touching & (distances <= 0.0)
         deeper = self.touching & (distances < best - DEEPER)
         found = np.flatnonzero(new | deeper)
         if len(found):
             return int(found[np.argmin(distances[found])])
-        for k in np.flatnonzero(self.touching & (distances <= 0.0)):
-            if self._travel(int(k)) > DRAG - 2.0 * min(self.first[k], 0.0):
+        most = DRAG - 2.0 * np.minimum(self.first, 0.0)
+        far = True if travel is None else travel > most
+        for k in np.flatnonzero(self.touching & (distances <= 0.0) & far):
+            if self._travel(int(k)) > most[k]:
                 return int(k)
         return None
 

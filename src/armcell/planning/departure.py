@@ -32,7 +32,9 @@ PUSH = 1e-3  # [m] by which they are taken apart in one step
 PUSHES = 40
 DIFFERENCE = 1e-4  # [rad or m] of a joint, for how a distance changes with it
 TURN = 0.1  # [m] by which a turn of a body counts as a motion of it
-DAMPING = 1e-3  # [m/rad] of the least squares
+ASIDE = 0.2  # of what is missing to `CLEARANCE`, by which pairs that do not touch are moved apart in a step
+DAMPING = 0.02  # [m/rad] of the least squares
+LARGEST = 0.02  # [rad or m] of a joint in one step
 STUCK = 1e-5  # [rad or m] a step that is smaller leads nowhere
 
 REPAIR_RADII = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3)  # [rad or m] in which a free start is looked for
@@ -212,11 +214,11 @@ def _push(
             turning.append(_turning(exact, q, pair))
         elif near[pair] < CLEARANCE:
             rows.append(rate)
-            wanted.append(max(min(CLEARANCE - near[pair], PUSH), 0.0))
+            wanted.append(ASIDE * (CLEARANCE - near[pair]))
     J = np.vstack([*rows, *(TURN * t for t in turning), DAMPING * np.eye(len(q))])
     b = np.concatenate([wanted, np.zeros(len(J) - len(wanted))])
-    step: Array = np.linalg.lstsq(J, b, rcond=None)[0]
-    return step
+    step = np.asarray(np.linalg.lstsq(J, b, rcond=None)[0], dtype=np.float64)
+    return step * min(1.0, LARGEST / max(float(np.max(np.abs(step))), 1e-12))
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:

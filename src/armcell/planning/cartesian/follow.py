@@ -52,6 +52,14 @@ class Leg:
     stop: Stop | None
 
 
+def _near(checker: KernelChecker, q: Array) -> list[Contact]:
+    """What touches at q (n,), or is within the padding; the nearest pair if only the kernel says so."""
+    if found := checker.exact.contacts(q):
+        return found
+    nearest = checker.exact.nearest(q)
+    return [] if nearest is None else [nearest]
+
+
 class Resting:
     """A start (n,) in resting contact: where the arm may stand on its way out.
 
@@ -70,7 +78,7 @@ class Resting:
         """What keeps the arm from standing at q (n,), or None."""
         if (contact := self._leaving.refuses(q)) is not None:
             return [contact]
-        return None if self._others.is_free(q) else self._others.exact.contacts(q)
+        return None if self._others.is_free(q) else _near(self._others, q)
 
 
 class Follower:
@@ -160,7 +168,7 @@ class Follower:
         checker, manifold = self.checker, self.manifold
         if checker is not None and not checker.is_free(q):
             if self.resting is None:
-                return Stop(lambda: collided(checker.exact.contacts(q)))
+                return Stop(lambda: collided(_near(checker, q)))
             if (found := self.resting.refuses(q)) is not None:
                 return Stop(lambda: collided(found))
         if manifold is not None and at_violation(manifold, q):
