@@ -78,7 +78,7 @@ def judge_from_rest(scene: PlanningScene, trajectory: JointTrajectory) -> None:
     start = scene.positions[scene.model.columns(names)]
     np.testing.assert_allclose(trajectory.positions[0], start, atol=1e-9)
     for values in (trajectory.velocities, trajectory.accelerations):
-        assert not values[0].any() and not values[-1].any()
+        assert values is None or not (values[0].any() or values[-1].any())
     exact = ExactChecker(scene, names)
     g, pairs = exact.geometries, exact.pairs
     first = _distances(exact, start)
