@@ -21,7 +21,7 @@ from tests.planning.resting import (
     turned,
 )
 from tests.planning.test_plan import beyond_panda
-from tests.scene.helpers import box, panda
+from tests.scene.helpers import box, panda, ur10
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting import resting_pairs
@@ -361,6 +361,32 @@ def random_rest(rng: np.random.Generator, kind: str):
             c.distance >= -2e-3 and any(n.startswith("slab") for n in pair) for pair, c in touching.items()
         ):
             return scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_links_that_are_not_convex_are_led_out_too(seed):
+    """A UR10 among whose links meshes are split into pieces that reach beyond them; a block leans on one."""
+    rng = np.random.default_rng(seed)
+    scene = ur10().with_padding(0.003)
+    names = scene.model.group("arm").joint_names
+    while True:
+        q = rng.uniform((-1, -1.6, 0.8, -2, -1.8, -1), (1, -0.8, 1.6, 0, -1.2, 1))
+        at = scene.with_state(JointState(names, q))
+        link = str(rng.choice(["forearm_link", "upper_arm_link", "wrist_2_link", "wrist_3_link"]))
+        way = rng.normal(size=3)
+        way /= np.linalg.norm(way)
+        place = at.frame_pose(link).translation + rng.normal(0, 0.05, 3) - 0.7 * way
+        block = box("block", rng.uniform(0.03, 0.15, 3)).at(SE3(turned(rng), place))
+        if not KernelChecker(at.with_object(block), names).touches(q):
+            at = brought_to(at, block, way, float(rng.choice([0.0, 3e-4, 1e-3])))
+            break
+    goal = JointGoal(JointState(names, q + rng.uniform(-0.5, 0.5, 6)))
+    result = plan(at, request(goal))
+    if result.code is ErrorCode.GOAL_IN_COLLISION:
+        return
+    assert result.ok, result.message
+    judge_from_rest(at, result.trajectory)
 
 
 def test_replanning_from_the_middle_of_the_way_out_works():

@@ -131,6 +131,10 @@ def certify_from_rest(
     edges = len(points) - 1
     leaving = Leaving(exact, points[0], _measured(checker, points, near))
     at, contact = leaving.until_apart(points, lambda q: not checker.touches(q))
+    if contact is None and at < edges and not checker.certify(_from(points, at), evidence=False).free:
+        # The kernel's pieces of a mesh reach beyond it: farther on it can be proven.
+        farther, blocked = leaving.until_apart(points, lambda q: checker.clearance([q], APART) > APART / 2)
+        at = farther if blocked is None else at
     others = KernelChecker(allowing(checker.scene, near), checker.joint_names).certify(points, slack)
     if not others.free and (contact is None or others.at <= at / edges):
         return others

@@ -89,7 +89,10 @@ def left_first(question: Question) -> str:
 def lead_in(question: Question, checker: KernelChecker) -> JointTrajectory | None:
     """From where the robot is to the repaired start, both at rest; None where that is not free."""
     lead = question.lead_in
-    if lead is None or not certify_from_rest(checker, lead, deepest=np.inf, evidence=False).free:
+    if lead is None:
+        return None
+    checker = checker.without_room or checker  # the way to where room between arms can be kept
+    if not certify_from_rest(checker, lead, deepest=np.inf, evidence=False).free:
         return None
     names, request = question.joint_names, question.request
     velocity = checker.model.limits(names, "velocity") * request.velocity_scaling
