@@ -120,6 +120,18 @@ def test_what_is_near_but_does_not_touch_may_not_be_touched(gap):
     assert not into.free and "wall" in (into.contact.body_a, into.contact.body_b)
 
 
+@pytest.mark.parametrize("gap", [1e-4, 5e-4, 1.5e-3])
+def test_a_start_within_the_slack_of_something_may_leave_it(gap):
+    """Without touching it: what the slack leaves unproven is proven without slack, until they are apart."""
+    checker, slack = KernelChecker(gantry(sink=-gap)), np.full(3, 2e-3)
+    assert not checker.certify(motion(0.1 * UP), slack).free
+    assert certify_from_rest(checker, motion(0.1 * UP), slack).free
+    assert not certify_from_rest(checker, motion(0.1 * UP, 0.1 * DOWN), slack).free
+    along = certify_from_rest(checker, motion(0.5 * ALONG), slack)  # it stays within the slack
+    assert not along.free and "table" in (along.contact.body_a, along.contact.body_b)
+    assert not certify_from_rest(checker, motion(0.1 * DOWN), slack).free
+
+
 def test_two_contacts_are_left_at_once():
     """In a corner: out of it, but not along one of its walls."""
     corner = gantry(box("wall", (0.1, 3.0, 3.0), (0.15 - SINK, 0.0, 0.0)))

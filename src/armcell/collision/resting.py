@@ -49,6 +49,7 @@ ROOM = 1.5
 COARSE = 0.02
 """[rad or m] Between configurations where the distance of separated pairs is looked up, not proven."""
 
+GROWTH = 1e-5  # [m] of a distance in half of `COARSE`, of a pair that moves apart
 FAR = 0.25  # [m] `KernelChecker.clearance` reports no more
 LARGEST = 10.0  # [m] of a solid's half size: half-spaces have no corners
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -148,9 +149,13 @@ def certify_from_rest(
     bare = checker.certify(rest)
     if not bare.free:
         return Certificate(False, _along(at, bare.at, rest, edges), bare.contact)
-    # Pairs may be too near for the slack for a while: without it they are proven, with it from here on.
-    farther = leaving.first_beyond(points, at, need)
-    if slack is None or farther is None:
+    if slack is None:
+        return Certificate(True)
+    # Pairs may be too near for the slack while they move apart: until then they are proven without it.
+    farther, contact = Leaving(exact, points[0], near).until_beyond(points, at, need)
+    if contact is not None:
+        return Certificate(False, farther / edges, contact)
+    if farther >= edges:
         return Certificate(True)
     rest = _from(points, farther)
     proof = checker.certify(rest, slack)
@@ -263,14 +268,31 @@ class Leaving:
         ends = np.flatnonzero(self.touching & (distances <= 0.0))
         return float(last), self._contact(int(ends[0])) if len(ends) else None
 
-    def first_beyond(self, points: Array, at: float, need: Array) -> float | None:
+    def until_beyond(self, points: Array, at: float, need: Array) -> tuple[float, Contact | None]:
         """The first place after another one (in edges) where all pairs are as far apart [m] as they need to
-        be; `need` (p,) is of all the checker's pairs."""
+        be, or the end. With a contact: a pair that no longer moves apart before that.
+
+        Args:
+            need: (p,) of all the checker's pairs.
+        """
+        before = np.full(len(self.rows), -np.inf)
+        since = np.inf  # [rad or m] that the joints have moved since `before`
+        last, place = _between(points, at), at
         for place in _places(points, at):
-            self.exact.place(_between(points, place))
-            if np.all(self._distances() > need[self.rows]):
-                return place
-        return None
+            q = _between(points, place)
+            since, last = since + float(np.max(np.abs(q - last))), q
+            self.exact.place(q)
+            distances = self._distances()
+            near = distances <= need[self.rows]
+            if not near.any():
+                return place, None
+            if since < COARSE / 2:
+                continue
+            stays = np.flatnonzero(near & (distances < before + GROWTH))
+            if len(stays):
+                return place, self._contact(int(stays[0]))
+            before, since = distances, 0.0
+        return place, None
 
     def while_parting(self, points: Array, at: float) -> float:
         """Where the pairs that touched stop moving apart, from a place (in edges) on; the end if never."""
