@@ -287,6 +287,8 @@ class GuardedMotion(Executable):
                 "position": found.contact.position,
                 "contacts": [found.contact],
             }
+            objects = self._world.base.objects
+            data |= {"object": name for name in data["pair"] if name in objects}
         return data
 
 
