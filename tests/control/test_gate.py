@@ -13,7 +13,7 @@ import armcell
 from armcell.cell import load
 from armcell.collision import ExactChecker
 from armcell.control import CHANGED, DriverWorld, MotionGate, execute, playing
-from armcell.core import ErrorCode, JointTrajectory
+from armcell.core import ErrorCode, InputError, JointTrajectory
 
 SOURCE = Path(armcell.__file__).parent
 MOVERS = {  # what may give a driver commands, and why
@@ -114,3 +114,8 @@ def test_ungated_motions_are_for_simulations_of_their_own():
         f.relative_to(SOURCE).as_posix() for f in SOURCE.rglob("*.py") if "UngatedMotion(" in f.read_text()
     ]
     assert sorted(users) == ["control/gate.py", "control/twin/rehearsal.py"]
+
+
+def test_the_executor_refuses_a_bare_trajectory(driver):
+    with pytest.raises(InputError, match="MotionGate"):
+        execute(driver, plans()["left_arm"])  # type: ignore[arg-type]

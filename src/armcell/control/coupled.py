@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armcell.control.driver import Driver, Rehearsing, Watch
 from armcell.control.executor import ExecutionSettings, Progress
 from armcell.control.following import Follower, Paced
-from armcell.control.gate import Executable
+from armcell.control.gate import Executable, executable
 from armcell.core import ErrorCode, ExecutionResult, Outcome, Playback
 from armcell.core.protocols import offers
 
@@ -41,6 +41,7 @@ def execute_coupled(
     Returns:
         As `execute`, or what `watch` returned.
     """
+    executable(motion)
     try:
         result = _coupled(driver, motion, correct, watch, scalings, settings, progress)
     except BaseException as error:

@@ -11,7 +11,7 @@ import numpy as np
 
 from armcell.control.driver import Driver, Player, Rehearsing
 from armcell.control.following import Follower, Steps, Tolerances, followed
-from armcell.control.gate import Executable
+from armcell.control.gate import Executable, executable
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
 from armcell.core.checks import require
 from armcell.core.protocols import offers
@@ -86,6 +86,7 @@ def playing(
     Args:
         alone: the driver, where it may let the time of the trajectory pass by itself.
     """
+    executable(motion)
     try:
         result = yield from _played(driver, motion, settings, progress, alone)
     except BaseException as error:

@@ -22,7 +22,7 @@ from armcell.collision.motion_proof import (
     first_conflict,
     passed_at,
 )
-from armcell.core import SE3, ErrorCode, ExecutionResult, JointTrajectory, Outcome
+from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointTrajectory, Outcome
 from armcell.scene import PlanningScene, new_obstacles
 
 Result = TypeVar("Result", Outcome, ExecutionResult)
@@ -151,6 +151,20 @@ class Executable(threading.Event):
     def end(self, result: Result) -> Result:
         """The motion has ended with a result; returns the result with the reason that the gate knows."""
         raise NotImplementedError
+
+
+def executable(motion: object) -> Executable:
+    """The motion, if the executor may play it.
+
+    Raises:
+        InputError: it is a bare trajectory, which nothing has proven.
+    """
+    if isinstance(motion, Executable):
+        return motion
+    raise InputError(
+        f"the executor plays motions that a MotionGate has made, not a {type(motion).__name__}",
+        cure="live.arm.execute(trajectory), or execute(live.driver, live.ctx.gate.motion(trajectory))",
+    )
 
 
 class UngatedMotion(Executable):
@@ -287,8 +301,8 @@ class GuardedMotion(Executable):
                 "position": found.contact.position,
                 "contacts": [found.contact],
             }
-            objects = self._world.base.objects
-            data |= {"object": name for name in data["pair"] if name in objects}
+            if objects := [name for name in data["pair"] if name in self._world.base.objects]:
+                data["object"] = objects[0]
         return data
 
 
