@@ -87,40 +87,60 @@ PACKAGE = {
     "urdf/deep/inner.xacro": ROBOT.format('<xacro:include filename="../common.xacro"/><link name="inner"/>'),
 }
 FILES = {
-    "properties": '<xacro:property name="a" value="${2*b}"/><xacro:property name="b" value="3"/><l v="${a}"/>'
-    '<xacro:property name="b" value="5"/><l v="${a} ${b}" w="${a+b}"/><xacro:property name="c" value="${b}" '
-    'lazy_eval="false"/><xacro:property name="b" value="7"/><l v="${c}"/><xacro:property name="d" default="8"'
-    '/><xacro:property name="d" default="9"/><l v="${d}"/><xacro:property name="t" value="true"/><l v="${t}"/>'
-    "<xacro:property name=\"q\" value=\"'12'\"/><l v=\"${q + 3}\"/><xacro:property name=\"u\" value=\"1_0\"/>"
-    '<l v="${u}"/><xacro:property name="d" remove="true"/><l v="${1 if t else d}"/>',
-    "escapes": "<l v='$${a}' w='$$(b)' x='cost $5' y='$$$${z}'/><p>text ${1+1} $${x}</p>",
-    "conditions": '<xacro:arg name="n" default="2"/><xacro:if value="$(arg n)"><l v="1"/></xacro:if><xacro:if '
-    "value=\"${'$(arg n)' == '2'}\"><l v=\"2\"/>text</xacro:if><xacro:unless value=\"false\"><l v=\"3\"/>"
-    '</xacro:unless><xacro:unless value="1"><l v="${nope}"/></xacro:unless>',
-    "macros": '<xacro:include filename="$(find my_robot)/urdf/common.xacro"/><xacro:property name="colour" '
-    'value="blue"/><xacro:cylinder name="a" r="2"><origin xyz="0 0 ${density}"/><more><m v="${1+1}"/><n/></more>'
-    '</xacro:cylinder><xacro:macro name="twice" params="n:=1 name=x"><xacro:if value="${n}">'
-    '<l v="${name}${n}"/><xacro:twice n="${n-1}"/></xacro:if></xacro:macro><xacro:twice n="3"/>'
-    "<xacro:twice name='q r' n='1'/><xacro:call macro=\"${'tw' + 'ice'}\"/>",
-    "scopes": '<xacro:property name="x" value="1"/><xacro:macro name="m"><xacro:property name="x" value="2"/>'
-    '<l v="${x}"/><xacro:property name="y" value="3" scope="parent"/><xacro:property name="z" value="4" '
-    'scope="global"/></xacro:macro><xacro:m/><l v="${x} ${y} ${z}"/>',
-    "name spaces": '<xacro:include filename="common.xacro" ns="com"/><xacro:com.cylinder name="b" r="1" '
-    'colour="red"><origin/><extra/></xacro:com.cylinder><l v="${com.density}"/><xacro:include '
-    'filename="missing.xacro" optional="true"/><xacro:include filename="deep/*.xacro"/>',
-    "yaml": "<xacro:property name=\"file\" value=\"$(find my_robot)/config/limits.yaml\"/><xacro:property "
-    'name="limits" value="${xacro.load_yaml(file)}"/><l v="${limits.joint_1.lower}" w="${limits[\'joint_1\']'
-    "['upper']}\" x=\"${limits.joint_1.has}\" y=\"${limits.joint_1.names}\" z=\"${limits.when} ${limits.length}"
-    "\"/><l v=\"${'mass' in limits} ${sorted(limits.keys())} ${len(limits)}\"/>",
-    "elements": '<xacro:element xacro:name="${\'jo\' + \'int\'}" name="j"><xacro:attribute name="type" '
-    'value="fixed"/><a/></xacro:element><b><xacro:if value="1"><xacro:attribute name="c" value="d"/><e/>'
-    '</xacro:if></b><xacro:property name="block"><f g="${h}"/>words</xacro:property><xacro:property name="h" '
-    'value="1"/><i><xacro:insert_block name="block"/></i><xacro:insert_block name="block"/>',
-    "arguments": '<xacro:arg name="side" default="left"/><xacro:arg name="off" default="${pi/2}"/><l '
-    'v="$(arg side)_arm" w="${-$(arg off)}" x="$(eval 2 * 3)" y="$(eval off + 1)" z="${xacro.arg(\'side\')}"/>'
-    "<l v=\"${xacro.tokenize('1, 2;3')}\" w=\"${xacro.dotify(dict(a=[1])).a[0]}\" x=\"${radians(90) - pi/2}\"/>",
+    "properties": """
+        <xacro:property name="a" value="${2*b}"/><xacro:property name="b" value="3"/><l v="${a}"/>
+        <xacro:property name="b" value="5"/><l v="${a} ${b}" w="${a+b}"/>
+        <xacro:property name="c" value="${b}" lazy_eval="false"/><xacro:property name="b" value="7"/>
+        <l v="${c}"/><xacro:property name="d" default="8"/><xacro:property name="d" default="9"/>
+        <l v="${d}"/><xacro:property name="t" value="true"/><l v="${t}"/>
+        <xacro:property name="q" value="'12'"/><l v="${q + 3}"/><xacro:property name="u" value="1_0"/>
+        <l v="${u}"/><xacro:property name="d" remove="true"/><l v="${1 if t else d}"/>""",
+    "escapes": """<l v='$${a}' w='$$(b)' x='cost $5' y='$$$${z}'/><p>text ${1+1} $${x}</p>""",
+    "conditions": """
+        <xacro:arg name="n" default="2"/><xacro:if value="$(arg n)"><l v="1"/></xacro:if>
+        <xacro:if value="${'$(arg n)' == '2'}"><l v="2"/>text</xacro:if>
+        <xacro:unless value="false"><l v="3"/></xacro:unless>
+        <xacro:unless value="1"><l v="${nope}"/></xacro:unless>""",
+    "macros": """
+        <xacro:include filename="$(find my_robot)/urdf/common.xacro"/>
+        <xacro:property name="colour" value="blue"/>
+        <xacro:cylinder name="a" r="2"><origin xyz="0 0 ${density}"/>
+          <more><m v="${1+1}"/><n/></more></xacro:cylinder>
+        <xacro:macro name="twice" params="n:=1 name=x"><xacro:if value="${n}">
+          <l v="${name}${n}"/><xacro:twice n="${n-1}"/></xacro:if></xacro:macro>
+        <xacro:twice n="3"/><xacro:twice name='q r' n='1'/><xacro:call macro="${'tw' + 'ice'}"/>""",
+    "scopes": """
+        <xacro:property name="x" value="1"/>
+        <xacro:macro name="m"><xacro:property name="x" value="2"/><l v="${x}"/>
+          <xacro:property name="y" value="3" scope="parent"/>
+          <xacro:property name="z" value="4" scope="global"/></xacro:macro>
+        <xacro:m/><l v="${x} ${y} ${z}"/>""",
+    "name spaces": """
+        <xacro:include filename="common.xacro" ns="com"/>
+        <xacro:com.cylinder name="b" r="1" colour="red"><origin/><extra/></xacro:com.cylinder>
+        <l v="${com.density}"/><xacro:include filename="missing.xacro" optional="true"/>
+        <xacro:include filename="deep/*.xacro"/>""",
+    "yaml": """
+        <xacro:property name="file" value="$(find my_robot)/config/limits.yaml"/>
+        <xacro:property name="limits" value="${xacro.load_yaml(file)}"/>
+        <l v="${limits.joint_1.lower}" w="${limits['joint_1']['upper']}" x="${limits.joint_1.has}"
+           y="${limits.joint_1.names}" z="${limits.when} ${limits.length}"/>
+        <l v="${'mass' in limits} ${sorted(limits.keys())} ${len(limits)}"/>""",
+    "elements": """
+        <xacro:element xacro:name="${'jo' + 'int'}" name="j">
+          <xacro:attribute name="type" value="fixed"/><a/></xacro:element>
+        <b><xacro:if value="1"><xacro:attribute name="c" value="d"/><e/></xacro:if></b>
+        <xacro:property name="block"><f g="${h}"/>words</xacro:property>
+        <xacro:property name="h" value="1"/>
+        <i><xacro:insert_block name="block"/></i><xacro:insert_block name="block"/>""",
+    "arguments": """
+        <xacro:arg name="side" default="left"/><xacro:arg name="off" default="${pi/2}"/>
+        <l v="$(arg side)_arm" w="${-$(arg off)}" x="$(eval 2 * 3)" y="$(eval off + 1)"
+           z="${xacro.arg('side')}"/>
+        <l v="${xacro.tokenize('1, 2;3')}" w="${xacro.dotify(dict(a=[1])).a[0]}"
+           x="${radians(90) - pi/2}"/>""",
     "comments": "<!-- ${nope} --><a>b<!-- $(nope) -->c</a><![CDATA[d]]>",
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -143,8 +163,8 @@ def test_what_descriptions_use_is_expanded_as_by_the_library(package, name):
 
 BOMBS = {
     "macro that calls itself": '<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>',
-    "macros that call each other": '<xacro:macro name="a"><l><xacro:b/></l></xacro:macro><xacro:macro name="b">'
-    "<xacro:a/></xacro:macro><xacro:a/>",
+    "macros that call each other": '<xacro:macro name="a"><l><xacro:b/></l></xacro:macro>'
+    '<xacro:macro name="b"><xacro:a/></xacro:macro><xacro:a/>',
     "tree of macros": "".join(
         f'<xacro:macro name="m{n}">{f"<xacro:m{n + 1}/>" * 10}</xacro:macro>' for n in range(20)
     )

@@ -20,7 +20,8 @@ LIMITS = Dotted(lower=-1.5, upper=2, names=["a", "b"], origin=Dotted(xyz="0 0 1"
 NAMES = NameSpace(
     {
         **MATH, **BASIC, "python": NameSpace(PYTHON), "math": NameSpace(MATH), "x": 3, "word": "left arm",
-        "limits": LIMITS, "true": True, "template": "{0.__class__}", "items": "{0[0]}", "wide": "{:>9999999999}",
+        "limits": LIMITS, "true": True, "template": "{0.__class__}", "items": "{0[0]}",
+        "wide": "{:>9999999999}",
     }
 )  # fmt: skip
 
@@ -70,7 +71,8 @@ ATTACKS = [
     "{i for i in 'ab'}", "b'bytes'", "1j", "...", "max(*[1, 2])", "dict(**limits)", "{**limits}",
     "[i async for i in 'ab']", "await x", "(yield)", "[x for x.y in [1]]", "[0 for limits['lower'] in [1]]",
     "nope", "limits.nope", "'%(a(b)c)99999999d' % {'a(b)c': 1}", "'%*d' % (99999999, 1)", "1 in x", "x[0]",
-    "import os", "x = 1", "x; x", "", "(" * 500, "-" * 9000 + "1", "x" + " + x" * 2000, "str(len)(1)", "limits.get.__self__",
+    "import os", "x = 1", "x; x", "", "(" * 500, "-" * 9000 + "1", "x" + " + x" * 2000,
+    "str(len)(1)", "limits.get.__self__",
     "map(lambda i: i, [1])", "sorted('ab', key=print)", "isinstance(x, object)",
     "python.isinstance(x, python.map)", "breakpoint()", "math.sys", "xacro",
 ]  # fmt: skip
@@ -136,10 +138,12 @@ ATOMS = st.one_of(
     st.integers(-(10**6), 10**6).map(repr),
     st.floats(allow_nan=False, allow_infinity=False).map(repr),
 )
+OPERATORS = ["+", "-", "*", "/", "//", "%", "**", "<<", ">>", "&", "|", "^", "==", "<"]
+OPERATORS += ["in", "and", "or", "is"]
 NESTED = st.recursive(
     ATOMS,
     lambda inner: st.one_of(
-        st.tuples(inner, st.sampled_from(["+", "-", "*", "/", "//", "%", "**", "<<", ">>", "&", "|", "^", "==", "<", "in", "and", "or", "is"]), inner).map(
+        st.tuples(inner, st.sampled_from(OPERATORS), inner).map(
             lambda t: f"({t[0]} {t[1]} {t[2]})"
         ),
         st.tuples(inner, st.sampled_from(["format", "join", "split", "__class__", "lower", "get", "items",
@@ -157,6 +161,7 @@ NESTED = st.recursive(
 PLAIN = (bool, int, float, str, list, tuple, dict, type(None))
 
 
+@pytest.mark.slow
 @settings(max_examples=2000)
 @given(st.one_of(TEXTS, NESTED))
 @example("''.join.__globals__")
