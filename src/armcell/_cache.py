@@ -99,28 +99,28 @@ def doubt(folder: Path, contents: bool = False) -> str | None:
             if found := _doubt_of(place, status, 0 if sticky else 0o022):
                 return found
         if contents:
-            return _doubt_inside(real)
+            return _doubt_inside(str(real))
     except OSError as error:
         return f"{real} cannot be examined ({error.strerror})"
     return None
 
 
-def _doubt_inside(folder: Path) -> str | None:
-    hidden = not folder.lstat().st_mode & 0o077
+def _doubt_inside(folder: str) -> str | None:
+    hidden = not os.lstat(folder).st_mode & 0o077
     forbidden = 0o002 if hidden else 0o022  # with umask 002 Numba's files are writable by the group
-    for entry in os.scandir(folder):
-        path, status = Path(entry.path), entry.stat(follow_symlinks=False)
+    for entry in os.scandir(folder):  # thousands: no Path for each
+        status = entry.stat(follow_symlinks=False)
         if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
-            return f"{path} is not a regular file"
-        found = _doubt_of(path, status, forbidden)
+            return f"{entry.path} is not a regular file"
+        found = _doubt_of(entry.path, status, forbidden)
         if found is None and stat.S_ISDIR(status.st_mode):
-            found = _doubt_inside(path)
+            found = _doubt_inside(entry.path)
         if found is not None:
             return found
     return None
 
 
-def _doubt_of(path: Path, status: os.stat_result, forbidden: int) -> str | None:
+def _doubt_of(path: Path | str, status: os.stat_result, forbidden: int) -> str | None:
     if status.st_uid not in (_user(), 0):
         return f"{path} belongs to another user (uid {status.st_uid})"
     if status.st_mode & forbidden:
