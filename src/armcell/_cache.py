@@ -109,7 +109,10 @@ def _doubt_inside(folder: str) -> str | None:
     hidden = not os.lstat(folder).st_mode & 0o077
     forbidden = 0o002 if hidden else 0o022  # with umask 002 Numba's files are writable by the group
     for entry in os.scandir(folder):  # thousands: no Path for each
-        status = entry.stat(follow_symlinks=False)
+        try:
+            status = entry.stat(follow_symlinks=False)
+        except FileNotFoundError:
+            continue  # another process has renamed or deleted it
         if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             return f"{entry.path} is not a regular file"
         found = _doubt_of(entry.path, status, forbidden)
