@@ -110,9 +110,8 @@ class _Expansion:
             line, label = self.here.sourceline, _label(self.here)
         if file != self.file:
             reason = f"{reason} (part of {self.file})"
-        return InputError(
-            f"xacro cannot expand it: {_one_line(reason)}", file=file, line=line, element=label, cure=cure
-        )
+        reason = f"xacro cannot expand it: {_one_line(reason)}"
+        return InputError(reason, file=file, line=line, element=label, cure=cure and _one_line(cure))
 
     def _substitute(self, inside: str, scope: Scope) -> str:
         return self.substitution.resolve(inside, self.reading[-1].parent)

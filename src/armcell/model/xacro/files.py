@@ -70,6 +70,8 @@ class RobotFiles:
         Raises:
             XacroError: the file is not in one of the robot's packages.
         """
+        if not str(path).isprintable():  # a message would send it to the terminal
+            raise XacroError(f"{str(path)!r} is not a path")
         try:
             real = path.resolve()
         except (OSError, RuntimeError, ValueError):
