@@ -109,6 +109,10 @@ FILES = {
         <xacro:macro name="twice" params="n:=1 name=x"><xacro:if value="${n}">
           <l v="${name}${n}"/><xacro:twice n="${n-1}"/></xacro:if></xacro:macro>
         <xacro:twice n="3"/><xacro:twice name='q r' n='1'/><xacro:call macro="${'tw' + 'ice'}"/>""",
+    "loops": """
+        <xacro:macro name="roller" params="n"><xacro:if value="${n > 0}"><l v="${n}"/>
+          <xacro:if value="${n % 2 == 0}"><m/></xacro:if><xacro:roller n="${n-1}"/></xacro:if></xacro:macro>
+        <xacro:roller n="150"/>""",
     "scopes": """
         <xacro:property name="x" value="1"/>
         <xacro:macro name="m"><xacro:property name="x" value="2"/><l v="${x}"/>

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-MAX_STEPS = 1_000_000  # the largest description of a vendor that we tried (two FR3 arms) takes 38,000
+MAX_STEPS = 1_000_000  # the largest description of a vendor that we tried (two FR3 arms) takes 41,000
 MAX_CHARACTERS = 1_000_000  # of one string
 MAX_SIZE = 100_000  # of one value, see `size`
 MAX_BITS = 4096  # of one integer

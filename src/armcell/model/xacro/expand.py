@@ -15,6 +15,7 @@ from __future__ import annotations
 import keyword
 import logging
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -37,9 +38,11 @@ log = logging.getLogger(__name__)
 
 Element = etree._Element
 MAX_INCLUDES = 30  # files within files
-MAX_MACROS = 150  # macros within macros
+MAX_MACROS = 200  # macros within macros
+MAX_CALLS = 5000  # of Python's functions within each other; they take no C stack since Python 3.11
 MAX_REASON = 600  # characters of a message
 ELEMENT_STEPS = 5
+MACRO_STEPS = 25
 ALLOW_ENV = "ARMCELL_ALLOW_ENV"
 """Variable by which `armcell --allow-env` reaches the processes that a command starts."""
 
@@ -65,7 +68,8 @@ def expand_xacro(
     root = parse_xml(read_text(file), file)
     work = _Expansion(file, dict(arguments or {}), allow_env, home)
     try:
-        return work.document(root)
+        with _deep_calls():
+            return work.document(root)
     except XacroError as error:
         raise work.failed(error.reason, error.cure) from None
     except RecursionError:
@@ -316,6 +320,7 @@ class _Expansion:
         if len(self.macros) >= MAX_MACROS:
             chain = " calls ".join(self.macros[-3:])
             raise XacroError(f"more than {MAX_MACROS} macros call each other: {chain}")
+        self.budget.charge(MACRO_STEPS)
         inner = scope_there.inner()
         missing = {parameter.name: parameter for parameter in macro.parameters}
         for key, value in source.attrib.items():
@@ -354,6 +359,17 @@ _DIRECTIVES = {
     "insert_block": _Expansion._insert, "macro": _Expansion._define, "property": _Expansion._property,
     "unless": _Expansion._unless,
 }  # fmt: skip
+
+
+@contextmanager
+def _deep_calls() -> Iterator[None]:
+    """Room for macros that loop by calling themselves: each level takes about ten of Python's frames."""
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(before, MAX_CALLS))
+    try:
+        yield
+    finally:
+        sys.setrecursionlimit(before)
 
 
 @contextmanager
