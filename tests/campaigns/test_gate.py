@@ -227,6 +227,18 @@ def test_a_campaign_that_varied_nothing_shows_one_case_only(cell, tmp_path, text
             gate.check(load(cell), file)
 
 
+def test_a_cell_is_the_same_from_every_working_folder(cell, tmp_path, monkeypatch):
+    """Its robot's and its own name are the folder's, also where the folder is '.'."""
+    text = "robot: .\n" + NOD.partition("\n")[2]
+    cell.write_text(text)
+    (tmp_path / "robot.yaml").write_text("parts: [{robot: ur10_gripper}]\n")
+    there = content_hashes(load(cell))
+    monkeypatch.chdir(tmp_path)
+    assert content_hashes(load(cell.name)) == there
+    cell.rename(tmp_path / "cell.yaml")
+    assert load("cell.yaml").name == load(tmp_path).name == tmp_path.name
+
+
 def test_one_seed_repeated_is_no_variation(cell, tmp_path):
     folder = campaign(cell, tmp_path / "runs", 80)
     rows = [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]

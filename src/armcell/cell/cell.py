@@ -56,7 +56,7 @@ def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
         file = path / CELL_FILE if path.is_dir() else path
         if not file.exists() and isinstance(cell, str) and "/" not in cell and "." not in cell:
             raise UnknownNameError("cell", cell, cell_names())
-    name = file.parent.name if file.name == CELL_FILE else file.stem
+    name = file.resolve().parent.name if file.name == CELL_FILE else file.stem
     return Cell(name, file, validated(read_yaml(file), file), allow_env=allow_env)
 
 

@@ -73,6 +73,7 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
         raise InputError("is not a mapping", file=file, element="grippers")
     if ("urdf" in data) == ("parts" in data):
         raise InputError("needs either 'urdf' or 'parts'", file=file)
+    name = str(data.get("name", folder.resolve().name))  # the same from every working folder
     if "urdf" in data:
         model = load_urdf(_urdf_path(str(data["urdf"]), folder, file), allow_env, folder)
         if "root" in data:
@@ -80,10 +81,8 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
         model = with_adjacent_disabled(model)
     else:
         parts = [_part(p, folder, file, allow_env) for p in data["parts"]]
-        model = compose(str(data.get("name", folder.name)), parts)
-    model = replace(
-        model, name=str(data.get("name", folder.name)), source=str(data.get("source", model.source))
-    )
+        model = compose(name, parts)
+    model = replace(model, name=name, source=str(data.get("source", model.source)))
     if "srdf" in data:
         grippers = model.grippers
         model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
