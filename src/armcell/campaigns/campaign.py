@@ -18,7 +18,7 @@ from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
 from armcell.campaigns.store import Store
 from armcell.campaigns.trial import Trial
-from armcell.cell import cell_names, content_hashes
+from armcell.cell import announce_code, cell_names, content_hashes
 from armcell.core import InputError
 from armcell.planning import warm_up
 
@@ -38,7 +38,9 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
         )
     if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
         spec = replace(spec, cell=str(file.resolve()))  # its commands are to work in any folder
-    return Store.new(runs, spec, content_hashes(checked_cell(spec)))
+    cell = checked_cell(spec)
+    announce_code(cell)  # here: workers are silent
+    return Store.new(runs, spec, content_hashes(cell))
 
 
 def resume(folder: str | Path) -> Store:
@@ -48,14 +50,15 @@ def resume(folder: str | Path) -> Store:
         InputError: no campaign, or the cell is not what it was then.
     """
     store = Store.open(folder)
-    now = content_hashes(checked_cell(store.spec))
-    changed = changed_parts(store.hashes, now)
+    cell = checked_cell(store.spec)
+    changed = changed_parts(store.hashes, content_hashes(cell))
     if changed:
         store.close()
         raise InputError(
             f"since this campaign began, what changed is: {', '.join(changed)}", file=store.folder,
             cure="trials of two different cells do not make one table: begin a new campaign",
         )  # fmt: skip
+    announce_code(cell)
     return store
 
 

@@ -217,7 +217,7 @@ def find_cluster(address: str) -> str | None:
         raise InputError(f"RAY_ADDRESS is {named}, --ray is {address}", cure="unset RAY_ADDRESS")
     try:
         asked = subprocess.run(
-            [sys.executable, "-c", _ASK, address], capture_output=True, text=True, timeout=ANSWER_WITHIN
+            [sys.executable, "-P", "-c", _ASK, address], capture_output=True, text=True, timeout=ANSWER_WITHIN
         )
         found, about = json.loads(asked.stdout.strip().splitlines()[-1])
     except (subprocess.TimeoutExpired, ValueError, IndexError):

@@ -24,7 +24,7 @@ class ProcessWorker(Worker):
     def __init__(self, spec: CampaignSpec):
         super().__init__()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "armcell.campaigns.worker"],
+            [sys.executable, "-P", "-m", "armcell.campaigns.worker"],  # -P: no modules of the current folder
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
         self.rest = b""

@@ -5,6 +5,7 @@ from armcell.cell.identity import code_hash, content_hashes
 from armcell.cell.live import Arm, LiveCell
 from armcell.cell.objects_file import load_objects, save_objects
 from armcell.cell.run import complaints, result_of, run_task
+from armcell.cell.script import announce_code
 from armcell.cell.seeing import CameraWatch, LiveCamera
 from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
 from armcell.cell.values import parsed, with_values
@@ -16,6 +17,7 @@ __all__ = [
     "LiveCamera",
     "LiveCell",
     "Proposal",
+    "announce_code",
     "built_in_cells",
     "cell_names",
     "code_hash",

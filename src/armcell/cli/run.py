@@ -139,8 +139,9 @@ def run(
             loading = progress.add_task(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
+        # here: physics and planners load slowly
+        from armcell.cell import announce_code, load, parsed, run_task, with_values
         from armcell.cell import health as layers
-        from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
         from armcell.control import drivers
         from armcell.planning import warm_up
 
@@ -153,6 +154,7 @@ def run(
             layers.check_description(loaded)
         with health.layer("controllers"):
             layers.check_controllers(loaded, mode)
+        announce_code(loaded)
         passed = gate_of(loaded, mode, gate, without_gate)
         warm_up()
         scene = loaded.scene(seed)
