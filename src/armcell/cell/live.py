@@ -177,6 +177,8 @@ class LiveCell:
 
     def __enter__(self) -> LiveCell:
         with ExitStack() as opening:
+            for camera in self.cameras.values():
+                opening.callback(camera.renderer.close)
             if not self.driver.is_simulated:  # what takes long comes before real arms wait
                 for group in self.arms:
                     prepare(self.scene_at_start, group)  # compiled code to load

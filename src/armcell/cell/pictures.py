@@ -33,7 +33,8 @@ def overview(scene: PlanningScene) -> Camera:
 
 class Pictures:
     """An observer of a run in physics. It looks through the cell's first camera that stands still; without
-    one, from the side in front.
+    one, from the side in front. Where the driver keeps to the wall's clock, its pictures come when they are
+    drawn, in another thread (`CellRenderer`).
 
     Args:
         take: gets time [s], what it shows in words, and the picture (h, w, 3).
@@ -44,6 +45,8 @@ class Pictures:
         self._driver: Any = live.driver  # one that has a world once it is connected
         self._scene, self._take, self._stages = live.scene_at_start, take, stages
         self._touched = self._broken = False
+        self._renderer = next((c.renderer for c in live.cameras.values()), None)
+        self._number = 0
 
     @cached_property
     def _camera(self) -> Camera:
@@ -61,6 +64,13 @@ class Pictures:
 
     def _try(self, event: Event) -> None:
         if self._broken:
+            return
+        if self._driver.is_paced and self._renderer is not None:
+            self._number += 1
+            self._renderer.ask(
+                ("key moment", self._number), self._camera,
+                lambda image: self._take(event.time, event.text, image.rgb), depth=False, keep=True,
+            )  # fmt: skip
             return
         try:
             picture = self.now()

@@ -291,7 +291,7 @@ def _run(
             ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
             return "  ".join([status(), *ill])
 
-        line = _StatusLine(bus, lambda: served.node.executed, all_status)
+        line = _StatusLine(bus, lambda: served.node.executed, all_status, served.node.cameras.frames)
         failure: BaseException | None = None
         try:
             served.start(layer=health.layer)
@@ -355,8 +355,12 @@ def _troubles(dropped: int, wrong: int) -> str:
 class _StatusLine:
     """One line that is kept up to date on a terminal; elsewhere a line whenever the peers change."""
 
-    def __init__(self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str]):
-        self._bus, self._executed, self._status = bus, executed, status
+    def __init__(
+        self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str],
+        frames: Callable[[], dict[str, int]] = dict,
+    ):  # fmt: skip
+        self._bus, self._executed, self._status, self._frames = bus, executed, status, frames
+        self._delivered: dict[str, int] = {}
         self._live = Live(console=errors, transient=True, auto_refresh=False) if errors.is_terminal else None
         self._counts: dict[str, int] = {}
         self._at = (time.monotonic(), bus.clock.now())
@@ -392,6 +396,11 @@ class _StatusLine:
             if rate > 0.5 and topic.name in ("/joint_states", "/tf", "/object_pose"):
                 rates.append(f"{topic.name} {rate:.0f} Hz")
         self._counts = {t.name: t.messages for t in topics}
+        delivered = self._frames()
+        for camera, count in delivered.items():
+            if new := count - self._delivered.get(camera, 0):
+                rates.append(f"{camera} {new / passed:.1f} frames/s")
+        self._delivered = delivered
         self._at = (now, clock)
         executed = self._executed()
         played = "" if executed is None else f"  trajectories {executed}"

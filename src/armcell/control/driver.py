@@ -70,6 +70,11 @@ class Driver(Protocol):
     period: float  # [s] between commands
     is_simulated: bool
 
+    @property
+    def is_paced(self) -> bool:
+        """Whether its clock keeps to the wall's: nothing that takes long may be done between two steps."""
+        ...
+
     def __enter__(self) -> Driver: ...
     def __exit__(self, *exc: object) -> None: ...
 

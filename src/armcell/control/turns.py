@@ -96,6 +96,7 @@ class ArmView:
         self._turns, self._driver, self._joints = turns, turns.driver, joint_names
         self.name, self._me = turns.driver.name, name
         self.period, self.is_simulated = turns.driver.period, turns.driver.is_simulated
+        self.is_paced = turns.driver.is_paced
 
     def __enter__(self) -> ArmView:
         return self

@@ -42,6 +42,10 @@ class FakeDriver(SeesNoContacts):
         pass
 
     @property
+    def is_paced(self) -> bool:
+        return self._pacer.time_scale is not None
+
+    @property
     def now(self) -> float:
         return self._now
 

@@ -45,6 +45,10 @@ class SteppedSim:
         return self.world.lock
 
     @property
+    def is_paced(self) -> bool:
+        return self._pacer.time_scale is not None
+
+    @property
     def now(self) -> float:
         return self.world.time
 

@@ -43,6 +43,7 @@ class UrDriver(SeesNoContacts):
 
     name = "real"
     is_simulated = False
+    is_paced = True
 
     def __init__(self, scene: PlanningScene, options: DriverOptions):
         if options.time_scale not in (None, 1.0):
