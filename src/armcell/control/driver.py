@@ -112,6 +112,16 @@ class Driver(Protocol):
         """Hold the measured position now."""
         ...
 
+    def resume(self) -> None:
+        """Make ready for motions again after whatever has stopped it. Nothing moves, old goals are forgotten.
+
+        Where nothing has stopped it nothing happens, also while it moves. May be called from any thread.
+
+        Raises:
+            ArmcellError: it cannot be made ready from here; says why and what to do. It stays stopped.
+        """
+        ...
+
     def object_poses(self) -> dict[str, SE3]:
         """T_world_object of the movable objects, as far as the driver knows them."""
         ...

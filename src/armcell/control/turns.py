@@ -115,6 +115,9 @@ class ArmView:
         q = self._driver.joint_state().reindexed(self._joints).positions
         self._driver.command(self._joints, q, np.zeros(len(q)))
 
+    def resume(self) -> None:
+        self._driver.resume()
+
     def joint_state(self) -> JointState:
         return self._driver.joint_state()
 

@@ -6,6 +6,7 @@ or what went wrong, in words. Both ends are armcell's own; nobody else can reach
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import signal
@@ -59,10 +60,8 @@ def main(descriptor: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     os.nice(NICENESS)
-    try:
+    with contextlib.suppress(EOFError, OSError):
         _obey(Connection(descriptor))
-    except (EOFError, OSError):
-        pass
 
 
 if __name__ == "__main__":

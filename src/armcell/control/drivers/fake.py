@@ -75,6 +75,9 @@ class FakeDriver(SeesNoContacts):
         force = self._targets.get(gripper, (0.0, 0.0))[1] if held else 0.0
         return GripperReading(width, force, held[0] if held else None)
 
+    def resume(self) -> None:
+        """As `Driver.resume`: nothing ever stops it."""
+
     def wrench(self, gripper: str) -> Array:
         self._model.gripper(gripper)
         return np.zeros(6)
