@@ -89,6 +89,9 @@ class CellRenderer:
         if thread is not None:
             thread.join(CLOSE)
             self._waiting = {}
+            if thread.is_alive():
+                self._process.kill()
+                thread.join(1.0)
         self._setup = None
 
     # --- how ---

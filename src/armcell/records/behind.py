@@ -38,13 +38,18 @@ class WrittenBehind:
         """
         self._raise()
         if self._bytes + len(data) > MOST_WAITING:
-            self._error = OSError(errno.ETIMEDOUT, f"the disk is {self._bytes >> 20} MB behind")
+            self._failed(OSError(errno.ETIMEDOUT, f"the disk is {self._bytes >> 20} MB behind"))
             self._raise()
         self._open.append(bytes(data))
         self._position += len(data)
         with self._wake:
             self._bytes += len(data)
         return len(data)
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that are not on the disk yet."""
+        return self._bytes
 
     def tell(self) -> int:
         return self._position
@@ -85,6 +90,13 @@ class WrittenBehind:
             self._file.close()
         self._raise()
 
+    def _failed(self, error: OSError) -> None:
+        """What waits is given up, and the thread ends."""
+        with self._wake:
+            self._error, self._closing = error, True
+            self._waiting.clear()
+            self._wake.notify()
+
     def _raise(self) -> None:
         if self._error is not None:
             raise self._error
@@ -101,7 +113,7 @@ class WrittenBehind:
                 while rest:
                     rest = rest[os.write(self._file.fileno(), rest) :]
             except OSError as error:
-                self._error = error
+                self._failed(error)
                 return
             with self._wake:
                 self._bytes -= len(data)

@@ -50,6 +50,6 @@ class UrRtdeArm(UrArm):
             self._rtde.send(recipe, values)
         except OSError as error:
             raise InputError(
-                f"arm {self.name!r}: no output can be set, the link to {self.settings.host} is lost ({error})",
+                f"arm {self.name!r}: the link to {self.settings.host} is lost: no output is set ({error})",
                 cure="check the cable and that the robot is on, then call resume()",
             ) from None
