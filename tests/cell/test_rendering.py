@@ -106,7 +106,8 @@ def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
                 assert image.time == expected.time == world.time
         only = Order(setup, PhysicsState.of(world), world.cameras["top"], rgb=False)
         process.begin(only)
-        assert (image := process.finish()).rgb is None and image.depth is not None
+        image = process.finish()
+        assert image.rgb is None and image.depth is not None
 
 
 def test_pictures_of_a_robot_without_physics_too(cell, process):

@@ -390,17 +390,18 @@ class _StatusLine:
         passed = max(now - self._at[0], 1e-3)
         pace = (clock - self._at[1]) / passed
         topics = self._bus.topics()
-        rates = []
+        delivered = self._frames()
+        rates = [
+            f"{camera} {(count - self._delivered.get(camera, 0)) / passed:.1f} frames/s"
+            for camera, count in delivered.items()
+            if count > self._delivered.get(camera, 0)
+        ]
+        self._delivered = delivered
         for topic in topics:
             rate = (topic.messages - self._counts.get(topic.name, 0)) / passed
             if rate > 0.5 and topic.name in ("/joint_states", "/tf", "/object_pose"):
                 rates.append(f"{topic.name} {rate:.0f} Hz")
         self._counts = {t.name: t.messages for t in topics}
-        delivered = self._frames()
-        for camera, count in delivered.items():
-            if new := count - self._delivered.get(camera, 0):
-                rates.append(f"{camera} {new / passed:.1f} frames/s")
-        self._delivered = delivered
         self._at = (now, clock)
         executed = self._executed()
         played = "" if executed is None else f"  trajectories {executed}"

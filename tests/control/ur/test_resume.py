@@ -15,6 +15,8 @@ from armcell.control import DriverOptions, drivers, execute
 from armcell.control.drivers.ur.driver import UrDriver
 from armcell.core import ArmcellError, ErrorCode, InputError
 from armcell.model import load_robot
+from armcell.ros import Bus
+from armcell.ros.nodes import ServedCell
 from armcell.scene import PlanningScene
 
 SRC = Path(armcell.__file__).parent
@@ -265,3 +267,20 @@ def test_no_assert_guards_what_a_driver_may_meet():
     for file in sorted((SRC / "control").rglob("*.py")):
         asserts = [n.lineno for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Assert)]
         assert not asserts, f"{file}: {asserts}"
+
+
+@pytest.mark.slow
+def test_a_served_cell_resumes_by_a_service(cell):
+    (host,) = free_hosts(1)
+    bus = Bus()
+    with emulator(hosts=[host]), ServedCell(cell(host).connect("real"), bus, plan=False) as served:
+        ask = lambda: bus.call("/resume", bus.schema.new("std_srvs/TriggerRequest"))  # noqa: E731
+        assert (ask().success, ask().message) == (True, "ready")
+        dashboard(host, "armcell protective stop")
+        until(lambda: served.live.driver.fault() is not None)
+        before = bus.clock.now()
+        answer = ask()
+        assert not answer.success and "unlock it at the pendant" in answer.message
+        dashboard(host, "unlock protective stop")
+        until(lambda: ask().success)
+        until(lambda: bus.clock.now() > before)  # the cell's thread goes on meanwhile
