@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.cell.live import LiveCell
-from armcell.core import Event, JointTrajectory, StateSample
+from armcell.core import CameraImage, Event, JointTrajectory, StateSample
 from armcell.scene import PlanningScene, extent
 from armcell.sim import Camera, render_rgb
 
@@ -67,10 +67,8 @@ class Pictures:
             return
         if self._driver.is_paced and self._renderer is not None:
             self._number += 1
-            self._renderer.ask(
-                ("key moment", self._number), self._camera,
-                lambda image: self._take(event.time, event.text, image.rgb), depth=False, keep=True,
-            )  # fmt: skip
+            key = "key moment", self._number
+            self._renderer.ask(key, self._camera, partial(self._give, event), depth=False, keep=True)
             return
         try:
             picture = self.now()
@@ -79,6 +77,10 @@ class Pictures:
             logger.warning("no more pictures of this run: %s", error)
         else:
             self._take(event.time, event.text, picture)
+
+    def _give(self, event: Event, image: CameraImage) -> None:
+        if image.rgb is not None:
+            self._take(event.time, event.text, image.rgb)
 
     def on_state(self, sample: StateSample) -> None:
         pass

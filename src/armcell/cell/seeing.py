@@ -15,6 +15,7 @@ from armcell.core.checks import require
 from armcell.perception import CameraMap, MapSettings, MapUpdate
 from armcell.scene import OCTOMAP, PlanningScene
 from armcell.sim import Camera, Decal, SimWorld, take_image
+from armcell.sim.render_process import MeasuredState
 from armcell.tasks import TaskContext
 
 TOO_LATE = 0.25  # [s] a picture that took longer (the first of a process does) is taken once more
@@ -132,9 +133,8 @@ class LiveCamera:
             return world
         if self._mirror is None:
             self._mirror = SimWorld(self._scene, decals=self._decals)
-        self._mirror.set_positions(self._driver.joint_state().positions)
-        for name, pose in self._driver.object_poses().items():
-            self._mirror.set_object_pose(name, pose)
+        state = MeasuredState(self._driver.joint_state().positions, self._driver.object_poses())
+        state.put_into(self._mirror)
         return self._mirror
 
 
@@ -178,7 +178,10 @@ class CameraWatch:
         A picture counts once: by the next time the robot is not where it was in it, and would be taken for an
         obstacle.
         """
-        return self._use(self.camera.image(rgb=False), self.ctx.scene())
+        if self.ctx.driver.is_paced and not self.camera.renderer.ready:
+            self.camera.take(self.ctx.advance, rgb=False)  # of a process that starts the first one takes long
+        scene = self.ctx.scene()
+        return self._use(self.camera.take(self.ctx.advance, rgb=False), scene)
 
     def _use(self, image: CameraImage, scene: PlanningScene) -> MapUpdate:
         """Put a picture into the map.

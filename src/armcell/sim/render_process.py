@@ -24,7 +24,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-import armcell
 from armcell.core import SE3, ArmcellError, CameraImage
 from armcell.scene import PlanningScene
 from armcell.sim.camera import Camera
@@ -66,7 +65,7 @@ class MeasuredState:
     object_poses: dict[str, SE3]  # T_world_object
 
     def put_into(self, world: SimWorld) -> None:
-        world.set_positions(self.positions)
+        world.set_positions(np.clip(self.positions, world.robot.lower, world.robot.upper))  # as measured
         for name, pose in self.object_poses.items():
             world.set_object_pose(name, pose)
 
@@ -165,7 +164,7 @@ class RenderProcess:
     def _start(self) -> Connection:
         ours, its = socket.socketpair()
         # -P: a file called numpy.py in the folder that one works in is not the worker's business
-        places = [str(Path(armcell.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+        places = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in places if p)}
         try:
             self._process = subprocess.Popen(
