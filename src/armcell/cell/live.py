@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 
@@ -317,7 +318,10 @@ class LiveCell:
         except ArmcellError as error:
             fault = self.driver.fault() if offers(self.driver, Follower) else None
             return Outcome(ErrorCode.CONTROL_FAILED if fault is None else fault.code, str(error))
-        self.ctx.cancel.clear()
+        if (
+            self.ctx.cancel.is_set()
+        ):  # what runs keeps the one that was set: no resume is too early for a stop
+            self.ctx.cancel = threading.Event()
         return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:

@@ -1,6 +1,7 @@
 """One `resume()`: it makes the cell ready, or says what to do; nothing else moves an arm that was stopped."""
 
 import ast
+import threading
 import time
 from pathlib import Path
 
@@ -247,6 +248,21 @@ def test_simulated_cells_resume_too(tmp_path, mode, extra):
         live.stop()
         assert live.arm.move_to("extended").code is ErrorCode.PREEMPTED
         assert live.resume().ok and live.resume().ok
+        assert live.arm.move_to("extended").ok
+
+
+def test_a_resume_at_once_after_a_stop_does_not_undo_the_stop(tmp_path):
+    (tmp_path / "cell.yaml").write_text("robot: panda\nstart: {arm: home}\n")
+    with load(tmp_path).connect("fake", time_scale=1.0) as live:
+        ended = []
+        thread = threading.Thread(target=lambda: ended.append(live.arm.move_to("extended")))
+        moved = live.driver.joint_state().positions
+        thread.start()
+        until(lambda: not np.array_equal(live.driver.joint_state().positions, moved), 20.0)
+        live.stop()
+        assert live.resume().ok
+        thread.join(20.0)
+        assert ended[0].code is ErrorCode.PREEMPTED
         assert live.arm.move_to("extended").ok
 
 
