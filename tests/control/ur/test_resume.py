@@ -3,6 +3,7 @@
 import ast
 import threading
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ robot: ur10
 start: {{arm: home}}
 real:
   twin: false
+  backend: {backend}
   max_state_age: 0.3
   watchdog: 0.5
   arms:
@@ -33,10 +35,17 @@ real:
 """
 
 
-@pytest.fixture
-def cell(tmp_path):
+installed = find_spec("rtde_control") is not None
+needs_ur_rtde = pytest.mark.skipif(not installed, reason="ur_rtde is not installed (no wheel for 3.13)")
+BACKENDS = ["own", pytest.param("ur_rtde", marks=needs_ur_rtde)]
+
+
+@pytest.fixture(params=BACKENDS)
+def cell(tmp_path, request):
     def made(host, model="UR10"):
-        (tmp_path / "cell.yaml").write_text(CELL.format(host=host, port=free_port(), model=model))
+        (tmp_path / "cell.yaml").write_text(
+            CELL.format(host=host, port=free_port(), model=model, backend=request.param)
+        )
         return load(tmp_path)
 
     return made
