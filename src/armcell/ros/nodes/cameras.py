@@ -102,16 +102,16 @@ class _Topics:
         if self._color.subscribers and image.rgb is not None:
             self._color.publish(image_message(schema, header, image.rgb))
         if image.depth is not None:
-            self._publish_depth(image, header)
-        self.delivered += 1
+            self._publish_depth(image.depth, image, header)
+        if image.rgb is not None or image.depth is not None:
+            self.delivered += 1
 
-    def _publish_depth(self, image: CameraImage, header: Any) -> None:
-        assert image.depth is not None
+    def _publish_depth(self, depth: np.ndarray, image: CameraImage, header: Any) -> None:
         schema = self._bus.schema
         if self._depth is not None and self._depth.subscribers:
-            self._depth.publish(image_message(schema, header, _with_nan(image)))
+            self._depth.publish(image_message(schema, header, _with_nan(depth)))
         if self._points is not None and self._points.subscribers and image.rgb is not None:
-            points = organised(image.depth, image.pinhole).astype(np.float32)
+            points = organised(depth, image.pinhole).astype(np.float32)
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
@@ -131,7 +131,6 @@ class _Topics:
             member.close()
 
 
-def _with_nan(image: CameraImage) -> np.ndarray:
+def _with_nan(depth: np.ndarray) -> np.ndarray:
     """Depth with NaN where nothing was seen (REP-118)."""
-    assert image.depth is not None
-    return np.where(image.depth > 0, image.depth, np.float32(np.nan)).astype(np.float32)
+    return np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)
