@@ -68,6 +68,17 @@ class WrittenBehind:
                 self._waiting.append(whole)
                 self._wake.notify()
 
+    def wait(self) -> None:
+        """Flush, and wait until everything is on the disk.
+
+        Raises:
+            OSError: it is not.
+        """
+        self.flush()
+        with self._wake:
+            self._wake.wait_for(lambda: not self._bytes or self._error is not None)
+        self._raise()
+
     def fileno(self) -> int:
         return self._file.fileno()
 
@@ -95,7 +106,7 @@ class WrittenBehind:
         with self._wake:
             self._error, self._closing = error, True
             self._waiting.clear()
-            self._wake.notify()
+            self._wake.notify_all()
 
     def _raise(self) -> None:
         if self._error is not None:
@@ -117,3 +128,4 @@ class WrittenBehind:
                 return
             with self._wake:
                 self._bytes -= len(data)
+                self._wake.notify_all()

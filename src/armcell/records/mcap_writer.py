@@ -100,6 +100,7 @@ class McapWriter:
         self._moving = [i for i, joint in enumerate(joints) if joint.movable]
         self._ends = [(joint.parent, joint.child) for joint in joints]
         self._write_static()
+        self._stream.wait()  # a disk that takes nothing is found before anything moves
 
     # --- what is recorded ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
