@@ -15,7 +15,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-NICENESS = 5  # physics comes first: of a core that both want it gets three quarters
+NICENESS = 10  # physics comes first: of a core that both want it gets nine tenths
 HANGS_AFTER = (
     60  # [s] that a picture may take, a model built before it included; then the process ends itself
 )
