@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 
 from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
-from armcell.control import Driver
+from armcell.control import Driver, Follower
 from armcell.core import (
     SE3,
+    ArmcellError,
+    ErrorCode,
     InputError,
     JointGoal,
     JointTrajectory,
@@ -20,6 +23,7 @@ from armcell.core import (
     UnknownNameError,
 )
 from armcell.core.pauses import no_long_pauses
+from armcell.core.protocols import offers
 from armcell.perception import LookSettings, MapSettings, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
@@ -205,6 +209,8 @@ class LiveCell:
 
     def __enter__(self) -> LiveCell:
         with ExitStack() as opening:
+            for camera in self.cameras.values():
+                opening.callback(camera.renderer.close)
             if not self.driver.is_simulated:  # what takes long comes before real arms wait
                 for group in self.arms:
                     prepare(self.scene_at_start, group)  # compiled code to load
@@ -318,9 +324,26 @@ class LiveCell:
         """Stop the running motion, from any thread. Until `resume()` every call is PREEMPTED."""
         self.ctx.cancel.set()
 
-    def resume(self) -> None:
-        """Let the cell move again after `stop()`."""
-        self.ctx.cancel.clear()
+    def resume(self) -> Outcome:
+        """Make the cell ready to move again: after `stop()`, a protective stop, a lost link. From any thread.
+
+        Real arms whose link was lost are connected again. Nothing moves; old goals are forgotten. Where
+        nothing has stopped the cell nothing happens, also while it moves.
+
+        Returns:
+            SUCCESS: the cell is ready. Else it stays stopped: the message names the arm, what is wrong and
+            what to do before the next `resume()`.
+        """
+        try:
+            self.driver.resume()
+        except ArmcellError as error:
+            fault = self.driver.fault() if offers(self.driver, Follower) else None
+            return Outcome(ErrorCode.CONTROL_FAILED if fault is None else fault.code, str(error))
+        if (
+            self.ctx.cancel.is_set()
+        ):  # what runs keeps the one that was set: no resume is too early for a stop
+            self.ctx.cancel = threading.Event()
+        return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
         """The planning scene as measured now, from any thread."""

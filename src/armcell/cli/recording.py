@@ -54,7 +54,7 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
     if recorder is not None and mode == "sim" and cell.cameras:
         live.ctx.observers.append(Pictures(live, recorder.add_picture))
     if kept.frames:
-        live.ctx.observers += camera_frames(kept.frames, cell, mode, live.driver, recorder)
+        live.ctx.observers += camera_frames(kept.frames, live, mode, recorder)
 
 
 def in_words(error: BaseException | None) -> str:

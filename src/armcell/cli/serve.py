@@ -291,7 +291,7 @@ def _run(
             ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
             return "  ".join([status(), *ill])
 
-        line = _StatusLine(bus, lambda: served.node.executed, all_status)
+        line = _StatusLine(bus, lambda: served.node.executed, all_status, served.node.cameras.frames)
         failure: BaseException | None = None
         try:
             served.start(layer=health.layer)
@@ -355,8 +355,12 @@ def _troubles(dropped: int, wrong: int) -> str:
 class _StatusLine:
     """One line that is kept up to date on a terminal; elsewhere a line whenever the peers change."""
 
-    def __init__(self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str]):
-        self._bus, self._executed, self._status = bus, executed, status
+    def __init__(
+        self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str],
+        frames: Callable[[], dict[str, int]] = dict,
+    ):  # fmt: skip
+        self._bus, self._executed, self._status, self._frames = bus, executed, status, frames
+        self._delivered: dict[str, int] = {}
         self._live = Live(console=errors, transient=True, auto_refresh=False) if errors.is_terminal else None
         self._counts: dict[str, int] = {}
         self._at = (time.monotonic(), bus.clock.now())
@@ -386,7 +390,13 @@ class _StatusLine:
         passed = max(now - self._at[0], 1e-3)
         pace = (clock - self._at[1]) / passed
         topics = self._bus.topics()
-        rates = []
+        delivered = self._frames()
+        rates = [
+            f"{camera} {(count - self._delivered.get(camera, 0)) / passed:.1f} frames/s"
+            for camera, count in delivered.items()
+            if count > self._delivered.get(camera, 0)
+        ]
+        self._delivered = delivered
         for topic in topics:
             rate = (topic.messages - self._counts.get(topic.name, 0)) / passed
             if rate > 0.5 and topic.name in ("/joint_states", "/tf", "/object_pose"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armcell.control.driver import DriverOptions
 from armcell.control.drivers.sim import SimDriver
 from armcell.control.twin.load import Demand, demand
-from armcell.core import SE3, ErrorCode, JointState, JointTrajectory, Outcome
+from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory, Outcome
 from armcell.scene import PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 
@@ -109,7 +109,10 @@ class Stage:
 
         def keep(_: float) -> None:
             now = world.joint_state()
-            assert now.velocities is not None and now.efforts is not None
+            if now.velocities is None or now.efforts is None:
+                raise InputError(
+                    "the twin's world tells no speeds and efforts", cure="rehearse in a SimWorld"
+                )
             times.append(world.time - began)
             rows.append((now.positions[columns], now.velocities[columns], now.efforts[columns]))
 

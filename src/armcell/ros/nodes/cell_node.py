@@ -58,7 +58,7 @@ class CellNode:
     def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE, auto_grip: bool = False):
         self.live, self.bus = live, bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)
-        self._cameras = CameraPublisher(bus, live.cameras)
+        self.cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
         live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
         live.ctx.gate.shift = SHIFT
@@ -95,14 +95,14 @@ class CellNode:
                 self.grippers,
                 self._status,
                 self._states,
-                self._cameras,
+                self.cameras,
             ):
                 member.close()
 
     def _after_step(self) -> None:
         if self._states.due(self.live.driver.now):
             self._states.publish(self.live.driver)
-            self._cameras.publish(self._states.tf)
+            self.cameras.publish(self._states.tf)
         self.grippers.look()
         if self.live.driver.now >= self._next_look:
             self._next_look = self.live.driver.now + LOOK_PERIOD

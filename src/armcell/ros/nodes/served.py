@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
@@ -24,6 +24,7 @@ from armcell.ros.nodes.states import RATE
 from armcell.tasks import TaskSettings
 
 T = TypeVar("T")
+RESUME = "/resume"
 
 
 def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
@@ -36,6 +37,9 @@ def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: Ex
 
 class ServedCell:
     """Runs from `start` (or `with`) to `close`.
+
+    Service /resume (std_srvs/Trigger): makes the cell ready after a stop, or answers with what to do first
+    (`LiveCell.resume`). In the caller's thread: to connect to an arm again takes seconds.
 
     Args:
         plan: serve move_group, too, not the robot and its grippers alone.
@@ -73,9 +77,14 @@ class ServedCell:
             while not self.node.ready.wait(poll):
                 if not self.thread.is_alive():
                     raise self.failure or RuntimeError("the cell ended before it was ready")
+        self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
         with layer("planner"):
             if self._plan:
                 _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
+
+    def _on_resume(self, request: Any) -> Any:
+        outcome = self.live.resume()
+        return self.bus.schema.new("std_srvs/TriggerResponse", outcome.ok, outcome.message or "ready")
 
     def call(self, function: Callable[[], T]) -> T:
         """Run something in the cell's thread between two steps, and wait; here, where that has ended."""
