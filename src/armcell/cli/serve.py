@@ -18,8 +18,8 @@ from rich.text import Text
 from armcell._interrupts import take_time
 from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
-from armcell.cli.gating import gate_of_others
-from armcell.cli.recording import Kept, LedRun, in_words
+from armcell.cli.gating import WITHOUT_GATE, gate_of_others
+from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, in_words, records_folder
 from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
@@ -33,14 +33,6 @@ SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: sl
 HERTZ = 30.0
 RATE = typer.Option(HERTZ, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
 SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
-RECORD = typer.Option(
-    None, "--record/--no-record", show_default=False,
-    help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
-)  # fmt: skip
-RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]")
-WITHOUT_GATE = typer.Option(
-    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
-)
 
 
 @dataclass(frozen=True)
@@ -132,7 +124,7 @@ def serve(
         wanted = {"--unity": unity, "--ros1": ros1, "--ros2": ros2, "--auto-grip": auto_grip}
         command = ("serve", cell, *(flag for flag, given in wanted.items() if given))
         command += ("--types", str(types)) if types is not None else ()
-        kept = _records(record, mode, runs)
+        kept = records_folder(record, mode, runs)
         served = _Served(command, cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
         return _run(served, bus, status, ready, True, auto_grip)
 
@@ -184,7 +176,7 @@ def sim(
     if (ros1 or ros2) == (connect is not None):
         raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
     to = ("--connect", connect) if connect else ("--ros1",) * ros1 + ("--ros2",) * ros2
-    kept = _records(record, mode, runs)
+    kept = records_folder(record, mode, runs)
     served = _Served(("sim", cell, *to), cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
     if connect is None:
         joins: list[Callable[[ExitStack, Any], Wire]] = []
@@ -228,12 +220,6 @@ def sim(
     finally:
         if client is not None:
             client.close()
-
-
-def _records(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """The folder of run folders; None for no record."""
-    wanted = (mode == "real" or runs is not None) if record is None else record
-    return (runs or Path("runs")) if wanted else None
 
 
 def _sim_node(what: _Served, joins: list[Callable[[ExitStack, Any], Wire]]) -> int:
