@@ -68,7 +68,8 @@ def plan(
     if view:
         from armcell.cli.viewing import show
 
-        show(scene, result.trajectory if result.ok else None, explanation, PageAt(host, port, allow_host), loaded.name)
+        at = PageAt(host, port, allow_host)
+        show(scene, result.trajectory if result.ok else None, explanation, at, loaded.name)
     return 0 if result.ok else 1
 
 

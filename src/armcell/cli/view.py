@@ -67,7 +67,7 @@ def view(
         recording = stack.enter_context(ExitStack())
 
         def connect(now: Any, observers: Sequence[Observer]) -> Any:
-            """A live cell with a record of its own: edits by hand make another cell, whose time begins at 0."""
+            """A live cell with its own record; edits by hand make another cell, whose time begins at 0."""
             recording.close()
             run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)
             recording.enter_context(run)

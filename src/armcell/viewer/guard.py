@@ -43,6 +43,8 @@ MAX_TOLD = 20
 COOKIE = "armcell"
 HERE = ("localhost", "127.0.0.1", "::1")
 """Always this machine: browsers resolve `localhost` themselves, and an address cannot be rebound."""
+TIDY = b"<script>history.replaceState = () => {}</script>"
+"""viser's page adds the address of its websocket to the URL where that has a path."""
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(:[0-9]{1,5})?")
 
 HOW = "Open the URL that the armcell command printed when it started; it ends in ?token=...\n"
@@ -55,7 +57,9 @@ FULL = f"{MAX_CLIENTS} browsers show this page already; close one of them.\n"
 
 
 class PageGuard:
-    """The secrets of one page, and the decision on each request. Fails closed: what is not understood is refused.
+    """The secrets of one page, and the decision on each request.
+
+    Fails closed: it refuses requests that it does not understand.
 
     Args:
         host: the address that the page listens on.
@@ -70,9 +74,10 @@ class PageGuard:
         self._path = f"/{secrets.token_urlsafe(12)}"
         self._names = {*HERE, host.lower()} - {"", "0.0.0.0", "::"}
         for name in names:
-            if _name_of(name.lower()) != name.lower().strip("[]"):
-                raise InputError(f"{name!r} is not a host name", cure="such as cell.example.org, without port")
-            self._names.add(name.lower().strip("[]"))
+            plain = name.lower().strip("[]")
+            if _name_of(name.lower()) != plain:
+                raise InputError(f"{name!r} is not a host name", cure="e.g. cell.example.org, without a port")
+            self._names.add(plain)
         self._clients: set[Any] = set()
         self._told: set[tuple[str, str]] = set()
         self._open = False
@@ -115,11 +120,18 @@ class PageGuard:
             # A query could have the client connect to another server and run scripts from there. This is a
             # page that leads on and no redirection: after one, a browser that came here by a link on
             # another site does not send a strict cookie.
-            forth = {"Refresh": f"0; url={self._path}/", "Set-Cookie": self._set_cookie()}
-            return _response(200, "Opening the page ...\n", forth if tokens else {"Refresh": forth["Refresh"]})
-        answer = serve(connection, Request(path.removeprefix(self._path), headers))
+            cookie = f"{COOKIE}={self._cookie}; Path={self._path}; HttpOnly; SameSite=Strict"
+            more = {"Refresh": f"0; url={self._path}/", **({"Set-Cookie": cookie} if tokens else {})}
+            return _response(200, "Opening the page ...\n", more)
+        plain = headers.copy()
+        if "Accept-Encoding" in plain:  # the answer is changed below, so it must not be compressed
+            del plain["Accept-Encoding"]
+        answer = serve(connection, Request(path.removeprefix(self._path), plain))
         if answer is None:
             return _response(400, "Not a request for a page.\n", {})
+        answer.body = answer.body.replace(b"<head>", b"<head>" + TIDY, 1)
+        del answer.headers["Content-Length"]
+        answer.headers["Content-Length"] = str(len(answer.body))
         _harden(answer.headers, host)
         return answer
 
@@ -143,9 +155,6 @@ class PageGuard:
             return ipaddress.ip_address(name) in (mine, getattr(mine, "ipv4_mapped", None))
         except (ValueError, TypeError, IndexError):
             return False
-
-    def _set_cookie(self) -> str:
-        return f"{COOKIE}={self._cookie}; Path={self._path}; HttpOnly; SameSite=Strict"
 
     def _refuse(self, text: str, header: str = "", values: Sequence[str] = ()) -> Response:
         """403; foreign hosts and origins are logged, once each."""
@@ -185,9 +194,7 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
     from websockets.http11 import Response
 
     body = text.encode()
-    headers = Headers(
-        {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body)), **more}
-    )
+    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body)), **more})
     _harden(headers, "")
     return Response(status, HTTPStatus(status).phrase, headers, body)
 

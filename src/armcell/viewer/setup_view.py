@@ -54,9 +54,7 @@ class SetupView:
         names: further host names under which browsers may ask for the page.
     """
 
-    def __init__(
-        self, proposal: Any, host: str = "127.0.0.1", port: int = 8080, names: Iterable[str] = ()
-    ):
+    def __init__(self, proposal: Any, host: str = "127.0.0.1", port: int = 8080, names: Iterable[str] = ()):
         self.answer: Any = proposal
         self.done = False
         self._deciding = threading.Lock()  # clicks come in threads of viser's
