@@ -1,4 +1,4 @@
-"""`armcell view`: what it refuses, in one line; real arms by the page. More: tests/viewer, test_interrupt.py."""
+"""`armcell view`: what it refuses, in one line, and real arms by the page. More: tests/viewer."""
 
 from __future__ import annotations
 

@@ -134,7 +134,9 @@ def test_a_hostile_page_beside_the_operators(tmp_path):
         assert session.result is None and np.array_equal(session.scene.positions, before)
 
         # And a link there, with a query that would have the page talk to another server.
-        browser.call("Page.navigate", url=f"http://127.0.0.1:{panel.viewer.port}{path}/?websocket=ws://127.0.0.1:1")
+        browser.call(
+            "Page.navigate", url=f"http://127.0.0.1:{panel.viewer.port}{path}/?websocket=ws://127.0.0.1:1"
+        )
         until(browser, says("Goal free"))  # it talks to its own server alone
 
         session.set_goal_pose(SE3.from_xyz_rpy((0.45, -0.2, 0.4), (np.pi, 0.0, 0.0)))

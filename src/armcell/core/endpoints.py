@@ -48,6 +48,28 @@ class Endpoint:
         )
 
 
+def reserve(host: str, port: int) -> socket.socket:
+    """Take a TCP port without opening it: connections are refused until the socket listens.
+
+    A server reserves its port first, so that a port in use is an error before anything is loaded, and listens
+    when the service behind the port exists.
+
+    Args:
+        port: 0 is any free one.
+    Raises:
+        OSError: the port is taken, or the host is not an address of this machine.
+    """
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # despite connections that have just ended
+        sock.bind((host, port))
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # and from now on nobody else may bind it
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
 def host_in_url(host: str) -> str:
     """A host as URLs write it: an IPv6 address in brackets."""
     return f"[{host}]" if ":" in host else host
