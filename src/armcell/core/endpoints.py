@@ -12,6 +12,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from armcell.core.errors import InputError
+
 PROC = Path("/proc")
 _TABLES = {"tcp": "0A", "tcp6": "0A", "udp": "", "udp6": ""}
 """Files of /proc/net, and the state that a row must have: 0A is LISTEN; a UDP socket receives in any."""
@@ -49,7 +51,7 @@ class Endpoint:
 
 
 def reserve(host: str, port: int) -> socket.socket:
-    """Take a TCP port without opening it: connections are refused until the socket listens.
+    """Take a TCP port without opening it: connections are refused until `listen`.
 
     A server reserves its port first, so that a port in use is an error before anything is loaded, and listens
     when the service behind the port exists.
@@ -68,6 +70,23 @@ def reserve(host: str, port: int) -> socket.socket:
         sock.close()
         raise
     return sock
+
+
+def listen(sock: socket.socket, backlog: int) -> None:
+    """Open a reserved port.
+
+    Args:
+        backlog: connections that may wait to be accepted.
+    Raises:
+        InputError: another program has taken the port in this very moment.
+    """
+    # Needed despite connections of the last server that have just ended; ours inherit it for the next one.
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        sock.listen(backlog)
+    except OSError as error:
+        host, port = sock.getsockname()[:2]
+        raise InputError(f"cannot listen on {host}:{port} ({error.strerror})") from None
 
 
 def host_in_url(host: str) -> str:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint, reserve
+from armcell.core.endpoints import Endpoint, listen, reserve
 
 logger = logging.getLogger(__name__)
 MAX_CONNECTIONS = 512
@@ -66,7 +66,7 @@ class Listener:
         if self._socket is None:
             self.reserve()
         assert self._socket is not None
-        self._socket.listen(BACKLOG)
+        listen(self._socket, BACKLOG)
         self._thread.start()
 
     def close(self) -> None:

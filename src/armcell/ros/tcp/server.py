@@ -19,7 +19,7 @@ from typing import Any
 
 from armcell.core import InputError
 from armcell.core.checks import require
-from armcell.core.endpoints import Endpoint, reserve
+from armcell.core.endpoints import Endpoint, listen, reserve
 from armcell.ros.bus import Bus
 from armcell.ros.codec import CODECS, Codec
 from armcell.ros.definitions import plain_name
@@ -77,7 +77,7 @@ class RosTcpServer:
 
     def __init__(self, bus: Bus, settings: ServerSettings = ServerSettings()):
         self.bus, self.settings = bus, settings
-        self.address = (settings.host, settings.port)
+        self.address: tuple[str, int] = (settings.host, settings.port)
         self.total_clients = 0
         self._closing = False
         self._socket: socket.socket | None = None
@@ -102,7 +102,7 @@ class RosTcpServer:
         if self._socket is None:
             self.reserve()
         assert self._socket is not None
-        self._socket.listen(BACKLOG)
+        listen(self._socket, BACKLOG)
         self._thread.start()
 
     def __enter__(self) -> RosTcpServer:
