@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from armcell.core.endpoints import Endpoint, open_sockets
 from armcell.model.setup import UrdfPart
 from armcell.records import read_record
 from armcell.viewer import CellViewer, PlanningPanel, PlanningSession
-from armcell.viewer.guard import MAX_CLIENTS, MAX_MESSAGE, PageGuard
+from armcell.viewer.guard import MAX_CLIENTS, MAX_CONNECTIONS, MAX_MESSAGE, PageGuard
 from armcell.viewer.replay import ReplayView
 from armcell.viewer.server import start_page
 from armcell.viewer.setup_view import SetupView
@@ -185,6 +186,42 @@ def test_too_many_and_too_large(page):
         links[0].send(b"\0" * (MAX_MESSAGE + 1))
         assert closed(links[0])
         until(lambda: refusal(page.url, me) == 101, 10)
+
+
+def test_connections_that_say_nothing_use_up_no_descriptors(page):
+    def mine() -> int:
+        return len(os.listdir("/proc/self/fd"))
+
+    before = mine()
+    with ExitStack() as stack:
+        for _ in range(3 * MAX_CONNECTIONS):
+            stack.enter_context(socket.create_connection(("127.0.0.1", page.port), timeout=10))
+        until(lambda: mine() - before - 3 * MAX_CONNECTIONS <= MAX_CONNECTIONS, 20)  # its ends, without ours
+
+    def answers() -> bool:
+        try:
+            return get(page.url).status == 200
+        except OSError:  # the others have not been seen to go yet
+            return False
+
+    until(answers, 20)
+
+
+def test_what_is_no_request_is_no_traceback(page, caplog):
+    """A port scan, TLS, another protocol; and messages of a page that viser does not understand."""
+    for data in (b"", b"GARBAGE\r\n\r\n", b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n", b"\x16\x03\x01\0"):
+        with socket.create_connection(("127.0.0.1", page.port), timeout=10) as link:
+            link.sendall(data)
+            link.shutdown(socket.SHUT_WR)
+            link.recv(100)
+    me = login(page.url)
+    for message in (b"\xff\xff", b"\x80", "text"):
+        with websocket(page.url, me) as link:
+            link.send(message)
+            assert closed(link)
+    assert not any(record.exc_info for record in caplog.records) and "Traceback" not in caplog.text
+    assert "handshake" not in caplog.text and caplog.text.count("connection handler failed") == 3
+    assert refusal(page.url, me) == 101
 
 
 def test_a_page_says_that_it_is_starting(scene):

@@ -36,6 +36,8 @@ logger = logging.getLogger(__name__)
 
 MAX_CLIENTS = 16
 """Browsers on one page; a further one is answered 503."""
+MAX_CONNECTIONS = 64
+"""Connections to one page, those included that have not asked for anything yet."""
 MAX_MESSAGE = 4 << 20
 """[bytes] of one message from a browser; a larger one ends its connection."""
 MAX_TOLD = 20

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from armcell.core import ArmcellError, InputError
 from armcell.core.endpoints import Endpoint
-from armcell.viewer.guard import MAX_MESSAGE, PageGuard, page_url
+from armcell.viewer.guard import MAX_CONNECTIONS, MAX_MESSAGE, PageGuard, page_url
 
 if TYPE_CHECKING:
     import viser
@@ -132,7 +132,10 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
             process = options.pop("process_request", None)
             if process is None:  # not raised: viser would leave its caller waiting for the thread
                 process = lambda connection, request: None  # noqa: E731
-            options |= {"process_request": guard.in_front_of(process), "max_size": MAX_MESSAGE}
+            options |= {
+                "process_request": guard.in_front_of(process), "max_size": MAX_MESSAGE, "logger": _wire,
+                "create_connection": _counted(),
+            }  # fmt: skip
             started = real(*arguments, **options)
             serving[:] = [started]  # a port that is taken makes viser try the next one
             return started
@@ -142,6 +145,36 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
             yield serving
         finally:
             setattr(websockets, "serve", real)  # noqa: B010
+
+
+class _OneLine(logging.Filter):
+    """Leaves out what strangers send, and the traceback of what a browser sends wrongly."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.exc_info:
+            record.msg, record.args = f"page: {record.getMessage()}: {record.exc_info[1]!r}", ()
+            record.exc_info = record.exc_text = None
+        return "opening handshake failed" not in record.getMessage()
+
+
+_wire = logging.getLogger(f"{__name__}.wire")
+_wire.addFilter(_OneLine())
+
+
+def _counted() -> Any:
+    """A connection that ends at once where there are too many, with or without the token.
+
+    Connections that say nothing would use up the file descriptors of a process that talks to robots.
+    """
+    from websockets.asyncio.server import ServerConnection
+
+    class Counted(ServerConnection):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            if len(self.server.handlers) > MAX_CONNECTIONS:
+                transport.abort()
+
+    return Counted
 
 
 def _probe(endpoint: Endpoint) -> None:
