@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from armcell.cli.console import console, err
+from armcell.cli.console import console, err, errors
 from armcell.cli.gating import gate_of_others
+from armcell.cli.listening import tell_listening
 from armcell.cli.page import PageAt, tell_page
 from armcell.cli.recording import Kept, LedRun, in_words
 from armcell.cli.ros1 import check_remap
@@ -92,7 +93,13 @@ def run_script_command(
             failure = f"the script ended with status {status}{why}" if status else ""
             run.end(session.served.call, live, in_words(session.served.failure) or failure)
 
-        status, session = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
+        def began(session: Session) -> None:
+            if session.graph is not None:
+                tell_listening(session.graph.endpoints(), errors)  # standard output is the script's
+
+        status, session = run_script(
+            file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended, began=began
+        )
         if session.served.failure is not None:
             raise session.served.failure
     return status
