@@ -5,8 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from armcell.cli.console import err, errors
 from armcell.core import InputError
+
+WITHOUT_GATE = typer.Option(
+    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
+)
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:

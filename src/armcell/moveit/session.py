@@ -15,6 +15,7 @@ from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell
+from armcell.ros.nodes.description import NAME
 
 logger = logging.getLogger(__name__)
 RECENT = 5  # lines of the log
@@ -38,7 +39,7 @@ class Session:
         ros1: Ros1Settings | None = None,
     ):  # fmt: skip
         self.bus = Bus()
-        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down)
+        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down, (NAME,))
         self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
         live.ctx.observers.append(_Warnings(self))
         self.messages = MessageClasses(self.bus.schema)
@@ -64,10 +65,10 @@ class Session:
         _current.append(self)
         try:
             if self.graph is not None:  # a master that is missing is said before the cell is started
-                self.graph.start()
+                self.graph.reserve()
             self.served.start()
             if self.graph is not None:
-                self.graph.wait_settled()
+                self.graph.start()
         except BaseException:
             self.__exit__()
             raise

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from armcell.core import ArmcellError, InputError
+from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus, Handler, TopicInfo
 from armcell.ros.names import resolve
 from armcell.ros.ros2 import names
@@ -134,6 +135,10 @@ class Ros2Bridge:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """The sockets that the domain has opened here, once the bridge has started."""
+        return self._joined().participant.endpoints
 
     # --- what others see of it ---
     def status(self) -> Ros2Status:
