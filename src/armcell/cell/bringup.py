@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from armcell import _interrupts
 from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.control import execute
@@ -182,7 +183,7 @@ class BringUp:
                 if mode == "IDLE" and not released:
                     dashboard.ask("brake release")
                     released = True
-                time.sleep(0.2)
+                _interrupts.sleep(0.2)
         raise InputError(f"{host} is not running after {POWER_TIME:g} s", cure="look at the pendant")
 
     def _geometry(self, name: str) -> str:

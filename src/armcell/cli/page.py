@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from typing import NoReturn
 
+from armcell import _interrupts
 from armcell.cli.console import console
 
 
@@ -17,4 +17,4 @@ def serve_page(url: str, open_browser: bool) -> NoReturn:
 
         webbrowser.open(url)
     while True:
-        time.sleep(3600)
+        _interrupts.sleep(3600)

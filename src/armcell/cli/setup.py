@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from armcell import _interrupts
 from armcell.cli.console import console, errors
 
 if TYPE_CHECKING:
@@ -199,5 +199,5 @@ def _in_browser(proposal: Proposal, port: int) -> Proposal | None:
     with SetupView(proposal, port=port) as view:
         console.print(f"look at it at {view.url}; 'Write' there writes the folder, Ctrl-C ends without")
         while not view.done:
-            time.sleep(0.1)
+            _interrupts.sleep(0.1)
         return view.answer

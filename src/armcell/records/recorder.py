@@ -6,7 +6,6 @@ import contextlib
 import io
 import logging
 import re
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._interrupts import SteadyLock, last_will
 from armcell.core import Event, InputError, JointState, JointTrajectory, StateSample
 from armcell.scene import PlanningScene
 
@@ -122,7 +122,7 @@ class RunRecorder:
         self._due = -np.inf
         self._q = np.array(scene.positions)
         self._column = {name: i for i, name in enumerate(scene.model.joint_names)}
-        self._lock = threading.RLock()
+        self._lock = SteadyLock()  # an interrupt must not leave half a message in the file
         self._closed = False
         self._broken: OSError | None = None
         try:
@@ -204,10 +204,12 @@ class RunRecorder:
             self._closed = True
 
     def __enter__(self) -> RunRecorder:
+        self._revoke = last_will(self.close)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close()
+        self._revoke()
         if kind is not None and self._last is None:  # of a run that did not begin nothing is left
             with contextlib.suppress(OSError):
                 for file in (self.mcap_file, self.mcap_file.with_name(self.mcap_file.name + ".part")):
