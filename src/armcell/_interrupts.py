@@ -218,12 +218,15 @@ class SteadyLock:
 def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], None]:
     """Have something done where the orderly end does not come in time; returns what revokes it.
 
+    Nothing is kept where no command line runs.
+
     Args:
         act: from another thread, while the rest of the program may still run; it may be done already.
         urgent: also at a second signal, as for arms that must stop.
     """
     will = _Will(act, urgent)
-    _state.wills.append(will)
+    if _state.wake >= 0:
+        _state.wills.append(will)
 
     def revoke() -> None:
         with contextlib.suppress(ValueError):

@@ -133,6 +133,7 @@ class RunRecorder:
                 f"no record can be begun: {error.strerror}", file=self.folder,
                 cure="make room, or choose another folder (--runs)",
             ) from None  # fmt: skip
+        self._revoke = last_will(self.close)
 
     @property
     def mcap_file(self) -> Path:
@@ -202,14 +203,13 @@ class RunRecorder:
             self._keep_last()
             self._keep_on_disk(self._mcap.close)
             self._closed = True
+        self._revoke()
 
     def __enter__(self) -> RunRecorder:
-        self._revoke = last_will(self.close)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close()
-        self._revoke()
         if kind is not None and self._last is None:  # of a run that did not begin nothing is left
             with contextlib.suppress(OSError):
                 for file in (self.mcap_file, self.mcap_file.with_name(self.mcap_file.name + ".part")):
