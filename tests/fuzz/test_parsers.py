@@ -113,7 +113,9 @@ def test_a_kept_input_is_given_again_by_one_command(tmp_path):
         [sys.executable, "-m", "tests.fuzz", "--replay", bad], capture_output=True, text=True,
         cwd=files.ROOT, env={**os.environ, "PYTHONPATH": paths},
     )  # fmt: skip
-    assert done.returncode == 0 and "trials refuses it" in done.stdout and "jsonl:1: is no trial" in done.stdout
+    assert (
+        done.returncode == 0 and "trials refuses it" in done.stdout and "jsonl:1: is no trial" in done.stdout
+    )
 
 
 @pytest.mark.slow

@@ -129,7 +129,9 @@ class BringUp:
         self._tell(f"{name} ({arm}): {outcome}" + (f": {text}" if text else ""))
         if self._record is not None:
             lines: list[dict[str, Any]] = [asdict(s) for s in self.steps]
-            self._record.write_text(json.dumps({"cell": self.cell.name, "steps": lines}, indent=1) + "\n")
+            self._record.write_text(
+                json.dumps({"cell": self.cell.name, "steps": lines}, indent=1) + "\n", encoding="utf-8"
+            )
 
     # --- the steps ---
     def _network(self, name: str) -> str:

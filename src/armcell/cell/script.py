@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,7 @@ def load_script(name: str, cell_file: Path) -> Script:
     where = {"file": cell_file, "element": "script"}
     if cell_file.parent.resolve() not in file.parents or file.suffix != ".py":
         raise InputError(f"{name!r} is not a Python file in the cell's folder", **where)
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise InputError(f"{name!r} does not exist", cure="put it beside the cell file", **where)
     found: Any = runpy.run_path(str(file)).get("task")
     if not callable(found):

@@ -59,7 +59,7 @@ def resolve_uri(uri: str, base: Path) -> Path:
                     tried.append(Path(entry) / rest)
         tried += [share / package / rest for share in installed_share()]
         for path in tried:
-            if path.is_file():
+            if os.path.isfile(path):  # false for names that no file can have, where Path.is_file raises
                 return path
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
@@ -69,7 +69,7 @@ def resolve_uri(uri: str, base: Path) -> Path:
         raise InputError(f"{uri}: only package:// and file:// URIs are read", cure="use a local file")
     path = Path(uri.removeprefix("file://"))
     path = path if path.is_absolute() else base / path
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"mesh file {path} not found", cure="check the path")
     return path
 

@@ -61,8 +61,12 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
         raise InputError("file not found", file=path, cure="check the path") from None
     except PermissionError:
         raise InputError("no permission to read", file=path) from None
+    except OSError as error:  # a name that is too long
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text ({error.reason} at byte {error.start})", file=path) from None
+    except ValueError:  # a NUL
+        raise InputError(f"{str(path)!r} is not a file name", cure="check the path") from None
 
 
 class Bounded:
