@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.cli.helpers import cell_file, start
+from tests.cli.helpers import call, cell_file, start
 
 ARMCELL = f"{sys.executable} -m armcell"
 
@@ -109,9 +109,8 @@ task: [{move: extended}]
         {"PYTHONIOENCODING": "latin-1"},
         {"PYTHONIOENCODING": "ascii"},
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-        {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LANG": "C"},
     ],
-    ids=["latin-1", "ascii", "C", "POSIX"],
+    ids=["latin-1", "ascii", "C"],
 )
 def test_terminals_without_every_character(environment, tmp_path):
     file = cell_file(tmp_path, NOT_ASCII)
@@ -121,9 +120,6 @@ def test_terminals_without_every_character(environment, tmp_path):
     done = shell(f"A check {tmp_path}/кошка.yaml", **environment)
     quiet(done)
     assert done.returncode == 1 and ".yaml" in done.stderr
-    done = shell("A --help", **environment)
-    quiet(done)
-    assert done.returncode == 0 and "campaign" in done.stdout
 
 
 @pytest.mark.slow
@@ -149,10 +145,9 @@ def test_a_run_in_an_ascii_locale(command, tmp_path):
         ("obj", "v 1e400 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
     ],
 )
-def test_broken_meshes_are_one_line(suffix, text, says, tmp_path):
+def test_broken_meshes_are_one_line(suffix, text, says, tmp_path, capsys):
     (tmp_path / f"part.{suffix}").write_text(text)
     cell = "robot: panda\nstart: {arm: home}\nobjects:\n  part: {mesh: part.SUFFIX, pose: [1, 0, 1]}\n"
     file = cell_file(tmp_path, cell.replace("SUFFIX", suffix))
-    done = shell(f"A check {file}")
-    quiet(done)
-    assert done.returncode == 1 and says in done.stderr and len(done.stderr.splitlines()) == 1, done
+    said = call(capsys, "check", file)
+    assert said.status == 1 and says in said.err and len(said.err.splitlines()) == 1, said
