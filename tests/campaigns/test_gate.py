@@ -48,7 +48,8 @@ def campaign(cell, root, good, bad=0, values=None, near=0) -> Path:
             "success": k < good, "error_code": 1 if k < good else -4, "message": "", "failed_at": None,
             "randomized": {}, "unwanted_contacts": [], "total_planning_time_s": 0.0, **nothing,
         }  # fmt: skip
-        store.append(told(Trial(k, k, {}, near_failure=k >= good + bad), result))
+        row = told(Trial(k, k, {}, near_failure=k >= good + bad), result)
+        store.append({**row, "wall_s": 1.0, "cpu_s": 1.0})
     store.close()
     return store.folder
 
