@@ -46,8 +46,8 @@ test: lint ## set up, then lint and run all tests but the interop ones
 check: $(VENV)/.stamp ## set up, then run the quick tests
 	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop and not realtime"
 
-fuzz: $(VENV)/.stamp ## set up, then throw a million damaged frames at what the wires leave open (FRAMES=, SEED=)
-	$(PY) -m tests.ros.fuzz $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
+fuzz: $(VENV)/.stamp ## set up, then throw damaged input at every parser and a million damaged frames at the wires (INPUTS=, FRAMES=, SEED=)
+	$(PY) -m tests.fuzz $(if $(INPUTS),--inputs $(INPUTS)) $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
 
 bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (13 minutes; SECONDS_=600)
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),600)

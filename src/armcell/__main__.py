@@ -1,25 +1,35 @@
-"""`armcell` and `python -m armcell`: Ctrl-C works from the very first moment on."""
+"""`armcell` and `python -m armcell`: signals and output errors are handled from the first moment on."""
 
 from __future__ import annotations
 
-import signal
+import contextlib
 import sys
 
-from armcell._interrupts import end, interrupted
+from armcell import _interrupts, _streams
 
 
 def main() -> None:
     """The command line; ends the process with its status."""
-    signal.signal(signal.SIGINT, interrupted)
+    _streams.install()
+    _interrupts.install()
+    code = 1
     try:
-        from armcell.cli.main import main as run
+        try:
+            from armcell.cli.main import main as run
 
-        code = run(sys.argv[1:])
-    except KeyboardInterrupt:
-        code = 130
-    if code == 130:
-        end()
-    sys.exit(code)
+            code = run(sys.argv[1:])
+        except _interrupts.Interrupted:
+            pass
+        except SystemExit as over:
+            code = over.code if isinstance(over.code, int) else 1
+        _interrupts.uninstall()
+    except _interrupts.Interrupted:  # on the last steps
+        pass
+    if _interrupts.asked():
+        with contextlib.suppress(Exception):
+            sys.stdout.flush()
+        _interrupts.end()
+    sys.exit(_streams.close() or code)
 
 
 if __name__ == "__main__":

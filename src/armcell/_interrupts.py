@@ -1,48 +1,274 @@
-"""Ctrl-C: an orderly end that has a limit. Nothing slow is imported: it works from the first moment on."""
+"""Orderly shutdown on SIGINT (Ctrl-C) and SIGTERM. Imports nothing slow: it works from the first moment on.
+
+The command line calls `install`; a program that uses armcell as a library keeps its own handlers, and
+everything here then does nothing.
+
+A signal raises `Interrupted` in the main thread. Python swallows an exception that lands in a destructor, a
+garbage-collection callback or a ctypes callback, and so does a bare `except:`. Therefore a watcher thread,
+which the C-level signal handler wakes through a pipe, also sets an event that `sleep` and `wait` watch,
+raises the exception again while the main thread does not handle it, and ends the process when the orderly
+end takes too long. A second signal ends the process at once.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
+import signal
 import sys
 import threading
+import time
+from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import Any
 
-GRACE = 1.5  # [s] for an orderly end; compiled code may swallow a KeyboardInterrupt
+GRACE = 1.5  # [s] until the main thread handles the exception; it may be in compiled code
 WITH_ARMS = 15.0  # [s] until arms rest, and a record and its report are written
-
-_timer: threading.Timer | None = None
-
-
-def end() -> None:
-    """Say it and end: not through libraries' exit handlers, which may wait."""
-    sys.stderr.write("armcell: interrupted\n")
-    sys.stderr.flush()
-    os._exit(130)
+SCRIPT = 3.0  # [s] for a user's script to end by itself
+LAST = 2.0  # [s] for last wills, all together
+ONE_SIGNAL = 0.5  # [s]: `timeout`, systemd and docker send a signal to a process and again to its group
+LOOK = 0.05  # [s] between two looks whether the exception was swallowed
+UNHANDLED = 3  # looks in a row without the exception: it was swallowed
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGPIPE: ""}
 
 
-def interrupted(signum: int, frame: FrameType | None) -> None:
-    """What SIGINT does."""
-    if _importing(frame):  # libraries that try an import swallow whatever comes out of it
-        end()
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
-    _limit(GRACE)
-    raise KeyboardInterrupt
+class Interrupted(KeyboardInterrupt):
+    """The program was asked to end."""
+
+
+class _Will:
+    """What must still happen where the orderly end does not come."""
+
+    def __init__(self, act: Callable[[], object], urgent: bool):
+        self.act, self.urgent = act, urgent
+
+
+class _State:
+    def __init__(self) -> None:
+        self.event = threading.Event()  # set by the watcher: `set` takes a lock, no handler may
+        self.signal = 0  # that asked first
+        self.at = 0.0  # [s, monotonic] when
+        self.raised = False  # the main thread has had the exception
+        self.again = False  # the watcher asks the handler to raise again
+        self.sent = 0  # signals of the watcher's own that are on their way to `_count`
+        self.swallowed = False  # Python said so
+        self.limit: float | None = None  # [s, monotonic] of an end that somebody has taken on
+        self.held, self.due = 0, False  # depth of `deferred`; an exception waits for its end
+        self.owner: Callable[[], object] | None = None
+        self.wills: list[_Will] = []
+        self.wake = -1  # file descriptor that wakes the watcher
+
+
+_state = _State()
+
+
+def install() -> None:
+    """Take both signals; for the command line, in the main thread."""
+    wakes, _state.wake = os.pipe()
+    os.set_blocking(_state.wake, False)
+    threading.Thread(target=_watch, args=(wakes,), name="armcell-signals", daemon=True).start()
+    signal.set_wakeup_fd(_state.wake, warn_on_full_buffer=False)
+    for number in SIGNALS:
+        signal.signal(number, _handler)
+    sys.unraisablehook = _unraisable
+
+
+def uninstall() -> None:
+    """Both signals end the process at once from here on: the command is over."""
+    if _state.wake >= 0:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)
+
+
+# --- what the program asks ---
+def asked() -> int:
+    """The signal that asked the program to end, else 0."""
+    return _state.signal
+
+
+def status() -> int:
+    """The exit status of an interrupted program: 130 for SIGINT, 143 for SIGTERM."""
+    return 128 + (_state.signal or signal.SIGINT)
+
+
+def check() -> None:
+    """Raise the exception where it was swallowed: in the main thread, unless the end has been taken on."""
+    if (
+        _state.signal
+        and _state.limit is None
+        and _state.owner is None
+        and not _state.held
+        and threading.current_thread() is threading.main_thread()
+        and not _is_ours(sys.exc_info()[1])
+    ):
+        _state.raised = True  # the handler, which may still come, need not
+        raise Interrupted
+
+
+def sleep(seconds: float) -> None:
+    """`time.sleep` that does not outlast a signal.
+
+    Raises:
+        Interrupted: see `check`.
+    """
+    if _state.wake < 0 or threading.current_thread() is not threading.main_thread():
+        time.sleep(seconds)
+        return
+    check()
+    if _state.event.is_set():  # an orderly end may wait
+        time.sleep(seconds)
+    else:
+        _state.event.wait(seconds)
+        check()
+
+
+def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bool:
+    """Wait with `condition(seconds)`, such as `Event.wait`; no signal is lost meanwhile.
+
+    Raises:
+        Interrupted: see `check`.
+    """
+    end = None if timeout is None else time.monotonic() + timeout
+    while True:
+        check()
+        left = LOOK if end is None else min(LOOK, max(end - time.monotonic(), 0.0))
+        if condition(left):
+            return True
+        if end is not None and time.monotonic() >= end:
+            check()
+            return False
+
+
+# --- what the program says ---
+def ask(number: int) -> None:
+    """Ask the program to end as by a signal, from any thread; nothing where no command line runs."""
+    if _state.wake >= 0:
+        _request(number)
+        _wake()
 
 
 def take_time(seconds: float = WITH_ARMS) -> None:
-    """The interrupt has been caught, and the orderly end takes longer; nothing where there was none."""
-    if _timer is not None:
-        _limit(seconds)
+    """The exception has been caught, and the orderly end takes longer; nothing where there was none."""
+    if _state.signal:
+        _state.limit = time.monotonic() + seconds
 
 
-def _limit(seconds: float) -> None:
-    global _timer
-    if _timer is not None:
-        _timer.cancel()
-    _timer = threading.Timer(seconds, end)
-    _timer.daemon = True
-    _timer.start()
+@contextlib.contextmanager
+def owned(told: Callable[[], object]) -> Iterator[None]:
+    """A user's script runs inside. It may catch the exception: then it gets `SCRIPT` seconds to end.
+
+    Args:
+        told: called when a signal comes, in another thread; quickly.
+    """
+    _state.owner = told
+    try:
+        yield
+    finally:
+        _state.owner = None
+        if _state.signal and _state.limit is None:
+            take_time()
+
+
+@contextlib.contextmanager
+def deferred() -> Iterator[None]:
+    """The exception is raised at the end of the block, not inside."""
+    main = threading.current_thread() is threading.main_thread()
+    _state.held += main
+    try:
+        yield
+    finally:
+        _state.held -= main
+    if main and _state.due and not _state.held:
+        _state.due = False
+        check()
+
+
+@contextlib.contextmanager
+def unsignaled() -> Iterator[None]:
+    """Neither signal reaches a process that is started inside: Ctrl-C goes to a whole process group, and
+    this program decides when its helpers end."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class SteadyLock:
+    """A reentrant lock whose holder is not interrupted: what it guards is never left half done."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._deferred: list[Any] = []
+
+    def __enter__(self) -> None:
+        block = deferred()
+        block.__enter__()
+        self._lock.acquire()
+        self._deferred.append(block)
+
+    def __exit__(self, *exc: object) -> None:
+        block = self._deferred.pop()
+        self._lock.release()
+        block.__exit__(None, None, None)
+
+
+def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], None]:
+    """Have something done where the orderly end does not come in time; returns what revokes it.
+
+    Nothing is kept where no command line runs.
+
+    Args:
+        act: from another thread, while the rest of the program may still run; it may be done already.
+        urgent: also at a second signal, as for arms that must stop.
+    """
+    will = _Will(act, urgent)
+    if _state.wake >= 0:
+        _state.wills.append(will)
+
+    def revoke() -> None:
+        with contextlib.suppress(ValueError):
+            _state.wills.remove(will)
+
+    return revoke
+
+
+def end(number: int | None = None) -> None:
+    """Say why and end: not through libraries' exit handlers, which may wait."""
+    if number is None:
+        number = _state.signal or signal.SIGINT
+    if word := WORDS.get(signal.Signals(number), ""):
+        with contextlib.suppress(OSError):  # not through sys.stderr: who holds its lock may be stuck
+            os.write(2, f"armcell: {word}\n".encode())
+    os._exit(128 + number)
+
+
+# --- the handler ---
+def _handler(number: int, frame: FrameType | None) -> None:
+    """What a signal does in the main thread."""
+    if not _state.wills and _importing(frame):  # libraries that try an import swallow whatever it raises
+        end(number)
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
+    _request(number)
+    if _state.raised and not _state.again:
+        return
+    _state.raised, _state.again = True, False
+    if _state.held:
+        _state.due = True
+        return
+    raise Interrupted
+
+
+def _request(number: int) -> None:
+    if not _state.signal:
+        _state.at, _state.signal = time.monotonic(), number
+
+
+def _wake() -> None:
+    with contextlib.suppress(OSError):
+        os.write(_state.wake, b"\0")
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -52,3 +278,104 @@ def _importing(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+def _is_ours(error: BaseException | None) -> bool:
+    """Whether an exception is `Interrupted`, or was raised while that was handled."""
+    seen = 0
+    while error is not None and seen < 100:
+        if isinstance(error, Interrupted):
+            return True
+        error, seen = error.__context__, seen + 1
+    return False
+
+
+def _unraisable(report: Any) -> None:
+    """Python swallows an exception, in a destructor or a callback."""
+    if _is_ours(report.exc_value):
+        _state.swallowed = True
+    else:
+        sys.__unraisablehook__(report)
+
+
+# --- the watcher ---
+def _watch(wakes: int) -> None:
+    """Wait for the first signal, then see to it that the program ends."""
+    while not _state.signal:
+        for number in os.read(wakes, 64):
+            if _ours(number):
+                _request(number)
+    _state.event.set()
+    threading.Thread(target=_count, args=(wakes,), name="armcell-signals-2", daemon=True).start()
+    if (owner := _state.owner) is not None:
+        with contextlib.suppress(Exception):
+            owner()
+    unhandled = 0
+    while time.monotonic() < _deadline():
+        time.sleep(LOOK)
+        handled = _handled()
+        unhandled = 0 if handled else unhandled + 1
+        lost = _state.swallowed or (unhandled >= UNHANDLED and _state.owner is None)
+        if lost and _state.limit is None and not _state.held:
+            _state.swallowed, unhandled = False, 0
+            _raise_again()
+    _do(lambda will: True, LAST)
+    end()
+
+
+def _ours(number: int) -> bool:
+    """Whether a byte from the pipe is a signal that the program has not taken for itself."""
+    return number in SIGNALS and signal.getsignal(number) is _handler
+
+
+def _count(wakes: int) -> None:
+    """A second signal ends the process. What `_raise_again` sends is not one."""
+    while True:
+        for number in os.read(wakes, 64):
+            if _ours(number):
+                if _state.sent > 0:
+                    _state.sent -= 1
+                elif time.monotonic() > _state.at + ONE_SIGNAL:
+                    _do(lambda will: will.urgent, ONE_SIGNAL)
+                    end()
+
+
+def _deadline() -> float:
+    if _state.limit is not None:
+        return _state.limit
+    if _state.owner is not None:
+        return _state.at + SCRIPT
+    return _state.at + (WITH_ARMS if _state.held or _handled() else GRACE)
+
+
+def _handled() -> bool:
+    """Whether the main thread handles the exception: it is in an `except`, a `finally` or an `__exit__`."""
+    now = sys._current_exceptions().get(threading.main_thread().ident or 0)
+    return _is_ours(now[1] if isinstance(now, tuple) else now)  # a tuple until Python 3.11
+
+
+def _raise_again() -> None:
+    """Interrupt what the main thread waits in, and have the handler raise."""
+    number = next((n for n in SIGNALS if signal.getsignal(n) is _handler), None)
+    if number is not None:
+        _state.again = True
+        _state.sent += 1
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+
+def _do(which: Callable[[_Will], bool], seconds: float) -> None:
+    """Carry out wills, each in a thread: any may hang."""
+
+    def run(act: Callable[[], object]) -> threading.Thread:
+        def quietly() -> None:
+            with contextlib.suppress(Exception):
+                act()
+
+        thread = threading.Thread(target=quietly, name="armcell-last-will", daemon=True)
+        thread.start()
+        return thread
+
+    until = time.monotonic() + seconds
+    acts = [will.act for will in _state.wills if which(will)]
+    for thread in [run(act) for act in (*acts, sys.stdout.flush)]:
+        thread.join(max(until - time.monotonic(), 0.0))

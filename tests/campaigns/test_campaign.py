@@ -19,7 +19,7 @@ from tests.cli.helpers import call, cell_file, finished, read_json, start
 from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run, write_report
 from armcell.campaigns.moments import MOST
 from armcell.campaigns.store import TRIALS
-from armcell.campaigns.trial import Trial, run_trial
+from armcell.campaigns.trial import Trial, failed, run_trial
 from armcell.cell import load
 from armcell.cli.campaign import run_campaign
 from armcell.core import InputError
@@ -171,7 +171,7 @@ def test_stop_rules(quick, tmp_path):
 
 
 def row(number: int) -> dict:
-    return {"trial": number, "success": True}
+    return {**failed(Trial(number, number, {}), "", ""), "success": True}
 
 
 def test_a_store_keeps_what_was_whole(tmp_path):

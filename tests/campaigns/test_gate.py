@@ -52,7 +52,8 @@ def campaign(cell, root, good, bad=0, values=None, near=0, drawn=None) -> Path:
             "success": k < good, "error_code": 1 if k < good else -4, "message": "", "failed_at": None,
             "randomized": loaded.draw(k), "unwanted_contacts": [], "total_planning_time_s": 0.0, **nothing,
         }  # fmt: skip
-        store.append(told(Trial(k, k, drawn(k) if drawn else {}, near_failure=k >= good + bad), result))
+        row = told(Trial(k, k, drawn(k) if drawn else {}, near_failure=k >= good + bad), result)
+        store.append({**row, "wall_s": 1.0, "cpu_s": 1.0})
     store.close()
     return store.folder
 

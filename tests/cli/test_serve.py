@@ -64,7 +64,7 @@ def test_serve_topic_and_ctrl_c(port, capsys):
     finally:
         server.send_signal(signal.SIGINT)
         out, errors = server.communicate(timeout=20)
-    assert server.returncode == 0, errors
+    assert server.returncode == 130, errors
     assert f"Unity can connect to 127.0.0.1:{port}" in out and " ROS1" in out
     assert "Traceback" not in errors
 
@@ -83,7 +83,7 @@ def test_what_is_served_is_recorded(port, tmp_path, capsys):
     finally:
         server.send_signal(signal.SIGINT)
         _, errors = server.communicate(timeout=30)
-    assert server.returncode == 0 and "Traceback" not in errors, errors
+    assert server.returncode == 130 and "Traceback" not in errors, errors
     (folder,) = runs.iterdir()
     assert f"report: {folder}/report.html" in errors.replace("\n", "")
     record = read_record(folder)
@@ -115,7 +115,7 @@ def test_sim_in_unitys_place(port, capsys):
         finally:
             simulator.send_signal(signal.SIGINT)
             simulator.communicate(timeout=20)
-        assert simulator.returncode == 0
+        assert simulator.returncode == 130
 
 
 @pytest.mark.parametrize(

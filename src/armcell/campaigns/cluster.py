@@ -15,13 +15,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from armcell import _interrupts
 from armcell.campaigns.gate import changed_parts
 from armcell.campaigns.pool import Answer, Worker, Workers
 from armcell.campaigns.processes import ONE_THREAD, cores
@@ -37,7 +37,8 @@ OURS = "auto"  # the running cluster, else one of our own for this campaign
 ANSWER_WITHIN = 20.0  # [s] of an address that is a cluster's
 STORE_BYTES = 100 << 20  # of a cluster of our own; rows are small and go without it
 _ASK = """
-import json, sys
+import ctypes, json, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it ends with its parent
 from ray._private.services import canonicalize_bootstrap_address
 from ray._raylet import GcsClient
 address = sys.argv[1] if sys.argv[1] != "auto" else canonicalize_bootstrap_address(None)
@@ -106,7 +107,9 @@ class RayWorkers(Workers[RayWorker]):
         if found is None:
             _make_private()
         import ray
+        from ray._private import utils
 
+        utils.set_sigterm_handler = lambda handler: None  # it would replace the program's own
         self._ray: Any = ray
         try:
             self._join(found)
@@ -159,7 +162,7 @@ class RayWorkers(Workers[RayWorker]):
         ray = self._ray
         by_question = {worker.asked: worker for worker in self._running if worker.asked is not None}
         if not by_question:
-            time.sleep(0.01)
+            _interrupts.sleep(0.01)
             return
         done, rest = ray.wait(list(by_question), timeout=seconds)
         if rest:

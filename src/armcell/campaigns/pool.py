@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any, Generic, TypeVar
 
+from armcell import _interrupts
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, failed
 from armcell.core import InputError
@@ -140,6 +141,7 @@ class Pool(Generic[W]):
             if ahead is None and not again and all(worker.trial is None for worker in self._all):
                 return
             self._look_for_ready_ones()
+            _interrupts.check()
             for worker, answers in self._workers.heard(GLANCE):
                 if answers is None:
                     trial, how = worker.trial, self._replace(worker)

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from armcell._interrupts import unsignaled
 from armcell.campaigns.pool import Answer, Worker, Workers
 from armcell.campaigns.spec import CampaignSpec
 
@@ -23,10 +24,12 @@ class ProcessWorker(Worker):
 
     def __init__(self, spec: CampaignSpec):
         super().__init__()
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "armcell.campaigns.worker"],  # -P: no modules of the current folder
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
-        )  # fmt: skip
+        with unsignaled():
+            self.process = subprocess.Popen(
+                # -P: no modules of the current folder
+                [sys.executable, "-P", "-m", "armcell.campaigns.worker"],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
+            )  # fmt: skip
         self.rest = b""
         self.send(spec.as_dict())
 

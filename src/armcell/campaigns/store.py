@@ -21,6 +21,16 @@ from armcell.records import new_run_folder
 
 ASKED, TRIALS = "campaign.json", "trials.jsonl"
 FORMAT = 1
+_MEASURED = (int, float, type(None))
+ROW = {
+    **dict.fromkeys(("trial", "seed", "unwanted_contacts"), (int,)),
+    **dict.fromkeys(("success", "near_failure"), (bool,)),
+    **dict.fromkeys(("error_name", "message", "stage", "pair"), (str,)),
+    **dict.fromkeys(("values", "randomized"), (dict,)), "draw": (list,),
+    **dict.fromkeys(("slip_m", "placement_error_m", "min_clearance_m", "task_time_s"), _MEASURED),
+    **dict.fromkeys(("planning_s", "wall_s", "cpu_s"), _MEASURED),
+}  # fmt: skip
+"""What a trial's row holds (`trial.told`), by key."""
 
 
 class Store:
@@ -139,6 +149,27 @@ def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
         raise InputError(f"cannot be read ({type(error).__name__}: {error})", file=file) from None
 
 
+def _row(line: bytes) -> dict[str, Any]:
+    """A trial's row.
+
+    Raises:
+        ValueError, KeyError, TypeError: it is not one.
+    """
+
+    def not_a_number(word: str) -> None:
+        raise ValueError(word)
+
+    row = json.loads(line, parse_constant=not_a_number)
+    for key, kinds in ROW.items():
+        if not isinstance(row[key], kinds) or (isinstance(row[key], bool) and bool not in kinds):
+            raise TypeError(key)
+    if not all(isinstance(drawn, dict) for drawn in row["randomized"].values()):
+        raise TypeError("randomized")
+    if not all(isinstance(share, float | int) for share in row["draw"]):
+        raise TypeError("draw")
+    return row
+
+
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
     """The whole lines of a file of trials, and how many bytes they take.
 
@@ -153,9 +184,8 @@ def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
     rows = []
     for number, line in enumerate(whole.splitlines(), start=1):
         try:
-            row = json.loads(line)
-            row["trial"], row["success"]
-        except (ValueError, KeyError, TypeError) as error:
+            row = _row(line)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             text = f"is no trial ({type(error).__name__})"
             raise InputError(text, file=file, line=number, cure="delete the line") from None
         rows.append(row)

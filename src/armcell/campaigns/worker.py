@@ -1,4 +1,7 @@
-"""A process that runs trials: one JSON line in, one out. Started by `pool`; ends when its input does."""
+"""A process that runs trials: one JSON line in, one out. Started by `processes`; ends when its input does.
+
+SIGINT and SIGTERM do not reach it: the campaign's process decides when it ends.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import json
 import logging
 import os
 import queue
-import signal
 import sys
 import threading
 from typing import Any, TextIO
@@ -36,7 +38,6 @@ def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
 
 
 def main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the campaign's process decides
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # whatever a library prints is no answer
     logging.getLogger("armcell").setLevel(logging.ERROR)  # once per campaign is enough

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from armcell import _interrupts
 from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
@@ -125,7 +126,9 @@ class BringUp:
         self._tell(f"{name} ({arm}): {outcome}" + (f": {text}" if text else ""))
         if self._record is not None:
             lines: list[dict[str, Any]] = [asdict(s) for s in self.steps]
-            self._record.write_text(json.dumps({"cell": self.cell.name, "steps": lines}, indent=1) + "\n")
+            self._record.write_text(
+                json.dumps({"cell": self.cell.name, "steps": lines}, indent=1) + "\n", encoding="utf-8"
+            )
 
     # --- the steps ---
     def _network(self, name: str) -> str:
@@ -179,7 +182,7 @@ class BringUp:
                 if mode == "IDLE" and not released:
                     dashboard.ask("brake release")
                     released = True
-                time.sleep(0.2)
+                _interrupts.sleep(0.2)
         raise InputError(f"{host} is not running after {POWER_TIME:g} s", cure="look at the pendant")
 
     def _geometry(self, name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
@@ -53,8 +54,8 @@ def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
         file = LIBRARY / cell / CELL_FILE
     else:
         path = Path(cell)
-        file = path / CELL_FILE if path.is_dir() else path
-        if not file.exists() and isinstance(cell, str) and "/" not in cell and "." not in cell:
+        file = path / CELL_FILE if os.path.isdir(path) else path
+        if not os.path.exists(file) and isinstance(cell, str) and "/" not in cell and "." not in cell:
             raise UnknownNameError("cell", cell, cell_names())
     name = file.resolve().parent.name if file.name == CELL_FILE else file.stem
     return Cell(name, file, validated(read_yaml(file), file), allow_env=allow_env)

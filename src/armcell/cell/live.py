@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 
+from armcell import _interrupts
 from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
@@ -216,6 +217,8 @@ class LiveCell:
                     prepare(self.scene_at_start, group)  # compiled code to load
                 opening.enter_context(no_long_pauses())
             opening.enter_context(self.driver)
+            if not self.driver.is_simulated:
+                opening.callback(_interrupts.last_will(self.driver.stop, urgent=True))
             self.ctx.observe()
             for group in self.arms:
                 prepare(self.ctx.scene(), group)  # not on the time of the first plan
@@ -223,7 +226,8 @@ class LiveCell:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._inside.close()
+        with _interrupts.deferred():
+            self._inside.close()
 
     @property
     def arms(self) -> dict[str, Arm]:

@@ -8,6 +8,7 @@ it does, it says which file. Commands that start other processes, or that connec
 from __future__ import annotations
 
 import logging
+import os
 import runpy
 from collections.abc import Callable
 from contextlib import suppress
@@ -57,7 +58,7 @@ def _file_of(name: str, cell_file: Path) -> Path:
     where = {"file": cell_file, "element": "script"}
     if cell_file.parent.resolve() not in file.parents or file.suffix != ".py":
         raise InputError(f"{name!r} is not a Python file in the cell's folder", **where)
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise InputError(f"{name!r} does not exist", cure="put it beside the cell file", **where)
     return file
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from armcell import _interrupts
 from armcell.cli.console import check_writable, console, errors, write_json
 from armcell.cli.listening import tell_listening
 from armcell.core import InputError
@@ -116,11 +115,11 @@ def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, 
     stopped = "it was stopped"
     with closing(store):
         try:
-            with _time_to_end():
-                stopped = _run(store, workers, ray)
-                _take_pictures(store)
+            stopped = _run(store, workers, ray)
+            _take_pictures(store)
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt):
+                _interrupts.take_time()
                 errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
             with suppress(InputError):  # as on a full disk: the first error is the one to be told
                 campaigns.write_report(store, stopped)
@@ -156,21 +155,6 @@ def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) 
         values={**spec.values, **dict(parsed(one) for one in set_)},
         **given,
     )
-
-
-@contextmanager
-def _time_to_end() -> Iterator[None]:
-    """The first Ctrl-C may take the seconds that a cluster needs to end; a second one ends at once."""
-
-    def first(number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, before)
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, first)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _run(store: Any, workers: int, ray: str | None) -> str:

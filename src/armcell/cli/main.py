@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import sys
 
 import typer
 
-from armcell import __version__
+from armcell import __version__, _interrupts
 from armcell.cli import (
     bench,
     bringup,
@@ -138,19 +137,24 @@ def _root(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; its status: 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C."""
+    """Run the command line; its status: 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C.
+
+    `python -m armcell` handles output errors (`armcell._streams`) and signals (`armcell._interrupts`).
+    """
     try:
         result = app(args=arguments, standalone_mode=False)
         return result if isinstance(result, int) else 0
     except typer.Exit as exit_:
         return exit_.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        return 130
+        return _interrupts.status()
     except ArmcellError as error:
+        if _interrupts.asked():  # libraries turn an interrupt into errors of their own
+            return _interrupts.status()
         err(str(error))
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
+        if _interrupts.asked():
+            return _interrupts.status()
         show, status = getattr(error, "show", None), getattr(error, "exit_code", None)
         if show is not None and status is not None:  # a usage error of typer's own click
             show()

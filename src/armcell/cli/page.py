@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import typer
 
+from armcell import _interrupts
 from armcell.cli.console import console
 from armcell.cli.listening import tell_listening
 
@@ -50,4 +50,4 @@ def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
 
         webbrowser.open(page.url)
     while True:
-        time.sleep(3600)
+        _interrupts.sleep(3600)

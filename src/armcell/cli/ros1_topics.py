@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from armcell import _interrupts
+
 WAIT = 3.0  # [s] for subscribers to connect, and to take what was published
 
 
@@ -41,7 +43,7 @@ class GraphClient:
     def _wait(what: Any) -> None:
         end = time.monotonic() + WAIT
         while not what() and time.monotonic() < end:
-            time.sleep(0.01)
+            _interrupts.sleep(0.01)
 
 
 @contextmanager

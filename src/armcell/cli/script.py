@@ -41,7 +41,7 @@ def run_script_command(
         raise InputError("there is no such script", file=file)
     from armcell.cell import complaints, load, parsed, with_values
     from armcell.control import drivers
-    from armcell.moveit import INTERRUPTED, run_script
+    from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
 
     drivers[mode]  # an unknown mode is said before anything is made
@@ -89,7 +89,7 @@ def run_script_command(
         run.begin(live)
 
         def ended(status: int, session: Session) -> None:
-            why = ", interrupted" if status == INTERRUPTED else ""
+            why = ", interrupted" if session.interrupted else ""
             failure = f"the script ended with status {status}{why}" if status else ""
             run.end(session.served.call, live, in_words(session.served.failure) or failure)
 

@@ -15,7 +15,7 @@ import typer
 from rich.live import Live
 from rich.text import Text
 
-from armcell._interrupts import take_time
+from armcell import _interrupts
 from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import WITHOUT_GATE, gate_of_others
@@ -293,7 +293,7 @@ def _run(
         except KeyboardInterrupt:
             if not served.node.ready.is_set():
                 raise
-            take_time()
+            _interrupts.take_time()
         except BaseException as error:
             failure = error
             raise
@@ -327,7 +327,7 @@ def _plan_only(
             with line:
                 _until(seconds, line, None)
     except KeyboardInterrupt:
-        pass
+        _interrupts.take_time()
     return 0
 
 
@@ -337,7 +337,15 @@ def _until(seconds: float | None, line: _StatusLine, thread: threading.Thread | 
     while (thread is None or thread.is_alive()) and (end is None or time.monotonic() < end):
         line.show()
         left = REFRESH if end is None else max(min(REFRESH, end - time.monotonic()), 0.0)
-        time.sleep(left) if thread is None else thread.join(left)
+        if thread is None:
+            _interrupts.sleep(left)
+        else:
+            _interrupts.wait(lambda seconds: _ended(thread, seconds), left)
+
+
+def _ended(thread: threading.Thread, seconds: float) -> bool:
+    thread.join(seconds)
+    return not thread.is_alive()
 
 
 def _troubles(dropped: int, wrong: int) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from armcell import _interrupts
 from armcell.cli.console import console, errors
 from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
 
@@ -203,5 +203,5 @@ def _in_browser(proposal: Proposal, at: PageAt) -> Proposal | None:
         tell_page(view.page)
         console.print("'Write' on the page writes the folder, Ctrl-C ends without")
         while not view.done:
-            time.sleep(0.1)
+            _interrupts.sleep(0.1)
         return view.answer

@@ -13,6 +13,7 @@ import numpy as np
 import typer
 import yaml
 
+from armcell import _interrupts
 from armcell.cli.console import console, err
 from armcell.cli.ros1_topics import joined_to_graph
 from armcell.cli.serve import address
@@ -93,7 +94,7 @@ def pub(
             n += 1
             if n == (count or (None if rate else 1)):
                 break
-            time.sleep(1.0 / (rate or 1.0))
+            _interrupts.sleep(1.0 / (rate or 1.0))
         client.flush() if ros1 else _flush(client)
         err(f"{n} published")
 
@@ -186,6 +187,7 @@ def _messages(topic: str, type_name: str | None, connect: str, ros1: bool, queue
     with joined_to(connect, ros1=ros1, subscribe={topic: type_name}) as (bus, _):
         subscription = bus.subscribe(topic, type_name, queue_size=queue_size)
         while True:
+            _interrupts.check()
             message = subscription.get(timeout=0.2)
             if message is not None:
                 yield message

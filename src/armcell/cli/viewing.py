@@ -6,6 +6,7 @@ import sys
 import time
 from typing import Any
 
+from armcell import _interrupts
 from armcell.cli.console import console
 from armcell.cli.page import PageAt, tell_page
 from armcell.core import Explanation, JointState, JointTrajectory, StateSample
@@ -29,7 +30,7 @@ def show(
             while (t := time.monotonic() - began) < trajectory.duration + FRAME:
                 state = JointState(trajectory.joint_names, trajectory.sample(t)[0])
                 viewer.on_state(StateSample(t, state))
-                time.sleep(FRAME)
+                _interrupts.sleep(FRAME)
         if sys.stdin.isatty():
             console.print("press Enter to end")
             sys.stdin.readline()

@@ -94,7 +94,9 @@ def _coacd(mesh: Mesh, closed: bool) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 _PROGRAM = f"""
-import sys
+import ctypes, signal, sys
+
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it ends with its parent
 import coacd
 import numpy as np
 

@@ -208,7 +208,11 @@ def run_by_turns(
     for thread in threads:
         thread.start()
     turns.start()
-    turns.wait_until_done()
+    try:
+        turns.wait_until_done()
+    except BaseException as error:  # an interrupt: every program ends where it next lets time pass
+        turns.failed = turns.failed or error
+        turns.wait_until_done()
     for thread in threads:
         thread.join()
     if turns.failed is not None:

@@ -79,8 +79,8 @@ class InputError(ArmcellError):
 class UnknownNameError(InputError):
     """A name that does not exist; lists those that do and the nearest one."""
 
-    def __init__(self, kind: str, name: object, known: Iterable[str], **where):
-        self.kind, self.name, self.known = kind, name, sorted(known)
+    def __init__(self, kind: str, name: object, known: Iterable[object], **where):
+        self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML has keys of any kind
         near = difflib.get_close_matches(str(name), self.known, n=1, cutoff=0.6)
         shown = ", ".join(self.known[:30]) + (", ..." if len(self.known) > 30 else "")
         reason = f"unknown {kind} {str(name)!r}; known: {shown or 'none'}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armcell.core import InputError, Mesh
 from armcell.model.files import read_text
@@ -128,8 +129,9 @@ def resolve_uri(uri: str, base: Path) -> Path:
     if uri.startswith("package://"):
         package, _, rest = uri[len("package://") :].partition("/")
         for folder, _ in _package_folders(package, base):
-            if (folder / rest).is_file():
-                return folder / rest
+            path = folder / rest
+            if os.path.isfile(path):  # false for names that no file can have, where Path.is_file raises
+                return path
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
             cure=f"put package {package!r} beside the URDF or add its parent folder to ROS_PACKAGE_PATH",
@@ -138,7 +140,7 @@ def resolve_uri(uri: str, base: Path) -> Path:
         raise InputError(f"{uri}: only package:// and file:// URIs are read", cure="use a local file")
     path = Path(uri.removeprefix("file://"))
     path = path if path.is_absolute() else base / path
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"mesh file {path} not found", cure="check the path")
     return path
 
@@ -172,9 +174,34 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
         raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
     if len(faces) == 0:
         raise InputError("mesh has no triangles", file=path)
-    merged = trimesh.Trimesh(vertices * np.asarray(scale), faces, process=False)
+    merged = trimesh.Trimesh(*_sound(vertices, faces, scale, path), process=False)
     merged.merge_vertices(merge_tex=True, merge_norm=True)
     return Mesh(merged.vertices, merged.faces.astype(np.int32), path)
+
+
+def _sound(
+    vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scaled vertices (v, 3) [m] and faces (f, 3) of what a library has read, which it does not check.
+
+    Raises:
+        InputError: of another shape, not finite, or a face of vertices that there are not.
+    """
+    v, f = np.asarray(vertices, dtype=float), np.asarray(faces)
+    if v.ndim != 2 or v.shape[1] != 3 or f.ndim != 2 or f.shape[1] != 3 or f.dtype.kind not in "iu":
+        raise InputError(
+            f"mesh has vertices of shape {v.shape} and faces of shape {f.shape}, it needs (v, 3) and (f, 3)",
+            file=path, cure="a vertex has x, y and z, a face three vertices or more",
+        )  # fmt: skip
+    if f.size and not 0 <= int(f.min()) <= int(f.max()) < len(v):
+        raise InputError(
+            f"mesh has a face of vertices {int(f.min())} to {int(f.max())}, but {len(v)} vertices", file=path
+        )
+    with np.errstate(over="ignore"):
+        v = v * np.asarray(scale)
+    if not np.isfinite(v).all():
+        raise InputError("mesh has a vertex that is not finite", file=path)
+    return v, f
 
 
 Color = tuple[float, float, float, float]
@@ -224,8 +251,9 @@ def _merged(parts: list[trimesh.Trimesh], scale: tuple[float, float, float], pat
 
     vertices, faces, start = [], [], 0
     for part in parts:
-        vertices.append(np.asarray(part.vertices) * scale)
-        faces.append(np.asarray(part.faces) + start)
+        v, f = _sound(part.vertices, part.faces, scale, path)
+        vertices.append(v)
+        faces.append(f + start)
         start += len(part.vertices)
     whole = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     whole.merge_vertices(merge_tex=True, merge_norm=True)  # files keep a vertex per normal

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 from lxml import etree
@@ -74,8 +75,29 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
         raise InputError("file not found", file=path, cure="check the path") from None
     except PermissionError:
         raise InputError("no permission to read", file=path) from None
+    except OSError as error:  # a name that is too long
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text ({error.reason} at byte {error.start})", file=path) from None
+    except ValueError:  # a NUL
+        raise InputError(f"{str(path)!r} is not a file name", cure="check the path") from None
+
+
+class Bounded:
+    """A file opened for reading that gives what it has, whatever is asked for.
+
+    A damaged file names lengths of gigabytes, and `read` of an ordinary file sets that memory aside first.
+    """
+
+    def __init__(self, stream: BinaryIO):
+        self._stream, self._size = stream, os.fstat(stream.fileno()).st_size
+
+    def read(self, size: int = -1) -> bytes:
+        left = max(self._size - self._stream.tell(), 0)
+        return self._stream.read(left if size < 0 else min(size, left))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def parse_xml(text: str, file: Path | str) -> etree._Element:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -45,9 +46,9 @@ def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | No
     path = Path(robot)
     if not path.is_absolute() and base is not None:
         path = base / path
-    if path.is_dir():
+    if os.path.isdir(path):  # false for names that no folder can have, where Path.is_dir raises
         return load_folder(path, allow_env)
-    if path.suffix in (".urdf", ".xacro") or path.is_file():
+    if path.suffix in (".urdf", ".xacro") or os.path.isfile(path):
         model = load_urdf(path, allow_env)
         srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
         return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)

@@ -8,14 +8,12 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from armcell._interrupts import take_time
+from armcell import _interrupts
 from armcell.cell import LiveCell
 from armcell.core import InputError
 from armcell.moveit.install import installed
 from armcell.moveit.session import Session
 from armcell.ros import Ros1Settings
-
-INTERRUPTED = 130
 
 
 def run_script(
@@ -34,7 +32,7 @@ def run_script(
         ended: called with the exit status when all is over, while the cell is still connected.
         began: called when the cell is ready and joined, before the script.
     Returns:
-        The script's exit status (130 after Ctrl-C), and the session it ran in, closed.
+        The script's exit status (130 after Ctrl-C, 143 after SIGTERM), and the session it ran in, closed.
     Raises:
         InputError: there is no such script.
     """
@@ -50,8 +48,8 @@ def run_script(
         sys.argv = [str(script), *arguments]
         sys.path.insert(0, str(folder))
         try:
-            status = _status(script, session)
-            take_time()
+            with _interrupts.owned(session.interrupt):
+                status = _status(script, session)
             session.served.rest()
             ended(status, session)
             return status, session
@@ -76,9 +74,10 @@ def _forget(folder: Path, names: set[str]) -> None:
 
 def _status(script: Path, session: Session) -> int:
     try:
-        return _run(script, session)
+        status = _run(script, session)
     except KeyboardInterrupt:
-        return INTERRUPTED
+        session.interrupted = True
+    return _interrupts.status() if session.interrupted else status
 
 
 def _run(script: Path, session: Session) -> int:
@@ -97,7 +96,7 @@ def _run(script: Path, session: Session) -> int:
         print(f"Traceback (most recent call last):\n{text}{type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
         return 1
     _finish(session)
-    return INTERRUPTED if session.interrupted else 0
+    return 0
 
 
 def _finish(session: Session) -> None:

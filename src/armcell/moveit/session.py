@@ -47,6 +47,7 @@ class Session:
         self.interrupted = False
         self.shutting_down = threading.Event()
         self.on_shutdown: list[Any] = []
+        self._hooks = threading.Lock()  # taken for good by who runs them
         self.lines: list[str] = []
         """What the script has logged, and the hints."""
         self.clients: dict[str, ActionClient] = {}  # of actions that were used
@@ -85,16 +86,21 @@ class Session:
 
     def shut_down(self, reason: str) -> None:
         """What rospy.signal_shutdown does: everybody who waits is told, and the hooks run once."""
-        if self.shutting_down.is_set():
-            return
+        self.interrupted |= reason == "interrupted"
         self.shutting_down.set()
-        self.interrupted = reason == "interrupted"
+        if not self._hooks.acquire(blocking=False):
+            return
         logger.info("shutdown: %s", reason)
         for hook in self.on_shutdown:
             try:
                 hook()
             except Exception:
                 logger.exception("a shutdown hook failed")
+
+    def interrupt(self) -> None:
+        """A signal came: `is_shutdown()` is true from now on, every wait ends, no hook has run yet."""
+        self.interrupted = True
+        self.shutting_down.set()
 
     def own(self, member: T) -> T:
         """Close something of the script's when the session ends: it would go on in a thread of its own."""
@@ -140,10 +146,13 @@ class Session:
     def finish(self) -> None:
         """Wait for the motions that the script has begun and not waited for."""
         goals = [goal for client in self.clients.values() for goal in client.unfinished]
-        while self.served.thread.is_alive() and not all(goal.wait(CHECK) for goal in goals):
+        while self._goes_on() and not all(goal.wait(CHECK) for goal in goals):
             pass
-        while self.served.thread.is_alive() and (works := self.served.cell.works()):
+        while self._goes_on() and (works := self.served.cell.works()):
             works[0].wait(CHECK)
+
+    def _goes_on(self) -> bool:
+        return self.served.thread.is_alive() and not self.interrupted
 
 
 class _Warnings:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, CameraImage, InputError, Pinhole
+from armcell.model.files import Bounded
 from armcell.perception.camera_info import rectified
 from armcell.perception.cloud import metres
 
@@ -80,7 +81,7 @@ def load_record(path: str | Path) -> CameraRecord:
     found, count = CameraRecord(file), 0
     try:
         with file.open("rb") as stream:
-            for schema, channel, message in make_reader(stream).iter_messages():
+            for schema, channel, message in make_reader(cast(Any, Bounded(stream))).iter_messages():
                 put = _READERS.get(schema.name if schema else "")
                 if put is None or channel.message_encoding != "cdr":
                     continue

@@ -33,7 +33,7 @@ def save_image(path: str | Path, image: CameraImage) -> list[Path]:
     info = base.with_suffix(".yaml")
     save_camera_info(info, image.camera, image.pinhole)
     T = image.T_world_camera
-    data = yaml.safe_load(info.read_text())
+    data = yaml.safe_load(info.read_text(encoding="utf-8"))
     data[POSE] = {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
     data["stamp"] = float(image.time)
     info.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")

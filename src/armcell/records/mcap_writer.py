@@ -313,7 +313,7 @@ def urdf_text(scene: PlanningScene) -> str | None:
         return None
     path = Path(source)
     try:
-        return path.read_text() if path.stat().st_size <= _MAX_URDF_BYTES else None
+        return path.read_text(encoding="utf-8") if path.stat().st_size <= _MAX_URDF_BYTES else None
     except (OSError, UnicodeDecodeError):
         return None
 

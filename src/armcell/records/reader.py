@@ -8,13 +8,14 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from mcap import records
 from numpy.typing import NDArray
 
 from armcell.core import SE3, Contact, Event, InputError, JointState, JointTrajectory, StateSample
+from armcell.model.files import Bounded
 from armcell.records.about import checked_about
 from armcell.records.mcap_writer import ABOUT, NANO, RESULT, typestore
 from armcell.records.recorder import MCAP_FILE
@@ -164,7 +165,7 @@ class _Reading:
         try:
             with self.file.open("rb") as stream:
                 for record in StreamReader(
-                    stream, validate_crcs=True, record_size_limit=LARGEST_RECORD
+                    cast(Any, Bounded(stream)), validate_crcs=True, record_size_limit=LARGEST_RECORD
                 ).records:
                     self._take(record)
         except InvalidMagic:

@@ -6,7 +6,6 @@ import contextlib
 import io
 import logging
 import re
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._interrupts import SteadyLock, last_will
 from armcell.core import Event, InputError, JointState, JointTrajectory, StateSample
 from armcell.scene import PlanningScene
 
@@ -122,7 +122,7 @@ class RunRecorder:
         self._due = -np.inf
         self._q = np.array(scene.positions)
         self._column = {name: i for i, name in enumerate(scene.model.joint_names)}
-        self._lock = threading.RLock()
+        self._lock = SteadyLock()  # an interrupt must not leave half a message in the file
         self._closed = False
         self._broken: OSError | None = None
         try:
@@ -133,6 +133,7 @@ class RunRecorder:
                 f"no record can be begun: {error.strerror}", file=self.folder,
                 cure="make room, or choose another folder (--runs)",
             ) from None  # fmt: skip
+        self._revoke = last_will(self.close)
 
     @property
     def mcap_file(self) -> Path:
@@ -202,6 +203,7 @@ class RunRecorder:
             self._keep_last()
             self._keep_on_disk(self._mcap.close)
             self._closed = True
+        self._revoke()
 
     def __enter__(self) -> RunRecorder:
         return self

@@ -53,7 +53,7 @@ def write_report(folder: Path, result: Mapping[str, Any], recorder: RunRecorder)
     part = file.with_name(file.name + ".part")
     page = html.page(f"{result.get('cell', 'run')}: {_verdict(result)}", "\n".join(filter(None, parts)))
     try:
-        part.write_text(page)
+        part.write_text(page, encoding="utf-8")
         os.replace(part, file)
     except OSError:
         part.unlink(missing_ok=True)

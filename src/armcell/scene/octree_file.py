@@ -89,8 +89,8 @@ def read_bytes(path: Path, limit: int) -> bytes:
         if path.stat().st_size > limit:
             raise InputError(f"is larger than {limit} bytes", file=path)
         data = path.read_bytes()
-    except PermissionError:
-        raise InputError("no permission to read", file=path) from None
+    except (OSError, ValueError) as error:  # no permission, a name that is too long or has a NUL
+        raise InputError(f"cannot be read: {getattr(error, 'strerror', error)}", file=path) from None
     if not data:
         raise InputError("is empty", file=path)
     return data

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from armcell._interrupts import sleep
 from armcell.core import InputError
 
 
@@ -18,7 +19,7 @@ class Pacer:
     MAX_LAG_S = 0.1
 
     def __init__(self, time_scale: float | None = None, clock: Callable[[], float] = time.monotonic,
-                 sleep: Callable[[float], None] = time.sleep):  # fmt: skip
+                 sleep: Callable[[float], None] = sleep):  # fmt: skip
         if time_scale is not None and not 0 < time_scale < float("inf"):
             raise InputError(f"time scale is {time_scale}, it must be above 0 (None: do not wait)")
         self.time_scale = time_scale

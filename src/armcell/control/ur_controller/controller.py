@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from armcell import _interrupts
 from armcell.control.ur_controller.dashboard_server import PORT as DASHBOARD
 from armcell.control.ur_controller.dashboard_server import DashboardServer
 from armcell.control.ur_controller.external_control import ExternalControl, RemoteHost
@@ -152,6 +153,7 @@ class Rack:
         turn, due = 0, time.monotonic()
         part = self.controllers[0].robot.period / len(self.controllers)
         while not self._stop.is_set():
+            _interrupts.check()
             now = time.monotonic()
             if now >= due:
                 controller = self.controllers[turn]

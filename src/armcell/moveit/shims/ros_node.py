@@ -136,6 +136,7 @@ def spin() -> None:
     try:
         while not is_shutdown():
             current_session().shutting_down.wait(CHECK)
+        current_session().shut_down("signal")  # after a signal the hooks have not run yet
     except KeyboardInterrupt:
         current_session().shut_down("interrupted")
 
@@ -162,6 +163,7 @@ def wait_until(seconds: float) -> None:
     try:
         while not clock.wait_until(seconds, timeout=CHECK):
             if session.shutting_down.is_set() or not session.served.thread.is_alive():
+                session.shut_down("signal")
                 raise ROSInterruptException("ROS shutdown request")
     except ROSInterruptException:
         raise

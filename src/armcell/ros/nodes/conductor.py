@@ -101,7 +101,7 @@ class Conductor:
         self._waiting: list[Work] = []
         self._running: list[Work] = []
         self._thread: threading.Thread | None = None
-        self._closed = False
+        self._closed = self._ending = False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._driver, name)
@@ -114,7 +114,7 @@ class Conductor:
             InputError: too many wait, or the cell is closed.
         """
         with self._lock:
-            require(not self._closed, "the cell is closed")
+            require(not (self._closed or self._ending), "the cell is closed")
             if len(self._waiting) + len(self._running) >= MAX_WORKS:
                 raise InputError(f"{MAX_WORKS} motions wait already", cure="wait for one to end")
             for other in (*self._waiting, *self._running):
@@ -129,8 +129,10 @@ class Conductor:
             every = [*self._running, *self._waiting]
         return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
 
-    def stop(self) -> None:
-        """End everything that moves."""
+    def stop(self, for_good: bool = False) -> None:
+        """End everything that moves; `for_good`: a goal that is still being planned begins nothing either."""
+        with self._lock:
+            self._ending |= for_good
         for work in self.works():
             work.cancel.set()
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import Any, TypeVar
+
+import numpy as np
 
 from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
@@ -25,6 +28,7 @@ from armcell.tasks import TaskSettings
 
 T = TypeVar("T")
 RESUME = "/resume"
+AT_REST, STILL = 0.01, 0.2  # [rad/s or m/s], for so long [s]: an arm that was stopped swings
 
 
 def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
@@ -98,11 +102,21 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop what moves, and wait until it rests; see what the hands hold then."""
-        self.cell.stop()
+        """Stop what moves, and wait until it rests; nothing moves again. See what the hands hold then."""
+        self.node.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
+        moved = time.monotonic()
+        end = moved + SETTLE
+        while self.thread.is_alive() and (now := time.monotonic()) < min(moved + STILL, end):
+            moved = now if self.call(self._speed) > AT_REST else moved
+            time.sleep(0.01)
         self.call(self.cell.now)
+
+    def _speed(self) -> float:
+        """Of the fastest joint [rad/s or m/s]; 0 where it is not known."""
+        v = self.live.driver.joint_state().velocities
+        return 0.0 if v is None else float(np.max(np.abs(v), initial=0.0))
 
     def close(self) -> None:
         """Stop what moves and leave the bus."""

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
+from armcell._interrupts import deferred, last_will
 from armcell.core import InputError
 from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus
@@ -94,6 +95,7 @@ class Ros1Graph:
             settings = self.settings
             self.node = node = Ros1Node(self.bus.schema, settings, self._end)
             names = GraphNames(node.name, settings.namespace, settings.remap)
+            stack.callback(last_will(node.close))
             stack.callback(node.close)
             node.start()
             self._join_parameters(stack, names)
@@ -111,7 +113,8 @@ class Ros1Graph:
 
     def close(self) -> None:
         """Leave the graph; the bus is as it was before."""
-        self._stack.close()
+        with deferred():
+            self._stack.close()
 
     def __enter__(self) -> Ros1Graph:
         self.start()

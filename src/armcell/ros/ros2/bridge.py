@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from armcell._interrupts import deferred, last_will
 from armcell.core import ArmcellError, InputError
 from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus, Handler, TopicInfo
@@ -102,6 +103,7 @@ class Ros2Bridge:
             context.close()
             raise
         self._context = context
+        self._revoke = last_will(self.close)
         self.bus.find_elsewhere(self._find)
         self._look(context)
         self._thread.start()
@@ -116,6 +118,11 @@ class Ros2Bridge:
         if context is None or self._stop.is_set():
             return
         self._stop.set()
+        with deferred():
+            self._leave(context)
+        self._revoke()
+
+    def _leave(self, context: Context) -> None:
         self._thread.join(SHUT_DOWN)
         self.bus.forget_elsewhere(self._find)
         parts: list[Any] = [

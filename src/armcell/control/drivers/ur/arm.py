@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell import _interrupts
 from armcell.control.drivers.ur import program as commands
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.drivers.ur.identity import Identity, check_ready, identify
@@ -122,7 +123,7 @@ class UrArm:
         self._link.send(commands.END)
         end = time.monotonic() + 1.0
         while self._link.connected and time.monotonic() < end:
-            time.sleep(0.005)  # its stop comes first
+            _interrupts.sleep(0.005)  # its stop comes first
         self._link.close()
         self._rtde.close()
 
@@ -295,7 +296,7 @@ class UrArm:
 
     def _make_sure(self) -> None:
         """A paused program cannot hear us: the dashboard ends it, so that nothing is left to go on."""
-        time.sleep(0.3)
+        _interrupts.sleep(0.3)
         if self.armed:
             return
         try:

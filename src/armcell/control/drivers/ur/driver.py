@@ -11,6 +11,7 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell import _interrupts
 from armcell.control.driver import DriverOptions, GripperReading, SeesNoContacts, drivers
 from armcell.control.drivers.ur.arm import UrArm
 from armcell.control.drivers.ur.calibration import HALF_TURN
@@ -220,7 +221,7 @@ class UrDriver(SeesNoContacts):
 
     def advance(self, duration: float) -> None:
         self._advanced = self._due() + duration  # what the caller took since the last time is part of it
-        time.sleep(max(self._advanced - time.monotonic(), 0.0))
+        _interrupts.sleep(max(self._advanced - time.monotonic(), 0.0))
         q = self.joint_state().positions
         for name in self._grippers:
             self._carry(name, q)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armcell import _interrupts
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.drivers.ur.rtde_client import RobotState, RtdeClient
 
@@ -47,7 +48,7 @@ def measure_network(host: str, frequency: float, seconds: float = 2.0) -> Networ
 
     client = RtdeClient(host, frequency, on_state=keep)
     client.connect()
-    time.sleep(seconds)
+    _interrupts.sleep(seconds)
     client.close()
     gaps = np.diff(stamps) if len(stamps) > 2 else np.array([seconds])
     return NetworkReport(

@@ -37,7 +37,7 @@ class ProgramSettings:
 
 def program_text(host: str, port: int, session: int, settings: ProgramSettings) -> str:
     """The script with its blanks filled in."""
-    text = (files("armcell.control.drivers.ur") / "armcell.script").read_text()
+    text = (files("armcell.control.drivers.ur") / "armcell.script").read_text(encoding="utf-8")
     values = {
         "HOST": host, "PORT": port, "SESSION": session, "WATCHDOG": settings.watchdog,
         "IDLE_WATCHDOG": settings.idle_watchdog,

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from armcell import _interrupts
 from armcell.control.ur_wire import rtde
 from armcell.core import InputError
 
@@ -112,7 +113,7 @@ class RtdeClient:
         self._thread.start()
         end = time.monotonic() + timeout
         while self.latest is None and self.error is None and time.monotonic() < end:
-            time.sleep(0.005)
+            _interrupts.sleep(0.005)
         if self.latest is None:
             raise InputError(f"{self.host} sends no RTDE data ({self.error or 'silence'})", cure="restart it")
 

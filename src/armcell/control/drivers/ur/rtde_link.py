@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armcell._interrupts import unsignaled
 from armcell.control.drivers.ur import program
 from armcell.control.drivers.ur.program import CANCELLED, DONE, RUNNING, ProgramSettings
 from armcell.core import InputError, JointTrajectory
@@ -70,9 +71,14 @@ class RtdeLink:
         ours, its = socket.socketpair()
         numbers = (self._frequency, self._settings.watchdog, self._settings.stop_deceleration)
         command = [sys.executable, str(WORKER), str(its.fileno()), self._robot, *map(str, numbers)]
-        self._process = subprocess.Popen(
-            command, pass_fds=(its.fileno(),), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        )
+        with unsignaled():
+            self._process = subprocess.Popen(
+                command,
+                pass_fds=(its.fileno(),),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
         its.close()
         self._ready.clear()
         self._socket = ours

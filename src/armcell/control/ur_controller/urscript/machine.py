@@ -75,7 +75,7 @@ class Machine:
                 raise
             except KeyError as error:
                 raise ProgramError(f"line {self.line}: variable {error.args[0]!r} has no value") from None
-            except (TypeError, ValueError, IndexError, ZeroDivisionError, OverflowError) as error:
+            except Exception as error:  # whatever a program does, the controller goes on
                 raise ProgramError(f"line {self.line}: {error}") from None
             if 1 not in self._threads:  # with the main thread the program ends
                 break

@@ -13,6 +13,7 @@ from typing import Any
 from armcell.core import ArmcellError
 
 MAX_SCRIPT = 1 << 20  # characters
+MAX_DIGITS, LARGEST = 400, 1e300  # of a number's text; of its value
 MAX_DEPTH = 60  # nested blocks or brackets
 
 _TOKEN = re.compile(
@@ -257,7 +258,12 @@ def _atom(t: _Tokens, nesting: int) -> Node:
     if kind == "number":
         text = t.next()
         whole = re.fullmatch(r"0[xX][0-9a-fA-F]+|\d+", text)
-        return ("const", int(text, 0) if whole and not re.fullmatch(r"0\d+", text) else float(text))
+        if len(text) > MAX_DIGITS:
+            t.fail(f"a number of {len(text)} characters")
+        value = int(text, 0) if whole and not re.fullmatch(r"0\d+", text) else float(text)
+        if value > LARGEST:
+            t.fail(f"the number {text} is too large for a controller")
+        return ("const", value)
     if kind == "text":
         return ("const", t.next()[1:-1])
     if kind in ("True", "False"):

@@ -8,8 +8,8 @@ import struct
 import xmlrpc.client
 from collections.abc import Iterator
 
-from tests.ros.fuzz.corpus import Corpus
-from tests.ros.fuzz.edges import Edges
+from tests.fuzz.corpus import Corpus
+from tests.fuzz.edges import Edges
 
 from armcell.ros import Bus, Ros1Graph, Ros1Settings, schema
 from armcell.ros.codec import ros1

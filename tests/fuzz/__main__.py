@@ -1,9 +1,12 @@
-"""Fuzzing what is open to a network: damaged input, guided by what it made the code do.
+"""Fuzzing every parser, and what is open to a network.
 
-    python -m tests.ros.fuzz --frames 1000000 --seed 1        (make fuzz)
+    python -m tests.fuzz --seed 1                         both (make fuzz)
+    python -m tests.fuzz --frames 0 --only mesh-obj cell  some parsers alone; see files.py
+    python -m tests.fuzz --inputs 0 --frames 1000000      the wires alone
 
-Inputs are drawn from grammars of valid ones and damaged; those that took a way through the code that none
-took before are kept and damaged further. The run is cut into rounds, each with servers of its own.
+The wires' servers get damaged input that is guided by what it made the code do. Inputs are drawn from
+grammars of valid ones and damaged; those that took a way through the code that none took before are kept
+and damaged further. The run is cut into rounds, each with servers of its own.
 """
 
 from __future__ import annotations
@@ -19,11 +22,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
-from tests.ros.fuzz.decoders import Decoders
-from tests.ros.fuzz.edges import Edges
-from tests.ros.fuzz.ros1_ports import Tcpros, XmlRpc
-from tests.ros.fuzz.ros_tcp import RosTcp
+from tests.fuzz import files
+from tests.fuzz.decoders import Decoders
+from tests.fuzz.edges import Edges
+from tests.fuzz.ros1_ports import Tcpros, XmlRpc
+from tests.fuzz.ros_tcp import RosTcp
 
 TARGETS = (RosTcp, Decoders, Tcpros, XmlRpc)
 ROUNDS = 10
@@ -161,9 +166,39 @@ def main() -> int:
     arguments.add_argument("--frames", type=int, default=1_000_000)
     arguments.add_argument("--seed", type=int, default=int(time.time()))
     arguments.add_argument("--seconds", type=float, default=1800.0)
+    arguments.add_argument("--inputs", type=int, default=10_000, help="for each parser")
+    arguments.add_argument("--only", nargs="*", help="parsers; all without")
+    arguments.add_argument(
+        "--found", type=Path, default=files.FOUND, help="where inputs with faults are kept"
+    )
+    arguments.add_argument("--replay", type=Path, help="a kept input")
+    arguments.add_argument("--work", help=argparse.SUPPRESS)
+    arguments.add_argument("--first", type=int, default=0, help=argparse.SUPPRESS)
     given = arguments.parse_args()
+    if given.work:
+        files.work(given.work.split(","), given.seed, given.first, given.inputs)
+    if given.replay:
+        return files.replay(given.replay)
     logging.getLogger("armcell").setLevel(logging.ERROR)
     print(f"seed {given.seed}, Python {sys.version.split()[0]}", flush=True)
+    faults = 0
+    if given.inputs:
+        from tests.fuzz.parsers import targets
+
+        read = files.fuzz_parsers(
+            given.only or list(targets()), given.inputs, given.seed, given.found,
+            say=lambda text: print(text, flush=True),
+        )  # fmt: skip
+        faults = len(read.faults)
+        print(
+            f"parsers: {read.inputs} inputs in {read.seconds:.0f} s ({read.cpu:.0f} s of CPU time), "
+            f"{faults} faults",
+            flush=True,
+        )
+    return max(_wires(given), min(faults, 1)) if given.frames else min(faults, 1)
+
+
+def _wires(given: argparse.Namespace) -> int:
     report = fuzz(given.frames, given.seed, given.seconds, lambda text: print(text, flush=True))
     for name in (target.name for target in TARGETS):
         rounds = [r for r in report.rounds if r.target == name]

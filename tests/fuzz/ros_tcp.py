@@ -9,8 +9,8 @@ import socket
 import struct
 from collections.abc import Iterator
 
-from tests.ros.fuzz.corpus import Corpus
-from tests.ros.fuzz.edges import Edges
+from tests.fuzz.corpus import Corpus
+from tests.fuzz.edges import Edges
 from tests.ros.unity_like import UnityLike
 
 from armcell.ros import Bus, cdr, schema

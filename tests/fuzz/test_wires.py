@@ -3,10 +3,10 @@
 import struct
 
 import pytest
-from tests.ros.fuzz import __main__ as fuzzing
-from tests.ros.fuzz.decoders import Decoders
-from tests.ros.fuzz.edges import Edges
-from tests.ros.fuzz.ros_tcp import RosTcp
+from tests.fuzz import __main__ as fuzzing
+from tests.fuzz.decoders import Decoders
+from tests.fuzz.edges import Edges
+from tests.fuzz.ros_tcp import RosTcp
 
 from armcell.ros.tcp.frames import FrameError, FrameReader
 from armcell.ros.tcp.peer import Peer

@@ -8,8 +8,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
-from tests.ros.fuzz.corpus import Corpus
-from tests.ros.fuzz.edges import Edges
+from tests.fuzz.corpus import Corpus
+from tests.fuzz.edges import Edges
 
 from armcell.ros import cdr, schema
 from armcell.ros.codec import WireError, ros1

@@ -1,0 +1,85 @@
+"""Standard output and standard error of the command line: the one place where writing to them can fail.
+
+A write that fails raises nothing. Output whose reader has gone (`armcell cells | head -1`) asks the program
+to end, as SIGPIPE would; output that cannot be written (a full disk) gives a message and exit status 1 at
+the end. Failures of standard error are ignored: there is no place left to report them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import os
+import signal
+import sys
+from typing import TextIO
+
+from armcell import _interrupts
+
+
+class _Raw(io.FileIO):
+    """A descriptor that keeps the first error of a write and drops everything after it."""
+
+    error: OSError | None = None
+
+    def write(self, data) -> int:  # bytes-like
+        if self.error is None:
+            try:
+                return super().write(data)
+            except BlockingIOError:
+                raise
+            except OSError as error:
+                self.error = error
+                if self.fileno() == 1 and isinstance(error, BrokenPipeError):
+                    _interrupts.ask(signal.SIGPIPE)
+        return memoryview(data).nbytes
+
+
+_out: _Raw | None = None
+
+
+def install() -> None:
+    """Replace `sys.stdout` and `sys.stderr`; open what the caller has closed."""
+    global _out
+    for number in (0, 1, 2):  # else the next file that is opened would get what libraries print
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    if sys.stdin is None:
+        sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
+    _out, sys.stdout = _stream(1, sys.stdout)
+    _, sys.stderr = _stream(2, sys.stderr)
+    logging.raiseExceptions = False  # logging prints a traceback where standard error cannot be written
+
+
+def close() -> int:
+    """Write out what is left; the exit status that failed output asks for, else 0."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):
+            stream.flush()
+    if _out is None or _out.error is None:
+        return 0
+    if isinstance(_out.error, BrokenPipeError):
+        return 128 + signal.SIGPIPE
+    with contextlib.suppress(Exception):
+        sys.stderr.write(f"armcell: standard output cannot be written: {_out.error.strerror}\n")
+        sys.stderr.flush()
+    return 1
+
+
+def _stream(number: int, before: TextIO | None) -> tuple[_Raw, io.TextIOWrapper]:
+    """A text stream on a descriptor, with the encoding that Python chose.
+
+    A character that the terminal does not have is written as "?".
+    """
+    raw = _Raw(number, "w", closefd=False)
+    made = io.TextIOWrapper(
+        io.BufferedWriter(raw),
+        encoding=getattr(before, "encoding", None) or "utf-8",
+        errors="replace" if number == 1 else "backslashreplace",
+        line_buffering=number == 2 or raw.isatty(),
+        write_through=number == 2,
+    )
+    return raw, made
