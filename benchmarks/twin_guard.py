@@ -124,7 +124,7 @@ def clean(cell: Cell, runs: int, seed: int) -> tuple[Counter[str], float, str]:
     with cell.connect("real") as live:
         for k in range(runs):
             before, said = len(arms_of(live).safety_events), len(deviations(live))
-            result = execute(live.driver, motion(live, rng, (0.2, 0.4, 0.6)[k % 3]))
+            result = execute(live.driver, live.ctx.gate.motion(motion(live, rng, (0.2, 0.4, 0.6)[k % 3])))
             for event in arms_of(live).safety_events[before:]:
                 if event.kind == "twin":
                     most, text = event.text.split("at most ")[1].split(" of a band ")
@@ -161,7 +161,7 @@ def detect(cell: Cell, fault: str, seed: int, speed: float) -> tuple[float, floa
         if fault == FROM_START:
             begin()
             time.sleep(1.0)  # the arm has given way under it, and rests
-        result = execute(live.driver, motion(live, rng, speed), progress=fault_at)
+        result = execute(live.driver, live.ctx.gate.motion(motion(live, rng, speed)), progress=fault_at)
         time.sleep(0.1)
         found = deviations(live)
     if not found or not at:

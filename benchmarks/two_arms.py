@@ -94,7 +94,7 @@ def _arrival(cell, result) -> float:
                 if over and rests and off <= settings.goal_tolerance:
                     arrived.setdefault(group, live.driver.now)
 
-        assert execute_coupled(live.driver, result.trajectory, watch=watch)
+        assert execute_coupled(live.driver, live.ctx.gate.motion(result.trajectory), watch=watch)
     first, second = arrived.values()
     return abs(first - second)
 

@@ -21,8 +21,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
+from tests.control.ungated import execute
 
-from armcell.control import DriverOptions, drivers, execute
+from armcell.control import DriverOptions, drivers
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.ur_controller.controller import TRACE
 from armcell.core import SE3, ArmcellError, InputError, JointTrajectory

@@ -8,7 +8,16 @@ import time
 
 import numpy as np
 
-from armcell.control import ControllerSettings, DashboardClient, DriverOptions, Rack, drivers, execute
+from armcell.control import (
+    ControllerSettings,
+    DashboardClient,
+    DriverOptions,
+    DriverWorld,
+    MotionGate,
+    Rack,
+    drivers,
+    execute,
+)
 from armcell.core import JointTrajectory
 from armcell.model import load_robot
 from armcell.scene import PlanningScene
@@ -32,12 +41,13 @@ with (
     Rack([ControllerSettings("UR10", HOST)]),
     drivers["real"](scene, DriverOptions(extra={"real": REAL})) as robot,
 ):
-    result = execute(robot, swing(robot, 0.5, 1.5))
+    gate = MotionGate(DriverWorld(robot, scene))  # proves every motion when it starts
+    result = execute(robot, gate.motion(swing(robot, 0.5, 1.5)))
     print(f"full speed: {result.code.name} in {result.finished - result.started:.1f} s")
 
     robot.arms["arm"].set_slider(0.5)
     time.sleep(0.5)
-    result = execute(robot, swing(robot, -0.5, 1.5))
+    result = execute(robot, gate.motion(swing(robot, -0.5, 1.5)))
     print(f"slider at 50 %: {result.code.name} in {result.finished - result.started:.1f} s")
     robot.arms["arm"].set_slider(1.0)
 
@@ -46,13 +56,13 @@ with (
             with DashboardClient(HOST) as dashboard:
                 dashboard.ask("armcell protective stop")
 
-    result = execute(robot, swing(robot, 0.5, 2.0), progress=somebody_gets_in_the_way)
+    result = execute(robot, gate.motion(swing(robot, 0.5, 2.0)), progress=somebody_gets_in_the_way)
     print(f"stopped: {result.code.name}: {result.message}")
 
     with DashboardClient(HOST) as dashboard:
         dashboard.ask("unlock protective stop")
     time.sleep(0.5)
     robot.resume()
-    print(f"resumed: {execute(robot, swing(robot, 0.2, 1.0)).code.name}")
+    print(f"resumed: {execute(robot, gate.motion(swing(robot, 0.2, 1.0))).code.name}")
     for event in robot.safety_events:
         print(f"  {event.arm}: {event.kind}: {event.text}")

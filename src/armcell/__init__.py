@@ -12,13 +12,11 @@ Plan like MoveIt, grasp in real physics, run the same task on simulated or real 
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 from armcell._cache import use_cache
 
-if "NUMBA_CACHE_DIR" not in os.environ:  # before anything imports numba
-    use_cache()
+use_cache()  # before anything imports numba
 
 __version__ = "0.1.0"
 

@@ -1,4 +1,7 @@
-"""Where compiled kernels are kept between runs.
+"""Where compiled kernels and computed arrays are kept between runs.
+
+Numba's files are pickles and machine code: loading them runs code, and a changed array makes collision
+checks wrong. So armcell reads them only from a folder that no other user can write, by owner and mode.
 
 Numba does not notice that a function which a cached one has inlined was changed, and would run the old
 machine code. So the cache folder's name is a hash of every source that holds compiled code and of the
@@ -7,14 +10,18 @@ versions: changed sources never meet an old entry.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
+import logging
 import os
 import platform
 import re
 import shutil
+import stat
 import sys
 import tempfile
 import time
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -23,12 +30,121 @@ COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?njit", re.MULTIL
 """Of sources that hold compiled code; a file that only speaks of numba may change without compiling anew."""
 
 
-def cache_root() -> Path:
-    """`ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder."""
+log = logging.getLogger("armcell")
+
+
+def chosen_root() -> Path:
+    """`ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder; perhaps not trusted."""
     if chosen := os.environ.get("ARMCELL_CACHE_DIR"):
         return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "armcell"
+
+
+def cache_root() -> Path:
+    """The folder that caches are in: the chosen one, or a private one if others can write there."""
+    return _trusted_root(chosen_root())
+
+
+@cache
+def _trusted_root(chosen: Path) -> Path:
+    if not writable(chosen) and not chosen.is_dir():
+        return chosen  # nothing is kept
+    reason = doubt(chosen)
+    if reason is None:
+        return chosen.resolve()
+    _say_unused(chosen, reason, private_folder())
+    return private_folder()
+
+
+@cache
+def private_folder() -> Path:
+    """A folder below the temporary one that only this user can write; the same for later runs if possible."""
+    folder = Path(tempfile.gettempdir()) / f"armcell-{_user()}"
+    if writable(folder) and doubt(folder) is None:
+        return folder.resolve()
+    made, maker = Path(tempfile.mkdtemp(prefix="armcell-")), os.getpid()  # mode 700
+    atexit.register(lambda: os.getpid() == maker and shutil.rmtree(made, ignore_errors=True))
+    return made.resolve()
+
+
+def _say_unused(folder: Path, reason: str, instead: Path) -> None:
+    log.warning(
+        "armcell: the cache %s is not used, because %s; %s is used instead. Cure: let only your user write "
+        "there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder",
+        folder, reason, instead,
+    )  # fmt: skip
+
+
+def _user() -> int:
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
+def doubt(folder: Path, contents: bool = False) -> str | None:
+    """Why another user may have written into a folder, in words; None if none can have.
+
+    Links are followed first. The folder and all above it must belong to this user or root and be writable by
+    nobody else; above the folder the sticky bit will do, as of /tmp.
+
+    Args:
+        contents: look at every file and folder in it, too: no links, and the same owner and mode.
+    """
+    if not hasattr(os, "geteuid"):
+        return None  # Windows: the user's own folders are
+    real = folder.resolve()
+    try:
+        for place in (real, *real.parents):
+            status = place.lstat()
+            sticky = place != real and status.st_mode & stat.S_ISVTX
+            if found := _doubt_of(place, status, 0 if sticky else 0o022):
+                return found
+        if contents:
+            return _doubt_inside(str(real))
+    except OSError as error:
+        return f"{real} cannot be examined ({error.strerror})"
+    return None
+
+
+def _doubt_inside(folder: str) -> str | None:
+    hidden = not os.lstat(folder).st_mode & 0o077
+    forbidden = 0o002 if hidden else 0o022  # with umask 002 Numba's files are writable by the group
+    for entry in os.scandir(folder):  # thousands: no Path for each
+        try:
+            status = entry.stat(follow_symlinks=False)
+        except FileNotFoundError:
+            continue  # another process has renamed or deleted it
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+            return f"{entry.path} is not a regular file"
+        found = _doubt_of(entry.path, status, forbidden)
+        if found is None and stat.S_ISDIR(status.st_mode):
+            found = _doubt_inside(entry.path)
+        if found is not None:
+            return found
+    return None
+
+
+def _doubt_of(path: Path | str, status: os.stat_result, forbidden: int) -> str | None:
+    if status.st_uid not in (_user(), 0):
+        return f"{path} belongs to another user (uid {status.st_uid})"
+    if status.st_mode & forbidden:
+        return f"other users can write {path} (mode {stat.S_IMODE(status.st_mode):o})"
+    return None
+
+
+def trusted_file(file: Path) -> bool:
+    """Whether a file of a cache and its folder are this user's alone. False as well if it does not exist."""
+    try:
+        status, around = file.lstat(), file.parent.lstat()
+    except OSError:
+        return False
+    if not hasattr(os, "geteuid"):
+        return True
+    return (
+        stat.S_ISREG(status.st_mode)
+        and stat.S_ISDIR(around.st_mode)
+        and _doubt_of(file, status, 0o022) is None
+        and _doubt_of(file.parent, around, 0o022) is None
+    )
 
 
 def source_hash() -> str:
@@ -48,12 +164,20 @@ def source_hash() -> str:
 
 
 def writable(folder: Path) -> bool:
+    """Whether files can be made in a folder; it is made, for this user alone, if it does not exist."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make(folder)
         with tempfile.TemporaryFile(dir=folder):
             return True
     except OSError:
         return False
+
+
+def make(folder: Path) -> None:
+    """Make a folder and what is missing above it, with access for this user alone."""
+    if not folder.is_dir():
+        make(folder.parent)
+        folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def _drop_old(used: Path) -> None:
@@ -70,16 +194,22 @@ def _drop_old(used: Path) -> None:
 
 
 def use_cache() -> Path:
-    """Point Numba at the folder for these sources; a temporary one where the user's is not writable."""
-    folder = cache_root() / "kernels" / source_hash()
-    if not writable(folder):
-        folder = (
-            Path(tempfile.gettempdir())
-            / f"armcell-{os.getuid() if hasattr(os, 'getuid') else 0}"
-            / folder.name
-        )
-        writable(folder)
-    _drop_old(folder)
+    """Point Numba at the folder for these sources, or that of NUMBA_CACHE_DIR, or a private one.
+
+    A folder that another user may have written is not used: one line says so.
+    """
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(given) if given else cache_root() / "kernels" / source_hash()
+    reason = doubt(folder, contents=True) if writable(folder) else ""
+    if reason is not None:
+        if reason:
+            _say_unused(folder, reason, private_folder())
+        folder = private_folder() / "kernels" / source_hash()
+        if not writable(folder) or doubt(folder, contents=True) is not None:
+            folder = Path(tempfile.mkdtemp(prefix="once-", dir=folder.parent))
+    folder = folder.resolve()  # Numba is not to follow a link that is changed later
+    if not given:
+        _drop_old(folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)

@@ -13,6 +13,7 @@ from armcell.campaigns import CampaignSpec, Store, gate
 from armcell.campaigns.spec import checked_cell
 from armcell.campaigns.trial import Trial, told
 from armcell.cell import content_hashes, load, with_values
+from armcell.cli.gating import gate_of, gate_words
 from armcell.core import InputError
 from armcell.records import read_record
 
@@ -20,6 +21,8 @@ NOD = """robot: ur10_gripper
 start: {arm: home}
 objects:
   box: {box: [0.1, 0.1, 0.1], pose: [0.2, 0.9, 0.05]}
+  cube: {box: [0.04, 0.04, 0.04], pose: [0.2, 0.9, 0.12], movable: true}
+randomize: {cube: {dx: [-0.01, 0.01], yaw_deg: [-20, 20]}}
 script: task.py
 """
 TASK = """def task(cell):
@@ -38,18 +41,19 @@ def cell(tmp_path):
     return cell_file(tmp_path, NOD)
 
 
-def campaign(cell, root, good, bad=0, values=None, near=0) -> Path:
-    """A campaign's folder as if it had been run."""
+def campaign(cell, root, good, bad=0, values=None, near=0, drawn=None) -> Path:
+    """A campaign's folder as if it had been run; `drawn(k)`: parameters of trial k."""
     spec = CampaignSpec(str(cell), values=values or {}, trials=good + bad + near)
-    store = Store.new(root, spec, content_hashes(checked_cell(spec)))
+    loaded = checked_cell(spec)
+    store = Store.new(root, spec, content_hashes(loaded))
     nothing = dict.fromkeys(("slip_m", "placement_error_m", "min_clearance_m", "task_time_s"))
     for k in range(good + bad + near):
         result = {
             "success": k < good, "error_code": 1 if k < good else -4, "message": "", "failed_at": None,
-            "randomized": {}, "unwanted_contacts": [], "total_planning_time_s": 0.0, **nothing,
+            "randomized": loaded.draw(k), "unwanted_contacts": [], "total_planning_time_s": 0.0, **nothing,
         }  # fmt: skip
-        row = told(Trial(k, k, {}, near_failure=k >= good + bad), result)
-        store.append({**row, "wall_s": 1.0, "cpu_s": 1.0})
+        trial = Trial(k, k, drawn(k) if drawn else {}, near_failure=k >= good + bad)
+        store.append({**told(trial, result), "wall_s": 1.0, "cpu_s": 1.0})
     store.close()
     return store.folder
 
@@ -187,6 +191,81 @@ def test_versions_and_forgery(cell, tmp_path, monkeypatch):
     monkeypatch.setattr("armcell.cell.identity.versions", lambda: found)
     with pytest.raises(InputError, match=r"mujoco \S+ -> 4\.0\.9"):
         gate.check(load(cell))
+
+
+SAME = NOD.replace("randomize: {cube: {dx: [-0.01, 0.01], yaw_deg: [-20, 20]}}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "drawn", "varied"),
+    [
+        (SAME, None, []),
+        (SAME + "randomize: {cube: {dx: [0.01, 0.01]}}\n", None, []),
+        (SAME, lambda k: {"objects.cube.mass": 0.2}, []),
+        (SAME + "disturbances: {joint_noise_deg: 0.01}\n", None, []),
+        (SAME, lambda k: {"objects.cube.mass": 0.2 + k}, ["objects.cube.mass"]),
+        (NOD, None, ["randomize.cube.dx", "randomize.cube.yaw_deg"]),
+    ],
+)
+def test_a_campaign_that_varied_nothing_shows_one_case_only(cell, tmp_path, text, drawn, varied):
+    cell.write_text(text)
+    folder, file = campaign(cell, tmp_path / "runs", 80, drawn=drawn), tmp_path / "gate.json"
+    if varied:
+        record = gate.issue(load(cell), folder, file, allow_unvaried="not needed")
+        assert record["campaign"]["varied"] == varied and record["allow_unvaried"] is None
+        return
+    with pytest.raises(InputError, match=r"varies nothing.*randomize.*--allow-unvaried REASON"):
+        gate.issue(load(cell), folder, file)
+    with pytest.raises(InputError, match="needs a reason"):
+        gate.issue(load(cell), folder, file, allow_unvaried=" ")
+    assert not file.exists()
+    gate.issue(load(cell), folder, file, allow_unvaried="the fixture holds it")
+    record = gate.check(load(cell), file)
+    assert record["allow_unvaried"] == "the fixture holds it" and record["campaign"]["varied"] == []
+    for forged in ("another reason", None):
+        file.write_text(json.dumps({**json.loads(file.read_text()), "allow_unvaried": forged}))
+        with pytest.raises(InputError, match="signature is not right"):
+            gate.check(load(cell), file)
+
+
+def test_a_cell_is_the_same_from_every_working_folder(cell, tmp_path, monkeypatch):
+    """Its robot's and its own name are the folder's, also where the folder is '.'."""
+    text = "robot: .\n" + NOD.partition("\n")[2]
+    cell.write_text(text)
+    (tmp_path / "robot.yaml").write_text("parts: [{robot: ur10_gripper}]\n")
+    there = content_hashes(load(cell))
+    monkeypatch.chdir(tmp_path)
+    assert content_hashes(load(cell.name)) == there
+    cell.rename(tmp_path / "cell.yaml")
+    assert load("cell.yaml").name == load(tmp_path).name == tmp_path.name
+
+
+def test_one_seed_repeated_is_no_variation(cell, tmp_path):
+    folder = campaign(cell, tmp_path / "runs", 80)
+    rows = [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
+    same = [{**row, "seed": 7, "randomized": rows[7]["randomized"]} for row in rows]
+    (folder / "trials.jsonl").write_text("".join(json.dumps(row) + "\n" for row in same))
+    with pytest.raises(InputError, match="80 trials that differ in nothing"):
+        gate.issue(load(cell), folder, tmp_path / "gate.json")
+
+
+def test_a_cell_that_draws_nothing_is_named_before_its_campaign(cell, tmp_path, capsys):
+    cell.write_text(SAME)
+    said = call(capsys, "gate", cell, "--trials", 72, "--runs", tmp_path / "runs")
+    assert said.status == 1 and "--allow-unvaried" in said.err and not (tmp_path / "runs").exists()
+    said = call(capsys, "gate", cell, "--trials", 72, "--runs", tmp_path / "runs", "--allow-unvaried", "")
+    assert said.status == 1 and "needs a reason" in said.err and not (tmp_path / "runs").exists()
+
+
+def test_runs_with_real_arms_print_what_was_allowed(cell, tmp_path, capsys):
+    cell.write_text(SAME + "real: {arms: {arm: {host: 10.0.0.1}}}\n")
+    loaded = load(cell)
+    folder = campaign(cell, tmp_path / "runs", 80)
+    gate.issue(loaded, folder, gate.gate_file(loaded), allow_unvaried="one part, always there")
+    passed = gate_of(loaded, "real", None, None)
+    assert "varied nothing: one part, always there" in capsys.readouterr().err
+    assert passed["gate"]["allow_unvaried"] == "one part, always there"  # the run's record keeps it
+    assert "varied nothing: one part, always there" in gate_words(passed)
 
 
 @pytest.mark.slow

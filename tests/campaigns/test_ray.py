@@ -18,6 +18,7 @@ from tests.cli.helpers import call, cell_file, start
 from armcell.campaigns import CampaignSpec, begin, cluster, resume, rows_of, run
 from armcell.campaigns.store import TRIALS
 from armcell.core import InputError
+from armcell.core.endpoints import open_sockets
 
 
 def test_without_ray_the_extra_is_named(monkeypatch, capsys):
@@ -125,8 +126,13 @@ def test_ctrl_c_and_a_killed_head_leave_no_ray(ray, tmp_path, monkeypatch):
     folder = wait_for_rows(tmp_path / "r", 0)
     family = list(below(process.pid))
     assert sum(words_of(pid)[0].endswith(b"/raylet") for pid in family) == 1
+    theirs = [p for p in family if words_of(p)[0].endswith((b"/raylet", b"/gcs_server"))]
+    open_now = open_sockets(theirs)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=120)
+    lines = [line for line in out.splitlines() if line.startswith("listening on ")]
+    told = set(" ".join(lines).removeprefix("listening on ").replace(",", "").split())
+    assert len(open_now) >= 3 and {f"[{e.host}]:{e.port}" for e in open_now} <= told, (open_now, out)
     assert process.returncode == 130 and "--resume" in err and "Traceback" not in err, (out, err)
     assert not gone(family) and not list(Path(short).glob("armcell-ray-*"))
 

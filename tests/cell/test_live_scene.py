@@ -98,7 +98,7 @@ def test_an_obstacle_across_the_rest_stops_the_arm_before_it(mode):
         seen = Meanwhile(cell, 0.4, lambda: cell.change_scene(put(post())))
         outcome = cell.arm.move_to(RIGHT)
         assert seen.done and outcome.code is CHANGED, outcome.message
-        assert outcome.evidence["object"] == "rod" and "'rod' has come across" in outcome.message
+        assert outcome.evidence["object"] == "rod" and "would touch rod" in outcome.message
         assert notes(cell, "stop") == [outcome.message]
         cell.ctx.advance(0.5)  # it comes to rest
         assert cell.arm.move_to(RIGHT), "around it"

@@ -39,12 +39,10 @@ def start(*arguments: object, **options) -> subprocess.Popen:
     """`armcell ARGUMENTS` as a process in a group of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "armcell", *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
         stdin=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
-        **options,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
     )
 
 

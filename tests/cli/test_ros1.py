@@ -115,7 +115,7 @@ def test_a_script_and_its_cell_in_a_graph(master, tmp_path):
         finally:
             _, err = process.communicate(timeout=60)
         assert process.returncode == 0, err
-        assert "from outside served 0.5 3" in err
+        assert "from outside served 0.5 3" in err and "(ROS 1 node)" in err
         heard = []
         while (line := lines.get(0.3)) is not None:
             heard.append(line.msg)

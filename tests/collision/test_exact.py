@@ -207,3 +207,18 @@ def test_contacts_are_sorted_and_one_per_pair():
     assert len(found) > 2 and found == sorted(found, key=lambda c: c.distance)
     assert len({frozenset((c.body_a, c.body_b)) for c in found}) == len(found)
     assert all(isinstance(c, Contact) and c.distance <= 0 for c in found)
+
+
+@pytest.mark.parametrize("depth", [1e-4, 5e-4, 1e-3, 2e-3, 4e-3])
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.7])
+def test_a_mesh_is_as_deep_as_its_deepest_triangle(depth, turn):
+    """A ball of 5120 triangles with a dent at its back, so that it is not convex."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.3)
+    dented = np.array(ball.vertices)
+    dented[np.argmax(dented[:, 0])] *= 0.8
+    mesh = mesh_of(trimesh.Trimesh(dented, ball.faces, process=False))
+    T = SE3.from_xyz_rpy((1.3, 0.0, 0.0), (0.0, 0.0, turn))
+    nearest = T.apply(dented)[:, 0].min()
+    checker = ExactChecker(floating(CollisionObject.single("ball", mesh, T)))
+    (contact,) = checker.contacts([nearest - 0.1 + depth])
+    assert contact.distance == pytest.approx(-depth, abs=1e-6)

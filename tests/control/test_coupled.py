@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.control.ungated import execute_coupled
 
 import armcell
 from armcell.collision.arms import merged
 from armcell.control import DriverOptions
 from armcell.control.admittance import Admittance, AdmittanceSettings
-from armcell.control.coupled import RAMP, execute_coupled
+from armcell.control.coupled import RAMP
 from armcell.control.drivers.sim import SimDriver
 from armcell.control.following import SentClock
 from armcell.control.twin import Stage

@@ -53,6 +53,17 @@ def test_with_connects_and_gives_the_driver_itself(name):
         assert driver.is_simulated
 
 
+def test_it_says_whether_it_keeps_to_the_walls_clock_and_resumes_where_nothing_stopped_it(name):
+    with make(name) as driver:
+        assert driver.is_paced is False
+        driver.command(ARM, home() + 0.05, np.zeros(len(ARM)))
+        driver.advance(0.1)
+        targets, now = driver.targets(), driver.now
+        driver.resume()
+        driver.resume()
+        assert driver.now == now and np.array_equal(driver.targets().positions, targets.positions)
+
+
 def test_an_error_inside_with_comes_out(name):
     with pytest.raises(ZeroDivisionError), make(name):
         raise ZeroDivisionError

@@ -7,8 +7,9 @@ import threading
 import numpy as np
 import pytest
 from tests.control.helpers import ARM, ROBOT, Faulty, StuckJoint, alone, make, motion, scene, swing
+from tests.control.ungated import execute, playing
 
-from armcell.control import ExecutionSettings, drivers, execute, playing
+from armcell.control import ExecutionSettings, drivers
 from armcell.core import ErrorCode, JointTrajectory, UnknownNameError
 
 

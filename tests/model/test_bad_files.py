@@ -30,7 +30,7 @@ FILES = {
     "bomb in attribute": ("r.urdf", LAUGHS.replace("AT", "&j;").encode(), "entity"),
     "outside entity": ("r.urdf", OUTSIDE.encode(), "entity"),
     "xacro bomb": ("r.xacro", LAUGHS.encode(), "declares a DOCTYPE"),
-    "xacro syntax": ("r.xacro", b"<robot", "xacro cannot expand it"),
+    "xacro syntax": ("r.xacro", b"<robot", "is not valid XML"),
     "xacro macro": ("r.xacro", XACRO.format("<xacro:nope/>").encode(), "unknown macro name: xacro:nope"),
     "xacro recursion": (
         "r.xacro",

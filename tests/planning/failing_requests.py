@@ -74,11 +74,11 @@ def start_not_a_number() -> Made:
 
 
 def held_in_the_table() -> Made:
-    """A held cube that the gripper has pressed into the table it stood on."""
+    """A held cube that the gripper has pressed into the table it stood on, deeper than bodies rest."""
     scene = panda(joint2=0.55, joint4=-2.3, joint6=2.85)
     at = tip(scene).translation
     cube = box("cube", (0.04, 0.04, 0.06), at, movable=True)
-    table = box("table", (0.6, 0.6, 0.04), (at[0], at[1], at[2] - 0.03 - 0.02 + 0.001))
+    table = box("table", (0.6, 0.6, 0.04), (at[0], at[1], at[2] - 0.03 - 0.02 + 0.003))
     scene = PlanningScene.of(scene.model, scene.positions, [cube, table])
     fingers = ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
     scene = scene.with_attached("cube", "panda_hand_tcp", touch_links=fingers)

@@ -301,7 +301,9 @@ def test_an_ordinary_difference_is_neither(off):
 
 def test_a_motion_that_is_not_begun_explains_itself():
     """The executor finds the robot elsewhere, and its result says so."""
-    from armcell.control import DriverOptions, drivers, execute
+    from tests.control.ungated import execute
+
+    from armcell.control import DriverOptions, drivers
 
     scene = panda()
     result = plan(scene, request(NamedGoal("extended"), start=JointState(("panda_joint1",), [0.2])))

@@ -253,7 +253,7 @@ def test_a_motion_that_was_put_during_the_proof_of_another_is_proven_beside_it()
             ],
         )
 
-    proofs, proven, left = [], node._contact, []
+    proofs, proven, left = [], node._in_passing, []
 
     def contact(others, new):
         proofs.append((new.joint_names[0].split("_")[0], len(others)))
@@ -263,7 +263,7 @@ def test_a_motion_that_was_put_during_the_proof_of_another_is_proven_beside_it()
             left[0] = node.play(swing("left"))  # from another thread, just now
         return found
 
-    node._contact = contact
+    node._in_passing = contact
     try:
         right = node.play(swing("right"))
         assert proofs == [("right", 0), ("left", 0), ("right", 1)]

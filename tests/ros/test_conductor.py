@@ -8,12 +8,13 @@ import time
 import numpy as np
 import pytest
 from tests.control.helpers import make
+from tests.control.ungated import playing
 
 from armcell.cell import load
-from armcell.control import playing
+from armcell.collision.motion_proof import Moving, first_conflict
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
-from armcell.ros.nodes.conductor import MAX_WORKS, Conductor, Work, remaining
-from armcell.ros.nodes.together import contact_together
+from armcell.ros.nodes.cell_node import SHIFT
+from armcell.ros.nodes.conductor import MAX_WORKS, Conductor, Work
 from armcell.scene import PlanningScene
 
 
@@ -212,14 +213,6 @@ def test_too_many_are_refused_and_closing_answers_everybody(driver):
         conductor.put(work(driver, "left"))
 
 
-def test_what_is_left_of_a_trajectory_is_the_same_motion(driver):
-    whole = swing(driver, "left")
-    rest = remaining(whole, 0.4)
-    for t in np.linspace(0.4, 1.0, 13):
-        assert np.allclose(rest.sample(t - 0.4)[0], whole.sample(t)[0], atol=1e-12)
-    assert remaining(whole, 0.0) is whole and remaining(whole, 2.0).duration == 0.0
-
-
 def test_motions_that_meet_are_told_from_those_that_do_not(driver, scene):
     """Two tips sent to one point: the arms stand opposite each other; coal's checker looks at the ends."""
     from armcell.collision import ExactChecker
@@ -239,5 +232,7 @@ def test_motions_that_meet_are_told_from_those_that_do_not(driver, scene):
         )
     both = scene.with_state(motions[0].end).with_state(motions[1].end)
     assert ExactChecker(both).contacts(both.positions, padded=False)
-    assert "touches" in contact_together(scene, motions[:1], motions[1])
-    assert not contact_together(scene, [swing(driver, "left", 0.1)], swing(driver, "right", 0.1))
+    beside = first_conflict(scene, Moving(motions[1]), [Moving(motions[0])], SHIFT)
+    assert beside is not None and beside.contact is not None
+    apart = [Moving(swing(driver, side, 0.1)) for side in ("left", "right")]
+    assert first_conflict(scene, apart[1], apart[:1], SHIFT) is None

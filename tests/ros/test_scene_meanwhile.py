@@ -115,7 +115,7 @@ def test_execute_trajectory_stops_before_what_comes_through_every_door(bus, serv
     )
     assert (state, code) == (State.ABORTED, CHANGED)
     said = [m.data for m in iter(lambda: status.get(0.2), None)]
-    assert any("'rod' has come across" in text for text in said), said
+    assert any("would touch rod" in text for text in said), said
     at = served.cell.scene().state["panda_joint1"]
     assert 0.01 < at < 1.0 and "rod" in served.cell.scene().objects
     assert move(bus, 1.9, velocity=0.5)[:2] == (State.SUCCEEDED, 1)  # around it

@@ -19,6 +19,7 @@ from tests.tasks.helpers import (
     with_cube,
 )
 
+from armcell.cell.values import with_values
 from armcell.core import SE3, Box, ErrorCode, InputError
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.tasks import Foresee, RecoverySettings
@@ -200,3 +201,26 @@ def test_a_stage_that_foresees_keeps_only_what_goes_on():
     assert draft is not None and draft.data["a"] == 3
     assert "seen" not in draft.data  # nothing of what was tried ahead is kept
     assert [reason for stage, _, reason in planning.rejections.details if stage == "later"]
+
+
+@pytest.mark.slow
+def test_a_place_that_ends_on_its_support_is_planned_again_from_there():
+    """A heavy cube slips on the way, comes to stand on the tray before the arm is where it should be, and the
+    motion fails: the next one begins in contact with the tray, 0.0 mm deep."""
+    cell_file = with_values(panda_pick(), {"objects.cube.mass": 3.0})
+    with cell_file.connect("sim", seed=0) as cell:
+        assert cell.arm.pick("cube").ok
+        assert cell.arm.hold(5.0).ok
+        ctx = cell.ctx
+
+        def be_lenient():
+            execution = replace(ctx.settings.execution, goal_tolerance=0.01)
+            ctx.settings = replace(ctx.settings, execution=execution)
+
+        ctx.observers.append(AtStage("lower", be_lenient, nth=2))
+        outcome = cell.arm.place("cube", on="tray")
+        assert outcome.ok, outcome.message
+        reports = [r for r in ctx.reports if r.name in ("move to pre-place", "lower")]
+        assert [r.ok for r in reports] == [True, False, True, True]
+        assert "from the goal" in reports[1].error
+        assert in_tray(cell) and cell.driver.unwanted_contacts() == []

@@ -18,8 +18,9 @@ from armcell.campaigns.spec import CampaignSpec, checked_cell, distributions
 from armcell.campaigns.statistics import success
 from armcell.campaigns.store import Store
 from armcell.campaigns.trial import Trial
-from armcell.cell import cell_names, content_hashes
+from armcell.cell import announce_code, cell_names, content_hashes
 from armcell.core import InputError
+from armcell.core.endpoints import Endpoint
 from armcell.planning import warm_up
 
 FEWEST = 20  # trials before an interval is looked at
@@ -38,7 +39,9 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
         )
     if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
         spec = replace(spec, cell=str(file.resolve()))  # its commands are to work in any folder
-    return Store.new(runs, spec, content_hashes(checked_cell(spec)))
+    cell = checked_cell(spec)
+    announce_code(cell)  # here: workers are silent
+    return Store.new(runs, spec, content_hashes(cell))
 
 
 def resume(folder: str | Path) -> Store:
@@ -48,26 +51,29 @@ def resume(folder: str | Path) -> Store:
         InputError: no campaign, or the cell is not what it was then.
     """
     store = Store.open(folder)
-    now = content_hashes(checked_cell(store.spec))
-    changed = changed_parts(store.hashes, now)
+    cell = checked_cell(store.spec)
+    changed = changed_parts(store.hashes, content_hashes(cell))
     if changed:
         store.close()
         raise InputError(
             f"since this campaign began, what changed is: {', '.join(changed)}", file=store.folder,
             cure="trials of two different cells do not make one table: begin a new campaign",
         )  # fmt: skip
+    announce_code(cell)
     return store
 
 
 def run(
-    store: Store, workers: int = 0, tell: Tell = lambda store, began: None, ray: str | None = None
-) -> str:
+    store: Store, workers: int = 0, tell: Tell = lambda store, began: None, ray: str | None = None,
+    listening: Callable[[Sequence[Endpoint]], None] = lambda endpoints: None,
+) -> str:  # fmt: skip
     """Run what is missing of a campaign.
 
     Args:
         workers: how many; 0: one per core.
         tell: called after every trial.
         ray: run on a Ray cluster: its HOST:PORT, or "auto"; see `cluster.RayWorkers`.
+        listening: called with the sockets that the cluster opens here, as they are seen.
     Returns:
         Why it stopped, in words.
     Raises:
@@ -80,12 +86,23 @@ def run(
     warm_up()  # compiled once, before every worker does
     began, count = time.monotonic(), 0
     with _workers(store, workers, ray) as found:
+        seen: set[Endpoint] = set()
+
+        def look() -> None:
+            new = [endpoint for endpoint in found.endpoints() if endpoint not in seen]
+            if new:
+                seen.update(new)
+                listening(new)
+
+        look()
         pool = Pool(spec, found)
         for first in range(0, spec.trials, ROUND if spec.sampling == "adaptive" else spec.trials):
             last = min(first + ROUND, spec.trials) if spec.sampling == "adaptive" else spec.trials
             for row in pool.run(_missing(store, first, last)):
                 store.append(row)
                 count += 1
+                if count <= found.size:  # each worker has a port of its own
+                    look()
                 tell(store, count)
                 if spec.max_seconds is not None and time.monotonic() - began > spec.max_seconds:
                     return f"{spec.max_seconds:g} s are over"

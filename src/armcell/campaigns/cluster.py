@@ -30,6 +30,7 @@ from armcell.campaigns.trial import Trial, run_trial
 from armcell.campaigns.worker import cell_of
 from armcell.cell import cell_names, content_hashes
 from armcell.core import InputError, MissingExtraError
+from armcell.core.endpoints import Endpoint, descendants, open_sockets
 from armcell.planning import warm_up
 
 OURS = "auto"  # the running cluster, else one of our own for this campaign
@@ -146,6 +147,11 @@ class RayWorkers(Workers[RayWorker]):
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """The sockets of this process, and of those that a cluster of our own has started."""
+        pids = [os.getpid()] if self._folder is None else descendants(os.getpid())
+        return tuple(replace(found, service="Ray") for found in sorted(open_sockets(pids)))
+
     def start(self) -> RayWorker:
         remote = self._ray.remote(_Actor).options(num_cpus=1, max_restarts=0, max_task_retries=0)
         worker = RayWorker(remote.remote(self.spec.as_dict(), self.hashes))
@@ -220,7 +226,7 @@ def find_cluster(address: str) -> str | None:
         raise InputError(f"RAY_ADDRESS is {named}, --ray is {address}", cure="unset RAY_ADDRESS")
     try:
         asked = subprocess.run(
-            [sys.executable, "-c", _ASK, address], capture_output=True, text=True, timeout=ANSWER_WITHIN
+            [sys.executable, "-P", "-c", _ASK, address], capture_output=True, text=True, timeout=ANSWER_WITHIN
         )
         found, about = json.loads(asked.stdout.strip().splitlines()[-1])
     except (subprocess.TimeoutExpired, ValueError, IndexError):

@@ -14,7 +14,7 @@ import json
 import os
 import secrets
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from armcell.cell.cell import LIBRARY
 from armcell.cell.versions import versions
 from armcell.core import InputError
 
-FORMAT = 1
+FORMAT = 2  # 1: did not say what was varied
 LEAST = 0.95
 """Share of success that the lower end of the exact 95 % interval has to reach."""
 KEY_VARIABLE = "ARMCELL_GATE_KEY"
@@ -40,15 +40,19 @@ def gate_file(cell: Cell) -> Path:
     return cell.file.with_name(f"{cell.file.stem}.gate.json")
 
 
-def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> dict[str, Any]:
+def issue(
+    cell: Cell, folder: str | Path, file: Path, least: float = LEAST, allow_unvaried: str | None = None
+) -> dict[str, Any]:
     """Write a gate record of a finished campaign, if it shows enough.
 
     Args:
         cell: that the record is for: the campaign's cell with its `values`.
         folder: of the campaign.
+        allow_unvaried: reason to accept a campaign whose trials are all the same; the record keeps it.
     Raises:
-        InputError: the campaign is of another cell, or shows too little; says what it shows.
+        InputError: the campaign is of another cell, shows too little, or varied nothing; says what it shows.
     """
+    check_reason(allow_unvaried)
     folder = Path(folder)
     spec, then = asked(folder)
     now = content_hashes(cell)
@@ -65,6 +69,9 @@ def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> d
             "interval promises too much",
             file=folder, cure=f"armcell gate {_name(cell)} --trials {max(len(rows), _fewest(least))}",
         )  # fmt: skip
+    names = varied(cell, rows)
+    if not names and allow_unvaried is None:
+        raise _unvaried(cell, f"{len(rows)} trials that differ in nothing but the planners' seed", folder)
     share = success(rows)
     low, high = share.clopper_pearson
     if share.total == 0 or low < least:
@@ -80,6 +87,7 @@ def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> d
         "hashes": now,
         "versions": versions(),
         "least": least,
+        "allow_unvaried": None if names else allow_unvaried,
         "campaign": {
             "folder": folder.name,
             "trials_sha256": hashlib.sha256((folder / TRIALS).read_bytes()).hexdigest(),
@@ -89,6 +97,7 @@ def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> d
             "unwanted_contacts": sum(row["unwanted_contacts"] for row in rows),
             "sampling": spec.sampling,
             "seed": spec.seed,
+            "varied": names,
             "parameters": {path: _plain(value) for path, value in spec.parameters.items()},
             "values": {path: _plain(value) for path, value in spec.values.items()},
         },
@@ -101,6 +110,57 @@ def issue(cell: Cell, folder: str | Path, file: Path, least: float = LEAST) -> d
             f"cannot be written: {error.strerror}", file=file, cure="choose another with -o"
         ) from None
     return signed
+
+
+def check_reason(allow_unvaried: str | None) -> None:
+    """
+    Raises:
+        InputError: a reason without words.
+    """
+    if allow_unvaried is not None and not allow_unvaried.strip():
+        raise InputError(
+            "--allow-unvaried needs a reason", cure='--allow-unvaried "the fixture holds every part in place"'
+        )
+
+
+def check_draws(cell: Cell) -> None:
+    """Say before a campaign runs that its trials would all be the same.
+
+    Raises:
+        InputError: the cell draws nothing.
+    """
+    ranges = [value for entry in cell.spec.randomize.values() for value in entry.model_dump().values()]
+    if cell.spec.drop is None and not any(value is not None and value[0] < value[1] for value in ranges):
+        raise _unvaried(cell, "trials that differ in nothing but the planners' seed", cell.file)
+
+
+def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What the trials of a campaign differ in: parameters and drawn values by path, "drop".
+
+    Noise of sensors is not counted: it leaves the task the same.
+    """
+    seen: dict[str, set[str]] = {}
+    for row in rows:
+        drawn = {
+            f"randomize.{name}.{key}": value
+            for name, values in row["randomized"].items()
+            for key, value in values.items()
+        }
+        for path, value in {**row["values"], **drawn}.items():
+            seen.setdefault(path, set()).add(json.dumps(value, sort_keys=True))
+    found = sorted(path for path, values in seen.items() if len(values) > 1)
+    if cell.spec.drop is not None and len({row["seed"] for row in rows}) > 1:
+        found.append("drop")
+    return found
+
+
+def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
+    return InputError(
+        f"a campaign that varies nothing shows one case only: {what}", file=file,
+        cure="say under 'randomize' in the cell file what may vary; or armcell campaign "
+        f"{_name(cell)} --vary PATH=LOW,HIGH and then armcell gate {_name(cell)} --campaign FOLDER; or "
+        "--allow-unvaried REASON, which the record keeps",
+    )  # fmt: skip
 
 
 def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
@@ -118,12 +178,8 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
     try:
         record = json.loads(place.read_text(encoding="utf-8"))
         signature = record.pop("signature")
-        form, then, least, low = (
-            record["format"],
-            record["hashes"],
-            record["least"],
-            record["campaign"]["interval"][0],
-        )
+        form, then, least = record["format"], record["hashes"], record["least"]
+        low = record["campaign"]["interval"][0]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise InputError(f"is no gate record ({type(error).__name__})", file=place, cure=cure) from None
     if form != FORMAT:

@@ -15,6 +15,7 @@ from armcell import _interrupts
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, failed
 from armcell.core import InputError
+from armcell.core.endpoints import Endpoint
 
 TRIES = 3  # of a trial whose worker dies
 LIVES = 2000  # trials until a worker is replaced by a fresh one: whatever a library leaks ends with it
@@ -66,6 +67,10 @@ class Workers(ABC, Generic[W]):
     @abstractmethod
     def start(self) -> W:
         """One more."""
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """What the workers and what runs them listen on, now."""
+        return ()
 
     @abstractmethod
     def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:

@@ -26,7 +26,7 @@ class ProcessWorker(Worker):
         super().__init__()
         with unsignaled():
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "armcell.campaigns.worker"],
+                [sys.executable, "-P", "-m", "armcell.campaigns.worker"],  # -P: no modules of the folder
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
             )  # fmt: skip
         self.rest = b""

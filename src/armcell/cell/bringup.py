@@ -18,8 +18,8 @@ import numpy as np
 from armcell import _interrupts
 from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
+from armcell.cell.live import LiveCell
 from armcell.control import execute
-from armcell.control.drivers.ur import UrDriver
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.drivers.ur.identity import Identity, check_identity, check_ready, check_swapped, identify
 from armcell.control.drivers.ur.network import measure_network
@@ -28,7 +28,6 @@ from armcell.control.ur_wire.kinematics import frames_of
 from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
 from armcell.kinematics import kinematic_tree
 from armcell.planning import plan, plan_cartesian
-from armcell.scene import PlanningScene
 
 SMALL = np.deg2rad(3.0)  # of the single joint motions
 SLOW = 0.05  # velocity and acceleration scaling
@@ -89,24 +88,22 @@ class BringUp:
             return False
         try:
             with self.cell.connect("real", watch=False) as live:
-                driver = live.driver
-                assert isinstance(driver, UrDriver)
                 steps = []
                 for name in arms:
                     text = (
                         f"turns each joint by +{np.rad2deg(SMALL):.0f} degrees and back, at {SLOW:.0%} speed"
                     )
                     steps.append(("joints", name, f"{text}. Hand on the emergency stop",
-                                  lambda name=name: self._joints(driver, live.scene, name)))  # fmt: skip
+                                  lambda name=name: self._joints(live, name)))  # fmt: skip
                 for name in arms:
                     others = [n for n in arms if n != name]
                     still = f" while {', '.join(others)} stands still" if others else ""
                     steps.append(("line", name, f"moves the tool {LINE * 100:.0f} cm and back{still}, "
                                   "slowly, and compares with the preview",
-                                  lambda name=name: self._line(driver, live.scene, name)))  # fmt: skip
+                                  lambda name=name: self._line(live, name)))  # fmt: skip
                 if len(arms) > 1:
                     steps.append(("together", "all", "moves all arms at the same time, slowly",
-                                  lambda: self._together(driver, live.scene)))  # fmt: skip
+                                  lambda: self._together(live)))  # fmt: skip
                 return self._all(steps)
         except ArmcellError as error:
             self._note("connect", "all", "failed", str(error))
@@ -233,28 +230,28 @@ class BringUp:
         finally:
             client.close()
 
-    def _joints(self, driver: UrDriver, scene: Callable[[], PlanningScene], name: str) -> str:
+    def _joints(self, live: LiveCell, name: str) -> str:
         names = self.cell.model.group(name).joint_names
         moved = []
         for i, joint in enumerate(names):
-            start = driver.joint_state().reindexed(names).positions
+            start = live.driver.joint_state().reindexed(names).positions
             sign = 1.0
             target = start.copy()
             target[i] += sign * SMALL
-            self._go(driver, scene(), name, target)
-            seen = driver.joint_state().reindexed(names).positions - start
+            self._go(live, name, target)
+            seen = live.driver.joint_state().reindexed(names).positions - start
             if abs(seen[i] - SMALL) > 0.2 * SMALL or np.abs(np.delete(seen, i)).max() > 0.1 * SMALL:
                 raise InputError(f"{joint}: {np.rad2deg(seen).round(2).tolist()} degrees were measured")
             moved.append(f"{joint} {np.rad2deg(seen[i]):+.2f}")
-            self._go(driver, scene(), name, start)
+            self._go(live, name, start)
         return ", ".join(moved) + " degrees. Did each turn the way the viewer shows?"
 
-    def _line(self, driver: UrDriver, scene: Callable[[], PlanningScene], name: str) -> str:
+    def _line(self, live: LiveCell, name: str) -> str:
         model = self.cell.model
         names, tip = model.group(name).joint_names, model.group(name).tip_link
         assert tip is not None
-        now = scene()
-        start = driver.joint_state().reindexed(names).positions
+        now = live.scene()
+        start = live.driver.joint_state().reindexed(names).positions
         pose = now.frame_pose(tip)
         reasons = []
         for shift in ((0, 0, LINE), (0, 0, -LINE), (0, LINE, 0), (0, -LINE, 0), (-LINE, 0, 0), (LINE, 0, 0)):
@@ -274,39 +271,41 @@ class BringUp:
 
         def look(_: float) -> None:
             nonlocal worst
-            here = scene().frame_pose(tip).translation
+            here = live.scene().frame_pose(tip).translation
             along = (here - pose.translation) @ np.array(shift) / LINE**2
             nearest = pose.translation + np.clip(along, 0, 1) * np.array(shift)
             worst = max(worst, float(np.linalg.norm(here - nearest)))
 
-        done = execute(driver, trajectory, progress=look)
+        done = execute(live.driver, live.ctx.gate.motion(trajectory), progress=look)
         if not done.ok:
             raise InputError(f"line: {done.message}")
         if worst > LINE_TOLERANCE:
             raise InputError(f"the tool was {worst * 1000:.1f} mm off the previewed line")
-        self._go(driver, scene(), name, start)
+        self._go(live, name, start)
         return (
             f"at most {worst * 1000:.2f} mm off the previewed line, {done.max_tracking_error:.4f} rad behind"
         )
 
-    def _together(self, driver: UrDriver, scene: Callable[[], PlanningScene]) -> str:
+    def _together(self, live: LiveCell) -> str:
         arms = list(self.settings.arms)
         names = [n for arm in arms for n in self.cell.model.group(arm).joint_names]
         groups = [g.name for g in self.cell.model.groups.values() if set(g.joint_names) == set(names)]
         if not groups:
             return "the model has no group of all arms: skipped"
-        start = driver.joint_state().reindexed(names).positions
+        start = live.driver.joint_state().reindexed(names).positions
         target = start + np.tile([0, 0, 0, 0, 0, SMALL], len(arms))
         for goal in (target, start):
-            self._go(driver, scene(), groups[0], goal, names)
+            self._go(live, groups[0], goal, names)
         return "all arms moved and came back"
 
-    def _go(self, driver: UrDriver, scene: PlanningScene, group: str, q: np.ndarray, names=None) -> None:
+    def _go(self, live: LiveCell, group: str, q: np.ndarray, names=None) -> None:
         names = tuple(names or self.cell.model.group(group).joint_names)
         goal = JointGoal(JointState(names, q))
-        result = plan(scene, PlanRequest(group, (goal,), velocity_scaling=SLOW, acceleration_scaling=SLOW))
+        result = plan(
+            live.scene(), PlanRequest(group, (goal,), velocity_scaling=SLOW, acceleration_scaling=SLOW)
+        )
         if not result.ok or result.trajectory is None:
             raise InputError(f"no plan: {result.message}", cure="is the scene as the cell file says?")
-        done = execute(driver, result.trajectory)
+        done = execute(live.driver, live.ctx.gate.motion(result.trajectory))
         if not done.ok:
             raise InputError(f"motion failed: {done.message}")

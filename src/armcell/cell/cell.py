@@ -42,9 +42,11 @@ def cell_names() -> list[str]:
     return sorted(p.parent.name for p in LIBRARY.glob(f"*/{CELL_FILE}"))
 
 
-def load(cell: str | Path) -> Cell:
+def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
     """A cell by built-in name, folder with cell.yaml, or YAML file.
 
+    Args:
+        allow_env: let the robot's xacro files read environment variables, see `load_robot`.
     Raises:
         InputError: with file, element, reason and cure.
     """
@@ -55,15 +57,22 @@ def load(cell: str | Path) -> Cell:
         file = path / CELL_FILE if os.path.isdir(path) else path
         if not os.path.exists(file) and isinstance(cell, str) and "/" not in cell and "." not in cell:
             raise UnknownNameError("cell", cell, cell_names())
-    name = file.parent.name if file.name == CELL_FILE else file.stem
-    return Cell(name, file, validated(read_yaml(file), file))
+    name = file.resolve().parent.name if file.name == CELL_FILE else file.stem
+    return Cell(name, file, validated(read_yaml(file), file), allow_env=allow_env)
 
 
 class Cell:
     """A loaded cell. Immutable; a seed chooses one draw of what it randomises."""
 
-    def __init__(self, name: str, file: Path, spec: CellSpec, model: RobotModel | None = None):
-        self.name, self.file, self.spec = name, file, spec
+    def __init__(
+        self,
+        name: str,
+        file: Path,
+        spec: CellSpec,
+        model: RobotModel | None = None,
+        allow_env: bool | None = None,
+    ):
+        self.name, self.file, self.spec, self.allow_env = name, file, spec, allow_env
         self.model: RobotModel = model or self._robot()
         self.settings: TaskSettings = self._settings(TaskSettings, spec.settings, "settings")
         self.physics: PhysicsSettings = self._settings(PhysicsSettings, spec.physics, "physics")
@@ -79,7 +88,7 @@ class Cell:
     def _robot(self) -> RobotModel:
         spec = self.spec.robot
         try:
-            model = load_robot(spec.model, self.file.parent)
+            model = load_robot(spec.model, self.file.parent, self.allow_env)
             if spec.pose is None:
                 return model
             return compose(model.name, [Part(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))])

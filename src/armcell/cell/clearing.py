@@ -44,7 +44,7 @@ def clear_with(
     def look(camera: LiveCamera) -> CameraImage:
         if not camera.frozen:
             ctx.advance(1.0 / camera.camera.rate)  # the next picture, of the arm as it stands
-        return camera.image(rgb=False)
+        return camera.take(ctx.advance, rgb=False)
 
     outcome = clear_bin(
         ctx, gripper, bin, tray, table, lambda: look(eye), lambda: look(eye_on_tray), settings

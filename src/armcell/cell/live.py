@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 
@@ -9,9 +10,21 @@ from armcell import _interrupts
 from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
-from armcell.control import Driver
-from armcell.core import SE3, InputError, JointGoal, Observer, Outcome, UnknownNameError
+from armcell.control import Driver, Follower
+from armcell.core import (
+    SE3,
+    ArmcellError,
+    ErrorCode,
+    InputError,
+    JointGoal,
+    JointTrajectory,
+    Observer,
+    Outcome,
+    PlanResult,
+    UnknownNameError,
+)
 from armcell.core.pauses import no_long_pauses
+from armcell.core.protocols import offers
 from armcell.perception import LookSettings, MapSettings, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
@@ -49,6 +62,7 @@ from armcell.tasks.arms import (
 )
 from armcell.tasks.clearing import ClearSettings
 from armcell.tasks.sorting import Kind
+from armcell.tasks.steps import Motion, perform_all
 
 
 class Arm:
@@ -98,6 +112,24 @@ class Arm:
     def move_to(self, target: Target) -> Outcome:
         """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
+
+    def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
+        """Play a planned motion of this arm: what `plan` returned, or a trajectory.
+
+        The motion gate proves it against the world as it is now; a motion that would touch something is not
+        started, and the outcome names the pair, the place and the time.
+
+        Raises:
+            InputError: there is no motion in it, or it moves joints of other arms.
+        """
+        planner = motion.planner_id if isinstance(motion, PlanResult) else ""
+        trajectory = motion.trajectory if isinstance(motion, PlanResult) else motion
+        if trajectory is None:
+            raise InputError("there is no trajectory to execute", cure="execute only what was planned")
+        mine = self._ctx.base.model.group(self.group).joint_names
+        if other := [n for n in trajectory.joint_names if n not in mine]:
+            raise InputError(f"joint {other[0]!r} is not one of {self.group!r}", cure=f"{list(mine)}")
+        return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
         """Grasp an object that moves at a steady speed, as on a belt, and lift it."""
@@ -178,6 +210,8 @@ class LiveCell:
 
     def __enter__(self) -> LiveCell:
         with ExitStack() as opening:
+            for camera in self.cameras.values():
+                opening.callback(camera.renderer.close)
             if not self.driver.is_simulated:  # what takes long comes before real arms wait
                 for group in self.arms:
                     prepare(self.scene_at_start, group)  # compiled code to load
@@ -294,9 +328,26 @@ class LiveCell:
         """Stop the running motion, from any thread. Until `resume()` every call is PREEMPTED."""
         self.ctx.cancel.set()
 
-    def resume(self) -> None:
-        """Let the cell move again after `stop()`."""
-        self.ctx.cancel.clear()
+    def resume(self) -> Outcome:
+        """Make the cell ready to move again: after `stop()`, a protective stop, a lost link. From any thread.
+
+        Real arms whose link was lost are connected again. Nothing moves; old goals are forgotten. Where
+        nothing has stopped the cell nothing happens, also while it moves.
+
+        Returns:
+            SUCCESS: the cell is ready. Else it stays stopped: the message names the arm, what is wrong and
+            what to do before the next `resume()`.
+        """
+        try:
+            self.driver.resume()
+        except ArmcellError as error:
+            fault = self.driver.fault() if offers(self.driver, Follower) else None
+            return Outcome(ErrorCode.CONTROL_FAILED if fault is None else fault.code, str(error))
+        if (
+            self.ctx.cancel.is_set()
+        ):  # what runs keeps the one that was set: no resume is too early for a stop
+            self.ctx.cancel = threading.Event()
+        return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
         """The planning scene as measured now, from any thread."""

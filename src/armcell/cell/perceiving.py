@@ -143,7 +143,7 @@ def look_with(
     wanted = tuple(o for n, o in known.items() if n not in scene.attached)
     report = StageReport(f"look with {camera.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
-    sight = look(camera.image(), scene, wanted, settings, ctx.driver.now)
+    sight = look(camera.take(ctx.advance), scene, wanted, settings, ctx.driver.now)
     report.ok = not sight.missing and sight.plane is not None  # without a plane nothing was looked at
     report.error = "" if report.ok else sight.message
     report.planning_time_s = sight.cpu_time

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.cell.live import LiveCell
-from armcell.core import Event, JointTrajectory, StateSample
+from armcell.core import CameraImage, Event, JointTrajectory, StateSample
 from armcell.scene import PlanningScene, extent
 from armcell.sim import Camera, render_rgb
 
@@ -33,7 +33,8 @@ def overview(scene: PlanningScene) -> Camera:
 
 class Pictures:
     """An observer of a run in physics. It looks through the cell's first camera that stands still; without
-    one, from the side in front.
+    one, from the side in front. Where the driver keeps to the wall's clock, its pictures come when they are
+    drawn, in another thread (`CellRenderer`).
 
     Args:
         take: gets time [s], what it shows in words, and the picture (h, w, 3).
@@ -44,6 +45,8 @@ class Pictures:
         self._driver: Any = live.driver  # one that has a world once it is connected
         self._scene, self._take, self._stages = live.scene_at_start, take, stages
         self._touched = self._broken = False
+        self._renderer = next((c.renderer for c in live.cameras.values()), None)
+        self._number = 0
 
     @cached_property
     def _camera(self) -> Camera:
@@ -62,6 +65,11 @@ class Pictures:
     def _try(self, event: Event) -> None:
         if self._broken:
             return
+        if self._driver.is_paced and self._renderer is not None:
+            self._number += 1
+            key = "key moment", self._number
+            self._renderer.ask(key, self._camera, partial(self._give, event), depth=False, keep=True)
+            return
         try:
             picture = self.now()
         except Exception as error:  # graphics are the machine's matter: the run goes on without
@@ -69,6 +77,10 @@ class Pictures:
             logger.warning("no more pictures of this run: %s", error)
         else:
             self._take(event.time, event.text, picture)
+
+    def _give(self, event: Event, image: CameraImage) -> None:
+        if image.rgb is not None:
+            self._take(event.time, event.text, image.rgb)
 
     def on_state(self, sample: StateSample) -> None:
         pass

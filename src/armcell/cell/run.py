@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -112,7 +112,8 @@ def result_of(
     ]
     reports = [r.as_dict() for r in live.ctx.reports]
     failed_at = _failed_at(outcome, reports, unwanted)
-    outcome = _judged(outcome, errors, unwanted)
+    lost = [{"object": name, "how": how} for name, how in live.ctx.lost.items()]
+    outcome = _judged(outcome, errors, unwanted, lost)
     clearances = [r["clearance_m"] for r in reports if r["clearance_m"] is not None]
     slips = [r["slip_m"] for r in reports if r["slip_m"] is not None]
     held = [r["slip_m"] for r in reports if r["slip_m"] is not None and r["name"] == "hold"]
@@ -131,6 +132,7 @@ def result_of(
         "max_stage_slip_m": max(slips) if slips else None,
         "placement_error_m": max(errors) if errors else None,
         "unwanted_contacts": unwanted,
+        "lost": lost,
         "min_clearance_m": min(clearances) if clearances else None,
         "welds": [
             {
@@ -147,6 +149,18 @@ def result_of(
         "wall_time_s": wall,
         "versions": versions(),
     }
+
+
+def contact_in_words(contact: Mapping[str, Any]) -> str:
+    """An unwanted contact of a run's result in one line."""
+    pair, time = f"{contact['body_a']} touched {contact['body_b']}", contact["time_s"]
+    return f"{pair} at {time:.2f} s, {contact['depth_m'] * 1000:.1f} mm deep"
+
+
+def complaints(result: Mapping[str, Any]) -> list[str]:
+    """What makes a run fail whatever its task or script returned: unwanted contacts and lost objects."""
+    contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result["unwanted_contacts"]]
+    return contacts + [f"lost object: {row['how']}" for row in result["lost"]]
 
 
 def _failed_at(
@@ -168,14 +182,16 @@ def _failed_at(
     }
 
 
-def _judged(outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]]) -> Outcome:
-    """A task that touched something it should not, or put the object elsewhere, did not succeed."""
+def _judged(
+    outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]]
+) -> Outcome:
+    """A run with an unwanted contact, a lost object or a misplaced one did not succeed."""
     if not outcome.ok:
         return outcome
     if unwanted:
-        first = unwanted[0]
-        text = f"{first['body_a']} touched {first['body_b']} at {first['time_s']:.2f} s"
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return Outcome(ErrorCode.CONTROL_FAILED, contact_in_words(unwanted[0]))
+    if lost:
+        return Outcome(ErrorCode.CONTROL_FAILED, lost[0]["how"])
     if errors and max(errors) > PLACEMENT_TOLERANCE:
         return Outcome(
             ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should"

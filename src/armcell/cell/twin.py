@@ -131,7 +131,7 @@ def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[
     result = plan(scene, PlanRequest(group, (goal,), velocity_scaling=speed, acceleration_scaling=speed))
     if not result.ok or result.trajectory is None:
         raise _NotFree(result.message)
-    done = execute(live.driver, result.trajectory)
+    done = execute(live.driver, live.ctx.gate.motion(result.trajectory))
     if not done.ok and done.evidence.get("twin"):
         raise _NotFree(done.message)
     if not done.ok:

@@ -49,7 +49,7 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
         _no_longer_drawn(data, path, value)
     spec = validated(data, cell.file)
     same = spec.robot == cell.spec.robot  # then what was worked out for the model is used again
-    return Cell(cell.name, cell.file, spec, cell.model if same else None)
+    return Cell(cell.name, cell.file, spec, cell.model if same else None, cell.allow_env)
 
 
 def parsed(setting: str) -> tuple[str, Any]:

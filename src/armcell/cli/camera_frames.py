@@ -10,9 +10,7 @@ from armcell.core import Event, InputError, JointTrajectory, StateSample, Unknow
 RATE = 5.0  # [Hz] of the cell's clock
 
 
-def camera_frames(
-    wanted: Sequence[str], cell: Any, mode: str, driver: Any, recorder: Any
-) -> list[CameraFrames]:
+def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) -> list[CameraFrames]:
     """Observers for what the command line asks for.
 
     Raises:
@@ -21,7 +19,7 @@ def camera_frames(
     """
     if recorder is None or mode != "sim":
         raise InputError("--frames needs physics and a record", cure="mode sim, and no --headless")
-    known = {camera.name: camera for camera in cell.cameras}
+    known = live.cameras
     found = []
     for each in wanted:
         name, _, rate = each.partition("=")
@@ -35,12 +33,12 @@ def camera_frames(
             raise InputError(
                 f"--frames {each}: {rate!r} is no rate", cure="a number of Hz up to 100: overview=10"
             )
-        found.append(CameraFrames(driver, known[name], hertz, recorder))
+        found.append(CameraFrames(live.driver, known[name], hertz, recorder))
     return found
 
 
 class CameraFrames:
-    """Takes a picture at a rate [Hz] of the cell's clock."""
+    """Takes a picture of a `LiveCamera` at a rate [Hz] of the cell's clock."""
 
     def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
         self._driver, self._camera, self._period, self._recorder = driver, camera, 1.0 / rate, recorder
@@ -49,11 +47,14 @@ class CameraFrames:
     def on_state(self, sample: StateSample) -> None:
         if sample.time < self._due - 1e-9:
             return
-        from armcell.sim import render_rgb
-
         self._due = sample.time + self._period
-        picture = render_rgb(self._driver.world, self._camera)
-        self._recorder.add_frame(sample.time, self._camera.name, picture)
+        if self._driver.is_paced:  # no step waits for a picture
+            self._camera.ask("frames", self._keep, depth=False)
+        else:
+            self._keep(self._camera.draw(depth=False))
+
+    def _keep(self, image: Any) -> None:
+        self._recorder.add_frame(image.time, image.camera, image.rgb)
 
     def on_event(self, event: Event) -> None:
         pass

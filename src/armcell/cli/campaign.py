@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from armcell import _interrupts
 from armcell.cli.console import check_writable, console, errors, write_json
+from armcell.cli.listening import tell_listening
 from armcell.core import InputError
 
 EXAMPLES = """
@@ -177,7 +178,7 @@ def _run(store: Any, workers: int, ray: str | None) -> str:
                 share=f"{found.value:.1%} succeed ({low:.1%} to {high:.1%})" if found.total else "",
             )  # fmt: skip
 
-        return campaigns.run(store, workers, tell, ray)
+        return campaigns.run(store, workers, tell, ray, tell_listening)
 
 
 def _take_pictures(store: Any) -> None:

@@ -102,7 +102,11 @@ def _version(name: str) -> str | None:
 
 def cache() -> Iterator[Line]:
     root, folder = _cache.cache_root(), Path(os.environ["NUMBA_CACHE_DIR"])
-    if _cache.writable(root):
+    chosen = _cache.chosen_root()
+    if (reason := _cache.doubt(chosen)) is not None:
+        cure = "let only your user write there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder"
+        yield Line(NO, "cache folder", f"{chosen} is not used, because {reason}: {cure}")
+    elif _cache.writable(root):
         size = sum(f.stat().st_size for f in root.rglob("*") if f.is_file())
         yield Line(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
     else:

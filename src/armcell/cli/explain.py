@@ -11,6 +11,7 @@ from rich.table import Table
 
 from armcell.cli import goals
 from armcell.cli.console import console
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt
 from armcell.core import Explanation
 
 
@@ -33,7 +34,9 @@ def explain(
     view: bool = typer.Option(
         False, "--view", help="Show what touches in red and the nearest goal that works as a ghost."
     ),
-    port: int = goals.PORT,
+    host: str = HOST,
+    port: int = PORT,
+    allow_host: list[str] = ALLOW_HOST,
 ) -> int:
     """Say whether a motion, a pose or a grasp is possible; if not, why, and what would help.
 
@@ -62,7 +65,7 @@ def explain(
     if view:
         from armcell.cli.viewing import show
 
-        show(scene, None, explanation, port, loaded.name)
+        show(scene, None, explanation, PageAt(host, port, allow_host), loaded.name)
     return 0 if explanation.code.ok else 1
 
 

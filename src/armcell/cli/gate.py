@@ -36,12 +36,18 @@ def gate(
         None, "-o", "--output", metavar="FILE", help="The record. [default: <cell>.gate.json beside the cell]"
     ),
     runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
+    allow_unvaried: str | None = typer.Option(
+        None,
+        metavar="REASON",
+        help="Accept a campaign whose trials are all the same; the record keeps the reason, and runs with "
+        "real arms print it.",
+    ),
 ) -> int:
     """Issue the signed record that `armcell run --mode real` asks for.
 
     A campaign must show, at the lower end of the exact 95 % interval, that the task succeeds in at least 95 %
-    of trials in physics. The record is of this cell, task, settings and versions; whatever changes makes it
-    invalid.
+    of trials in physics, and must have varied something: 'randomize' or 'drop' of the cell, or parameters.
+    The record is of this cell, task, settings and versions; whatever changes makes it invalid.
     Exit status 0 if it was issued, 1 if the campaign shows too little.
     """
     from armcell import campaigns
@@ -56,18 +62,25 @@ def gate(
     loaded = with_values(load(cell), values)
     target = file or gates.gate_file(loaded)
     check_writable(target)
+    gates.check_reason(allow_unvaried)
     if campaign is None:
+        if allow_unvaried is None:
+            gates.check_draws(loaded)  # before the minutes that a campaign takes
         spec = campaigns.CampaignSpec(cell, values=values, trials=trials, seed=seed)
         store = campaigns.begin(spec, runs)
         run_campaign(store, workers)
         campaign = store.folder
-    record = gates.issue(loaded, campaign, target)
+    record = gates.issue(loaded, campaign, target, allow_unvaried=allow_unvaried)
     shown = record["campaign"]
     console.print(
         f"{shown['succeeded']} of {shown['trials']} succeeded: at least {shown['interval'][0]:.1%} "
         f"(exact 95 % interval), {shown['unwanted_contacts']} unwanted contacts"
     )
-    if not (shown["parameters"] or loaded.spec.randomize):
-        console.print("nothing was varied but the planners' seed: 'randomize' or --campaign say what may be")
+    if record["allow_unvaried"] is not None:
+        console.print(
+            f"nothing was varied; allowed: {record['allow_unvaried']}", markup=False, soft_wrap=True
+        )
+    else:
+        console.print(f"varied: {', '.join(shown['varied'])}", markup=False, soft_wrap=True)
     console.print(f"gate record: {target}", soft_wrap=True)
     return 0

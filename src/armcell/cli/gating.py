@@ -5,8 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from armcell.cli.console import err, errors
 from armcell.core import InputError
+
+WITHOUT_GATE = typer.Option(
+    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
+)
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
@@ -32,6 +38,8 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
         err(f"without a gate record: {without}")
         return {"gate": {"overridden": True, "reason": without, "else": why}}
     record = gate.check(cell, file)
+    if record["allow_unvaried"] is not None:
+        err(f"the gate record is of a campaign that varied nothing: {record['allow_unvaried']}")
     return {"gate": {"overridden": False, **record}}
 
 
@@ -59,9 +67,11 @@ def gate_words(passed: dict[str, Any]) -> str:
     if found["overridden"]:
         return f"gate overridden: {found['reason']}"
     shown = found["campaign"]
+    unvaried = found.get("allow_unvaried")  # not in records of older runs
+    note = "" if unvaried is None else f"; the campaign varied nothing: {unvaried}"
     return (
         f"gate passed: {shown['succeeded']} of {shown['trials']} in simulation, "
-        f"at least {shown['interval'][0]:.1%}; {found['file']}"
+        f"at least {shown['interval'][0]:.1%}; {found['file']}{note}"
     )
 
 

@@ -51,7 +51,6 @@ PLANNER = typer.Option(
 TIME = typer.Option(5.0, "--time", metavar="SECONDS", help="Planning time.")
 JSON = typer.Option(None, "--json", metavar="FILE", help="Write the numbers as JSON.")
 VIEW = typer.Option(False, "--view", help="Show it in the browser; Enter ends it.")
-PORT = typer.Option(8080, min=1, max=65535, help="Port of --view.")
 Triple = tuple[float, float, float]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 NEEDED = (
     "coal", "example-robot-data", "lxml", "matplotlib", "mcap", "mujoco", "networkx", "numba", "numpy",
     "ompl", "pillow", "pycollada", "pydantic", "pyyaml", "rich", "rosbags", "ruckig", "scipy", "trimesh",
-    "typer", "viser", "xacrodoc",
+    "typer", "viser",
 )  # fmt: skip
 EXTRAS = {
     "vision": ("opencv-python-headless",),

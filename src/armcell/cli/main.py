@@ -119,7 +119,18 @@ app.add_typer(bench.app, name="bench", rich_help_panel=MEASURE)
 
 
 @app.callback(invoke_without_command=True)
-def _root(version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
+def _root(
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+    allow_env: bool = typer.Option(
+        False,
+        "--allow-env",
+        help="Let xacro files read environment variables, $(env NAME); only for files that you trust.",
+    ),
+) -> None:
+    if allow_env:
+        from armcell.model.xacro import ALLOW_ENV
+
+        os.environ[ALLOW_ENV] = "1"  # the processes that a command starts read it, too
     if version:
         typer.echo(f"armcell {__version__}")
         raise typer.Exit()

@@ -1,20 +1,53 @@
-"""A page that a command serves until Ctrl-C."""
+"""Pages that commands serve: their options, and the lines that say where they are."""
 
 from __future__ import annotations
 
-from typing import NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
+
+import typer
 
 from armcell import _interrupts
 from armcell.cli.console import console
+from armcell.cli.listening import tell_listening
+
+if TYPE_CHECKING:
+    from armcell.viewer.server import PageServer
+
+HOST = typer.Option(
+    "127.0.0.1", "--host", metavar="ADDRESS",
+    help="Address that the page listens on; 0.0.0.0 lets the network in, which needs the URL's token, too.",
+)  # fmt: skip
+PORT = typer.Option(
+    8080, min=0, max=65535, help="Port of the page, the next free one if it is taken; 0: any free one."
+)
+ALLOW_HOST = typer.Option(
+    [], "--allow-host", metavar="NAME",
+    help="Further host name under which browsers may ask for the page, as behind a proxy; may be repeated.",
+)  # fmt: skip
+OPEN = typer.Option(False, "--open", help="Open the page in the browser.")
 
 
-def serve_page(url: str, open_browser: bool) -> NoReturn:
-    """Say where the page is, open it where that is asked for, and wait."""
-    console.print(f"view: {url}")
+class PageAt(NamedTuple):
+    """Where a page is served: the arguments of the same names that every page takes."""
+
+    host: str
+    port: int
+    names: list[str]
+
+
+def tell_page(page: PageServer) -> None:
+    """Print the page's URL with its token, and where it listens."""
+    console.print(f"view: {page.url}", markup=False, soft_wrap=True)
+    tell_listening(page.endpoints)
+
+
+def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
+    """Say where the page is, open it where that is asked for, and wait for Ctrl-C."""
+    tell_page(page)
     console.print("press Ctrl-C to end")
     if open_browser:
         import webbrowser
 
-        webbrowser.open(url)
+        webbrowser.open(page.url)
     while True:
         _interrupts.sleep(3600)

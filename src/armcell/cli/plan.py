@@ -7,6 +7,7 @@ from typing import Any
 
 from armcell.cli import goals
 from armcell.cli.console import console, millimetres
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt
 
 
 def plan(
@@ -25,7 +26,9 @@ def plan(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
     view: bool = goals.VIEW,
-    port: int = goals.PORT,
+    host: str = HOST,
+    port: int = PORT,
+    allow_host: list[str] = ALLOW_HOST,
 ) -> int:
     """Plan a motion of a cell's arm and print its numbers; on failure the reason and what would help.
 
@@ -65,7 +68,8 @@ def plan(
     if view:
         from armcell.cli.viewing import show
 
-        show(scene, result.trajectory if result.ok else None, explanation, port, loaded.name)
+        at = PageAt(host, port, allow_host)
+        show(scene, result.trajectory if result.ok else None, explanation, at, loaded.name)
     return 0 if result.ok else 1
 
 

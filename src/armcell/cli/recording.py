@@ -10,11 +10,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from armcell.cli.camera_frames import camera_frames
 from armcell.cli.console import err
 from armcell.cli.gating import gate_words, tell_unwatched
 from armcell.cli.results import keep_result
 from armcell.core import ArmcellError, ErrorCode, Event, InputError, Observer, Outcome
+
+RECORD = typer.Option(
+    None, "--record/--no-record", show_default=False,
+    help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
+)  # fmt: skip
+RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]")
+
+
+def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:
+    """The folder of run folders that the options ask for; None for no record."""
+    wanted = (mode == "real" or runs is not None) if record is None else record
+    return (runs or Path("runs")) if wanted else None
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,7 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
     if recorder is not None and mode == "sim" and cell.cameras:
         live.ctx.observers.append(Pictures(live, recorder.add_picture))
     if kept.frames:
-        live.ctx.observers += camera_frames(kept.frames, cell, mode, live.driver, recorder)
+        live.ctx.observers += camera_frames(kept.frames, live, mode, recorder)
 
 
 def in_words(error: BaseException | None) -> str:
@@ -65,7 +79,7 @@ def in_words(error: BaseException | None) -> str:
 
 
 class LedRun:
-    """The record of a run that another program leads: a script, or those that join a served cell.
+    """The record of a run that others lead: a script, those that join a served cell, or a page's user.
 
     Numbers and report are written at the end of its `with` block, where `end` was called; the record ends
     there anyway.

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from armcell.cli.console import check_writable, console, err, write_json
-from armcell.cli.page import serve_page
+from armcell.cli.page import ALLOW_HOST, HOST, OPEN, PORT, serve_page
 from armcell.cli.results import keep_result
 
 REPLAY_EXAMPLES = """
@@ -37,8 +37,10 @@ def replay(
         Path("runs"), metavar="FOLDER", help="Where --execute puts the new run's folder."
     ),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="With --execute: as JSON."),
-    port: int = typer.Option(8080, min=1, max=65535, help="Port of the view; the next free one if taken."),
-    open_browser: bool = typer.Option(False, "--open", help="Open the page in the browser."),
+    host: str = HOST,
+    port: int = PORT,
+    allow_host: list[str] = ALLOW_HOST,
+    open_browser: bool = OPEN,
 ) -> int:
     """Show a recorded run in the browser with a time slider, or run it again and compare bit for bit.
 
@@ -65,8 +67,8 @@ def replay(
             cure="it still opens in Foxglove (app.foxglove.dev)",
         )
     scene = cell_of(record.about).scene(record.about["seed"])
-    with ReplayView(record, scene, port=port) as view:
-        serve_page(view.url, open_browser)
+    with ReplayView(record, scene, host, port, allow_host) as view:
+        serve_page(view.viewer.page, open_browser)
 
 
 def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ import typer
 
 from armcell.cli.console import err
 from armcell.core import InputError
+from armcell.core.endpoints import Endpoint
 
 ROS1 = typer.Option(
     False, "--ros1", help="Join the ROS 1 graph at ROS_MASTER_URI; start a master where there is none."
@@ -29,23 +30,33 @@ class Wire(NamedTuple):
 
     ready: str
     status: Callable[[], str]
+    endpoints: Iterable[Endpoint]
+
+
+Join = Callable[[], Wire]
+"""Joins the bus to a wire that was looked at, and whose port was taken, before the cell was loaded.
+
+To be called when the cell is ready: from then on others can reach it.
+"""
 
 
 def join(
     stack: ExitStack, bus: Any, name: str, own_master: bool | None, remap: list[str] | None, bind: str | None
-) -> Wire:
-    """Join a graph until the stack is closed.
+) -> Join:
+    """Find a graph's master, and give what joins the graph until the stack is closed.
 
     Raises:
         InputError: there is no master, an address cannot be listened on, a remapping is none.
     """
+    from armcell.ros.nodes.description import NAME
     from armcell.ros.ros1 import Ros1Graph, from_environment
 
     settings = from_environment(name, remap or (), bind, own_master=own_master)
-    graph = stack.enter_context(Ros1Graph(bus, settings))
+    graph = Ros1Graph(bus, settings, keep=(NAME,))
+    stack.callback(graph.close)
+    graph.reserve()
     if not settings.is_local:
         err(f"{settings.bind}: every machine in the network can move the cell (no password, no encryption)")
-    own = "its own master" if graph.master else "the master"
 
     def status() -> str:
         """Raises InputError when the node was asked to end."""
@@ -61,7 +72,13 @@ def join(
         ]
         return "  ".join(word for word in words if word)
 
-    return Wire(f"ROS 1: node {graph.node.name} at {own}, {graph.node.master}", status)
+    def joined() -> Wire:
+        graph.start()
+        own = "its own master" if graph.master else "the master"
+        ready = f"ROS 1: node {graph.node.name} at {own}, {graph.node.master}"
+        return Wire(ready, status, graph.endpoints())
+
+    return joined
 
 
 def check_remap(ros1: bool, remap: list[str] | None, own_master: bool | None) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from armcell.cli.console import err
-from armcell.cli.ros1 import Wire
+from armcell.cli.ros1 import Join, Wire
 from armcell.core import InputError
 
 ROS2 = typer.Option(
@@ -20,8 +20,8 @@ DOMAIN = typer.Option(
 )  # fmt: skip
 
 
-def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None) -> Wire:
-    """Join a domain until the stack is closed.
+def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None) -> Join:
+    """Read how to join a domain, and give what joins it until the stack is closed.
 
     Args:
         bind: an address that is not this machine's own lets the network in.
@@ -31,10 +31,12 @@ def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | 
     """
     from armcell.ros import Ros2Bridge, Ros2Settings
     from armcell.ros.ros2 import from_environment
+    from armcell.ros.ros2.dds import library
 
     reach = from_environment(domain, network=bind not in (None, "127.0.0.1", "localhost"))
     settings = Ros2Settings(reach, f"/{node}")
-    bridge = stack.enter_context(Ros2Bridge(bus, settings))
+    library()  # the extra that is missing is said before the cell is loaded
+    bridge = Ros2Bridge(bus, settings)
     if reach.is_open:
         err("ROS 2: every machine in the network can move the cell (no password, no encryption)")
 
@@ -48,8 +50,18 @@ def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | 
         ]
         return "  ".join(word for word in words if word)
 
-    where = f"domain {reach.domain}, {reach.range}, {settings.distro}"
-    return Wire(f"ROS 2: node {settings.node} ({where})", status)
+    def joined() -> Wire:
+        stack.enter_context(bridge)
+        peers = f", peers {' '.join(reach.peers)}" if reach.peers else ""
+        where = f"domain {reach.domain}, {reach.range}{peers}, {settings.distro}"
+        if not reach.is_open and not all(endpoint.is_local for endpoint in bridge.endpoints()):
+            err(
+                "ROS 2: DDS looks for nodes on this machine alone, but it listens on the network, too: "
+                "a machine that names this one as its peer can move the cell; cure: a firewall"
+            )
+        return Wire(f"ROS 2: node {settings.node} ({where})", status, bridge.endpoints())
+
+    return joined
 
 
 def check_domain(ros2: bool, domain: int | None) -> None:

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of, gate_words, tell_unwatched
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
 from armcell.cli.recording import Kept, begin_record, watch
 from armcell.cli.results import keep_result
 from armcell.cli.ros1 import OWN_MASTER
@@ -68,7 +69,9 @@ def run(
         metavar="PATH=VALUE",
         help="Another value than in the cell file, e.g. objects.cube.mass=0.3; may be repeated.",
     ),
-    port: int = typer.Option(8080, min=1, max=65535, help="Port of --view."),
+    host: str = HOST,
+    port: int = PORT,
+    allow_host: list[str] = ALLOW_HOST,
     gate: Path | None = typer.Option(
         None,
         metavar="FILE",
@@ -92,6 +95,7 @@ def run(
     A script (SCRIPT.py --cell CELL) is run as it is, with no ROS installed, in real time unless --time-scale
     says else; the exit status is its own. Arguments of its own stand after --. Its run is kept as well.
     """
+    at = PageAt(host, port, allow_host)
     if json_file is not None:
         check_writable(json_file)
     if headless and view:
@@ -113,7 +117,7 @@ def run(
             time_scale,
             auto_grip,
             view,
-            port,
+            at,
             without_gate,
             Kept(None if headless else runs, json_file, frames),
             set_,
@@ -139,8 +143,9 @@ def run(
             loading = progress.add_task(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
+        # here: physics and planners load slowly
+        from armcell.cell import announce_code, load, parsed, run_task, with_values
         from armcell.cell import health as layers
-        from armcell.cell import load, parsed, run_task, with_values  # here: physics and planners load slowly
         from armcell.control import drivers
         from armcell.planning import warm_up
 
@@ -153,6 +158,7 @@ def run(
             layers.check_description(loaded)
         with health.layer("controllers"):
             layers.check_controllers(loaded, mode)
+        announce_code(loaded)
         passed = gate_of(loaded, mode, gate, without_gate)
         warm_up()
         scene = loaded.scene(seed)
@@ -161,9 +167,9 @@ def run(
         if view:
             from armcell.viewer import CellViewer
 
-            viewer = stack.enter_context(CellViewer(scene, port=port, title=loaded.name))
+            viewer = stack.enter_context(CellViewer(scene, title=loaded.name, **at._asdict()))
             observers.append(viewer)
-            console.print(f"view: {viewer.url}")
+            tell_page(viewer.page)
             time_scale = time_scale or 1.0
         recorder = begin_record(loaded, scene, seed, mode, kept, values, **passed)
         if recorder is not None:
@@ -196,7 +202,7 @@ def run(
         if report is not None:
             console.print(f"report: {report}", soft_wrap=True)
         if viewer is not None and sys.stdin.isatty():
-            console.print(f"the view stays at {viewer.url}; press Enter to end")
+            console.print("the view stays open; press Enter to end")
             sys.stdin.readline()
     return 0 if result["success"] else 1
 
@@ -216,6 +222,8 @@ def _tell_failed_layer(health: Any, headless: bool) -> None:
 
 
 def _print(result: dict[str, Any]) -> None:
+    from armcell.cell import complaints
+
     console.print(stage_table(result))
     numbers = [
         f"slip in hold {millimetres(result['slip_m'], 3)}" if result["slip_m"] is not None else "",
@@ -233,6 +241,8 @@ def _print(result: dict[str, Any]) -> None:
     console.print(", ".join(n for n in numbers if n))
     ill = [f"{name} {state}" for name, state in result["layers"].items() if state != "ok"]
     console.print("layers: " + ("; ".join(ill) or "all ok"), markup=False, highlight=False)
+    for line in complaints(result):
+        console.print(f"[red]{line}[/red]", highlight=False)
     if result["success"]:
         draw = "things where the cell file says" if result["seed"] is None else f"seed {result['seed']}"
         console.print(f"[green]success[/green] ({draw})")

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from armcell.cli.console import console, err
+from armcell.cli.console import console, err, errors
 from armcell.cli.gating import gate_of_others
+from armcell.cli.listening import tell_listening
+from armcell.cli.page import PageAt, tell_page
 from armcell.cli.recording import Kept, LedRun, in_words
 from armcell.cli.ros1 import check_remap
 from armcell.core import InputError
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 def run_script_command(
     script: str, cell: str | None, arguments: list[str], seed: int | None, mode: str,
-    time_scale: float | None, auto_grip: bool | None, view: bool, port: int, without_gate: str | None,
+    time_scale: float | None, auto_grip: bool | None, view: bool, at: PageAt, without_gate: str | None,
     kept: Kept, set_: Sequence[str] = (), ros1: bool = False, own_master: bool | None = None,
 ) -> int:  # fmt: skip
     """Run a rospy / moveit_commander script unchanged against a cell; its exit status.
@@ -37,7 +39,7 @@ def run_script_command(
     file = Path(script)
     if not file.is_file():
         raise InputError("there is no such script", file=file)
-    from armcell.cell import load, parsed, with_values
+    from armcell.cell import complaints, load, parsed, with_values
     from armcell.control import drivers
     from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
@@ -74,9 +76,9 @@ def run_script_command(
         if view:
             from armcell.viewer import CellViewer
 
-            viewer = stack.enter_context(CellViewer(scene, port=port, title=loaded.name))
+            viewer = stack.enter_context(CellViewer(scene, title=loaded.name, **at._asdict()))
             observers.append(viewer)
-            console.print(f"view: {viewer.url}")
+            tell_page(viewer.page)
         live = loaded.connect(mode, seed, observers, time_scale or 1.0)
         joined = None
         if ros1:
@@ -91,9 +93,18 @@ def run_script_command(
             failure = f"the script ended with status {status}{why}" if status else ""
             run.end(session.served.call, live, in_words(session.served.failure) or failure)
 
-        status, session = run_script(file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended)
+        def began(session: Session) -> None:
+            if session.graph is not None:
+                tell_listening(session.graph.endpoints(), errors)  # standard output is the script's
+
+        status, session = run_script(
+            file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended, began=began
+        )
         if session.served.failure is not None:
             raise session.served.failure
+        for line in complaints(run.result) if run.result is not None else ():
+            err(line)
+            status = status or 1
     return status
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -18,9 +18,10 @@ from rich.text import Text
 from armcell import _interrupts
 from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
-from armcell.cli.gating import gate_of_others
-from armcell.cli.recording import Kept, LedRun, in_words
-from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Wire, check_remap
+from armcell.cli.gating import WITHOUT_GATE, gate_of_others
+from armcell.cli.listening import tell_listening
+from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, in_words, records_folder
+from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Join, Wire, check_remap
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
 from armcell.cli.ros2 import join as join_ros2
@@ -33,14 +34,6 @@ SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: sl
 HERTZ = 30.0
 RATE = typer.Option(HERTZ, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
 SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
-RECORD = typer.Option(
-    None, "--record/--no-record", show_default=False,
-    help="Keep all that happens in a run folder, as `armcell run` does. Default: in mode real.",
-)  # fmt: skip
-RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]")
-WITHOUT_GATE = typer.Option(
-    None, metavar="REASON", help="For mode real, where clients lead the arms; the reason is recorded."
-)
 
 
 @dataclass(frozen=True)
@@ -111,37 +104,51 @@ def serve(
     from armcell.ros import Bus, Schema
 
     bus = Bus(Schema(types) if types is not None else None)
-    wires: list[Wire] = []
     with ExitStack() as stack:  # a port in use is said before the cell is loaded
+        joins: list[Join] = []
         if unity:
-            wires.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
+            joins.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
         if ros1:
-            wires.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
+            joins.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
         if ros2:
-            wires.append(join_ros2(stack, bus, "armcell", domain, bind))
-
-        def ready() -> None:  # services answer from here on, not from when the port is open
-            for wire in wires:
-                console.print(f"{wire.ready}; Ctrl-C ends it", markup=False)
-
-        def status() -> str:
-            return "  ".join(wire.status() for wire in wires)
-
+            joins.append(join_ros2(stack, bus, "armcell", domain, bind))
+        wires = _Wires(joins)
         if plan_only:
-            return _plan_only(cell, bus, seed or 0, seconds, status, ready)
+            return _plan_only(cell, bus, seed or 0, seconds, wires.status, wires.open)
         wanted = {"--unity": unity, "--ros1": ros1, "--ros2": ros2, "--auto-grip": auto_grip}
         command = ("serve", cell, *(flag for flag, given in wanted.items() if given))
         command += ("--types", str(types)) if types is not None else ()
-        kept = _records(record, mode, runs)
+        kept = records_folder(record, mode, runs)
         served = _Served(command, cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
-        return _run(served, bus, status, ready, True, auto_grip)
+        return _run(served, bus, wires.status, wires.open, True, auto_grip)
 
 
-def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Wire:
-    """Serve Unity until the stack is closed."""
+class _Wires:
+    """The ways by which others reach a cell; closed until it is ready."""
+
+    def __init__(self, joins: Sequence[Join]):
+        self._joins = joins
+        self._wires: list[Wire] = []
+
+    def open(self) -> None:
+        """Let others reach the cell, and print where."""
+        for join in self._joins:
+            wire = join()
+            self._wires.append(wire)
+            console.print(f"{wire.ready}; Ctrl-C ends it", markup=False, soft_wrap=True)
+            tell_listening(wire.endpoints)
+
+    def status(self) -> str:
+        return "  ".join(wire.status() for wire in self._wires)
+
+
+def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
+    """Take the port, and give what serves Unity until the stack is closed."""
     from armcell.ros.tcp import RosTcpServer, ServerSettings
 
-    server = stack.enter_context(RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol)))
+    server = RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol))
+    stack.callback(server.close)
+    server.reserve()
     host, number = server.address
     if bind not in ("127.0.0.1", "localhost"):
         err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
@@ -152,7 +159,11 @@ def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str
         dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
         return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
 
-    return Wire(f"Unity can connect to {host}:{number}", status)
+    def joined() -> Wire:
+        server.start()
+        return Wire(f"Unity can connect to {host}:{number}", status, server.endpoints())
+
+    return joined
 
 
 def sim(
@@ -184,16 +195,20 @@ def sim(
     if (ros1 or ros2) == (connect is not None):
         raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
     to = ("--connect", connect) if connect else ("--ros1",) * ros1 + ("--ros2",) * ros2
-    kept = _records(record, mode, runs)
+    kept = records_folder(record, mode, runs)
     served = _Served(("sim", cell, *to), cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
-    if connect is None:
-        joins: list[Callable[[ExitStack, Any], Wire]] = []
-        if ros1:
-            joins.append(lambda stack, bus: join_ros1(stack, bus, "armcell_sim", own_master, remap, None))
-        if ros2:
-            joins.append(lambda stack, bus: join_ros2(stack, bus, "armcell_sim", domain))
-        return _sim_node(served, joins)
     from armcell.ros import Bus
+
+    if connect is None:
+        bus = Bus()
+        with ExitStack() as stack:
+            joins: list[Join] = []
+            if ros1:
+                joins.append(join_ros1(stack, bus, "armcell_sim", own_master, remap, None))
+            if ros2:
+                joins.append(join_ros2(stack, bus, "armcell_sim", domain))
+            wires = _Wires(joins)
+            return _run(served, bus, wires.status, wires.open)
     from armcell.ros.codec import CODECS
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
     from armcell.ros.nodes.gripping import TOPIC as GRIPPER
@@ -228,29 +243,6 @@ def sim(
     finally:
         if client is not None:
             client.close()
-
-
-def _records(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """The folder of run folders; None for no record."""
-    wanted = (mode == "real" or runs is not None) if record is None else record
-    return (runs or Path("runs")) if wanted else None
-
-
-def _sim_node(what: _Served, joins: list[Callable[[ExitStack, Any], Wire]]) -> int:
-    from armcell.ros import Bus
-
-    bus = Bus()
-    with ExitStack() as stack:
-        wires = [join(stack, bus) for join in joins]
-
-        def ready() -> None:
-            for wire in wires:
-                console.print(f"{wire.ready}; Ctrl-C ends it", markup=False, soft_wrap=True)
-
-        def status() -> str:
-            return "  ".join(wire.status() for wire in wires)
-
-        return _run(what, bus, status, ready)
 
 
 def address(text: str) -> tuple[str, int]:
@@ -291,7 +283,7 @@ def _run(
             ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
             return "  ".join([status(), *ill])
 
-        line = _StatusLine(bus, lambda: served.node.executed, all_status)
+        line = _StatusLine(bus, lambda: served.node.executed, all_status, served.node.cameras.frames)
         failure: BaseException | None = None
         try:
             served.start(layer=health.layer)
@@ -363,8 +355,12 @@ def _troubles(dropped: int, wrong: int) -> str:
 class _StatusLine:
     """One line that is kept up to date on a terminal; elsewhere a line whenever the peers change."""
 
-    def __init__(self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str]):
-        self._bus, self._executed, self._status = bus, executed, status
+    def __init__(
+        self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str],
+        frames: Callable[[], dict[str, int]] = dict,
+    ):  # fmt: skip
+        self._bus, self._executed, self._status, self._frames = bus, executed, status, frames
+        self._delivered: dict[str, int] = {}
         self._live = Live(console=errors, transient=True, auto_refresh=False) if errors.is_terminal else None
         self._counts: dict[str, int] = {}
         self._at = (time.monotonic(), bus.clock.now())
@@ -394,7 +390,13 @@ class _StatusLine:
         passed = max(now - self._at[0], 1e-3)
         pace = (clock - self._at[1]) / passed
         topics = self._bus.topics()
-        rates = []
+        delivered = self._frames()
+        rates = [
+            f"{camera} {(count - self._delivered.get(camera, 0)) / passed:.1f} frames/s"
+            for camera, count in delivered.items()
+            if count > self._delivered.get(camera, 0)
+        ]
+        self._delivered = delivered
         for topic in topics:
             rate = (topic.messages - self._counts.get(topic.name, 0)) / passed
             if rate > 0.5 and topic.name in ("/joint_states", "/tf", "/object_pose"):

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from armcell import _interrupts
 from armcell.cli.console import console, errors
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
 
 if TYPE_CHECKING:
     from armcell.cell.setup import Proposal
@@ -63,7 +64,9 @@ def setup(
     seed: int = typer.Option(0, min=0, help="Of the samples."),
     force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
     web: bool = typer.Option(False, "--web", help="Show it in the browser; write when 'Write' is clicked."),
-    port: int = typer.Option(8080, min=1, max=65535, help="Of --web."),
+    host: str = HOST,
+    port: int = PORT,
+    allow_host: list[str] = ALLOW_HOST,
 ) -> int:
     """Make a planning cell and a MoveIt package from a URDF: groups, gripper, poses, self-collision pairs.
 
@@ -83,7 +86,7 @@ def setup(
             proposal = propose(parts, samples, seed, name, tell)
     _show(proposal)
     if web:
-        proposal_or_none = _in_browser(proposal, port)
+        proposal_or_none = _in_browser(proposal, PageAt(host, port, allow_host))
         if proposal_or_none is None:
             console.print("nothing written")
             return 1
@@ -193,11 +196,12 @@ def _share(pair: LinkPair) -> str:
     return f"{100 * pair.touching / pair.samples:.2f} %"
 
 
-def _in_browser(proposal: Proposal, port: int) -> Proposal | None:
+def _in_browser(proposal: Proposal, at: PageAt) -> Proposal | None:
     from armcell.viewer.setup_view import SetupView
 
-    with SetupView(proposal, port=port) as view:
-        console.print(f"look at it at {view.url}; 'Write' there writes the folder, Ctrl-C ends without")
+    with SetupView(proposal, **at._asdict()) as view:
+        tell_page(view.page)
+        console.print("'Write' on the page writes the folder, Ctrl-C ends without")
         while not view.done:
             _interrupts.sleep(0.1)
         return view.answer

@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from armcell.cli.console import console
+from armcell.cli.listening import tell_listening
 from armcell.core import InputError
 from armcell.core.pauses import no_long_pauses
 
@@ -94,9 +95,10 @@ def ur_controller(
     ]
     file = trace.open("wb", buffering=0) if trace is not None else None
     rack = Rack(settings, plants, file)
-    for each in settings:
-        ports = "dashboard 29999, script 30001-30003, RTDE 30004, gripper 63352"
-        console.print(f"{each.model} (serial {each.serial}) at {each.host}: {ports}", soft_wrap=True)
+    rack.open()
+    for each, controller in zip(settings, rack.controllers, strict=True):
+        console.print(f"{each.model} (serial {each.serial}) at {each.host}", soft_wrap=True)
+        tell_listening(controller.network.endpoints)
     console.print("an emulator, not a robot; Ctrl-C ends it")
     with suppress(PermissionError, AttributeError):  # a controller is not late because a computer is busy
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
 import typer
 
 from armcell.cli import goals
-from armcell.cli.console import console
-from armcell.cli.page import serve_page
+from armcell.cli.console import console, errors
+from armcell.cli.gating import WITHOUT_GATE, gate_of_others
+from armcell.cli.page import ALLOW_HOST, HOST, OPEN, PORT, serve_page
+from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, records_folder
+from armcell.core import Observer
 
 EXAMPLES = """
 Examples:
 
-  armcell view panda_pick                     drag the goal, plan, preview, execute at http://127.0.0.1:8080
+  armcell view panda_pick                     drag the goal, plan, preview, execute; open the URL it prints
 
   armcell view my_cell --mode sim --open      executed in physics; opens the browser
+
+  armcell view my_cell --mode real --without-gate "first motions, speed slider at 10 %"    moves real arms
 
 Ctrl-C ends it. What is dragged, added and allowed there changes no file; "Save" writes the objects to one in
 the folder where the command was started.
@@ -22,30 +33,50 @@ the folder where the command was started.
 
 def view(
     cell: str = goals.CELL,
-    mode: str = typer.Option("fake", help="What 'Execute' moves: fake (follows exactly) or sim (physics)."),
+    mode: str = typer.Option(
+        "fake", help="What 'Execute' moves: fake (follows exactly), sim (physics) or real (the cell's arms)."
+    ),
     seed: int | None = goals.SEED,
-    port: int = typer.Option(8080, min=1, max=65535, help="Port of the page; the next free one if taken."),
-    open_browser: bool = typer.Option(False, "--open", help="Open the page in the browser."),
+    host: str = HOST,
+    port: int = PORT,
+    allow_host: list[str] = ALLOW_HOST,
+    open_browser: bool = OPEN,
+    record: bool | None = RECORD,
+    runs: Path | None = RUNS,
+    without_gate: str | None = WITHOUT_GATE,
 ) -> int:
     """Plan in the browser: drag the goal, choose planner and speed, plan, preview, execute; edit the scene.
 
+    The page opens only with the token in the URL that is printed.
+
     Example: armcell view panda_pick --open
     """
-    from armcell.cell import load
+    from armcell.cell.health import first_layers
     from armcell.control import drivers
     from armcell.planning import prepare
     from armcell.viewer import PlanningPanel, PlanningSession
 
     drivers[mode]  # an unknown mode is said before anything is made
-    loaded = load(cell)
+    gate = gate_of_others(mode, "what is planned in the browser", without_gate)
+    loaded, _ = first_layers(cell, mode, partial(errors.print, markup=False, highlight=False))
     scene = loaded.scene(seed)
+    command = ["armcell", "view", cell, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
+    command += ["--without-gate", str(without_gate)] if gate else []
+    kept = Kept(records_folder(record, mode, runs))
+    with ExitStack() as stack:
+        recording = stack.enter_context(ExitStack())
 
-    session = PlanningSession(
-        scene,
-        lambda now, observers: loaded.connect(mode, seed, observers, time_scale=1.0, scene=now),
-        seed or 0,
-    )
-    console.print("loading (the first run on a machine compiles for about a minute)")
-    prepare(scene, session.group)  # not on the time of the first plan
-    with PlanningPanel(session, port=port, title=loaded.name) as panel:
-        serve_page(panel.url, open_browser)
+        def connect(now: Any, observers: Sequence[Observer]) -> Any:
+            """A live cell with its own record; edits by hand make another cell, whose time begins at 0."""
+            recording.close()
+            run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)
+            recording.enter_context(run)
+            live = loaded.connect(mode, seed, [*run.observers, *observers], time_scale=1.0, scene=now)
+            run.begin(live)
+            return live
+
+        session = PlanningSession(scene, connect, seed or 0)
+        console.print("loading (the first run on a machine compiles for about a minute)")
+        prepare(scene, session.group)  # not on the time of the first plan
+        panel = stack.enter_context(PlanningPanel(session, host, port, loaded.name, names=allow_host))
+        serve_page(panel.viewer.page, open_browser)

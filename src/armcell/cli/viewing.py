@@ -8,19 +8,20 @@ from typing import Any
 
 from armcell import _interrupts
 from armcell.cli.console import console
+from armcell.cli.page import PageAt, tell_page
 from armcell.core import Explanation, JointState, JointTrajectory, StateSample
 
 FRAME = 1 / 30  # [s]
 
 
 def show(
-    scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, port: int, title: str
+    scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, at: PageAt, title: str
 ) -> None:
     """Play a trajectory once in real time, or show an explanation; then wait for Enter."""
     from armcell.viewer import CellViewer, show_explanation
 
-    with CellViewer(scene, port=port, title=title) as viewer:
-        console.print(f"view: {viewer.url}")
+    with CellViewer(scene, title=title, **at._asdict()) as viewer:
+        tell_page(viewer.page)
         if explanation is not None:
             show_explanation(viewer, scene, explanation)
         if trajectory is not None:

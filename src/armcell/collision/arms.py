@@ -252,6 +252,10 @@ class Arms:
         """
         _, a, room_a = chords((first,), (0.0,), 0.0, first.duration)
         _, b, room_b = chords((second,), (0.0,), 0.0, second.duration)
+        return self.apart_at_any_pace(a, room_a, b, room_b, clearance)
+
+    def apart_at_any_pace(self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float) -> bool:
+        """`certify_any_time` for piecewise linear motions (k, n); `room` (n,): how far off."""
         waiting = [(0, len(b) - 1)]
         while waiting:
             i, j = waiting.pop()

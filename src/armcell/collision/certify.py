@@ -42,16 +42,22 @@ class Measures(Protocol):
 
 
 class MotionBound:
-    """How far a pair's surfaces can move against each other per unit of each group joint [m/rad]."""
+    """How far a pair's surfaces can move against each other per unit of each group joint [m/rad].
 
-    def __init__(self, checker: Measures):
+    Args:
+        pairs: (p, 2) of geometries; all of the checker's where None.
+    """
+
+    def __init__(self, checker: Measures, pairs: NDArray[np.int64] | None = None):
         self.checker = checker
+        pairs = checker.pairs if pairs is None else pairs
+        wanted = set(pairs.ravel().tolist())
         tree = checker.tree
         column_of = {int(c): k for k, c in enumerate(checker.columns)}
         n, joints = len(checker.joint_names), len(tree.parent)
         levers = [np.zeros(joints) for _ in checker.geometries]  # per joint above the geometry
-        for lever, geometry in zip(levers, checker.geometries, strict=True):
-            if geometry.link < 0:
+        for i, (lever, geometry) in enumerate(zip(levers, checker.geometries, strict=True)):
+            if geometry.link < 0 or i not in wanted:
                 continue
             middle = geometry.T_link_solid.apply(geometry.solid.centre)
             radius = float(np.linalg.norm(middle) + np.linalg.norm(geometry.solid.half))
@@ -65,8 +71,8 @@ class MotionBound:
                     span = max(abs(limits.lower), abs(limits.upper))
                     radius += abs(tree.multiplier[joint]) * span + abs(tree.offset[joint])
                 radius += float(np.linalg.norm(tree.T_parent_joint[joint, :3, 3]))
-        self.per_joint = np.zeros((len(checker.pairs), n))
-        for p, (a, b) in enumerate(checker.pairs):
+        self.per_joint = np.zeros((len(pairs), n))
+        for p, (a, b) in enumerate(pairs):
             # A joint above both bodies moves them together: only joints above exactly one count.
             alone = (levers[a] > 0) != (levers[b] > 0)
             for joint in np.flatnonzero(alone):

@@ -68,7 +68,8 @@ def _coacd(mesh: Mesh, closed: bool) -> list[tuple[np.ndarray, np.ndarray]]:
         given, found = Path(folder) / "mesh.npz", Path(folder) / "pieces.npz"
         preprocess = "off" if closed else "on"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
-        command = [sys.executable, "-c", _PROGRAM, str(given), str(found), preprocess]
+        # -P: no module of the current folder, which may be another person's, is imported
+        command = [sys.executable, "-P", "-c", _PROGRAM, str(given), str(found), preprocess]
         try:
             done = subprocess.run(command, capture_output=True, timeout=MAX_SECONDS, check=False)
         except subprocess.TimeoutExpired:

@@ -20,6 +20,8 @@ from armcell.scene import CollisionObject, PlanningScene
 
 Array = NDArray[np.float64]
 
+MANY = 1000  # contacts of two surfaces among which the deepest is looked for
+
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
@@ -101,6 +103,8 @@ class ExactChecker:
         self._gaps = np.empty(len(self.pairs))
         self._request = coal.CollisionRequest()
         self._result = coal.CollisionResult()
+        self._all_request, self._all_result = coal.CollisionRequest(), coal.CollisionResult()
+        self._all_request.num_max_contacts = MANY
         self._distance_request = coal.DistanceRequest()
         self._distance_result = coal.DistanceResult()
 
@@ -203,9 +207,24 @@ class ExactChecker:
                 self._distance_request, self._distance_result,
             )
         )  # fmt: skip
-        if not outer and distance > 0 and self._one_inside(a, b):
+        if outer:
+            return distance
+        if distance > 0 and self._one_inside(a, b):
             return -distance  # as deep as the nearest surface is far
+        if distance <= 0 and (ga.hollow is not None or gb.hollow is not None):
+            return min(distance, self._deepest(a, b))
         return distance
+
+    def _deepest(self, a: int, b: int) -> float:
+        """Distance [m] of two geometries in contact, one of them a surface of triangles: coal's distance is
+        that of the first triangle which it finds in contact, however deep others are."""
+        ga, gb = self.geometries[a].solid, self.geometries[b].solid
+        self._all_result.clear()
+        count = coal.collide(
+            ga.exact, self._transform(a), gb.exact, self._transform(b), self._all_request, self._all_result
+        )
+        depths = [self._all_result.getContact(k).penetration_depth for k in range(count)]
+        return float(min(depths, default=0.0))
 
     def contact_of(self, a: int, b: int) -> Contact:
         """Two geometries by index as a contact, with its distance and place."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable
 
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 from armcell.control.driver import Driver, Rehearsing, Watch
 from armcell.control.executor import ExecutionSettings, Progress
 from armcell.control.following import Follower, Paced
-from armcell.core import ErrorCode, ExecutionResult, JointTrajectory, Outcome, Playback
+from armcell.control.gate import Executable, executable
+from armcell.core import ErrorCode, ExecutionResult, Outcome, Playback
 from armcell.core.protocols import offers
 
 Array = NDArray[np.float64]
@@ -23,24 +23,43 @@ RAMP = 2.0  # [1/s] how fast the scaling may change: a pause brakes within half 
 
 def execute_coupled(
     driver: Driver,
-    trajectory: JointTrajectory,
+    motion: Executable,
     correct: Callable[[float, Array, Array], tuple[Array, Array]] | None = None,
     watch: Callable[[], Outcome | None] | None = None,
     scalings: Callable[[], tuple[float, ...]] | None = None,
     settings: ExecutionSettings = ExecutionSettings(),
-    cancel: threading.Event | None = None,
     progress: Progress | None = None,
 ) -> ExecutionResult:
     """Play one trajectory of several arms on one clock, and wait until all rest at its end.
 
     Args:
+        motion: from a `MotionGate`, which proves it first; when it is set, all arms stop.
         correct: gets the time on the trajectory and the set points (n,), (n,); returns those to send.
         watch: looked at after every tick; a failure it returns stops all arms and is the result.
         scalings: what each arm lets itself be slowed to, 0..1; the smallest slows the common clock. By
             default what the driver tells of sliders and pauses, where it does.
     Returns:
-        As `execute`: SUCCESS, CONTROL_FAILED, PREEMPTED, or what `watch` returned.
+        As `execute`, or what `watch` returned.
     """
+    executable(motion)
+    try:
+        result = _coupled(driver, motion, correct, watch, scalings, settings, progress)
+    except BaseException as error:
+        motion.end(ExecutionResult(ErrorCode.CONTROL_FAILED, str(error)))
+        raise
+    return motion.end(result)
+
+
+def _coupled(
+    driver: Driver,
+    motion: Executable,
+    correct: Callable[[float, Array, Array], tuple[Array, Array]] | None,
+    watch: Callable[[], Outcome | None] | None,
+    scalings: Callable[[], tuple[float, ...]] | None,
+    settings: ExecutionSettings,
+    progress: Progress | None,
+) -> ExecutionResult:
+    trajectory = motion.trajectory
     names, began = trajectory.joint_names, driver.now
     whole = driver.joint_state()
     columns, tracking = np.array(whole.columns(names), dtype=int), 0.0
@@ -64,6 +83,8 @@ def execute_coupled(
         joint = names[int(np.argmax(off))]
         text = f"{joint} is {off.max():.3f} from the trajectory's start: plan again from the current state"
         return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": float(off.max())}))
+    if (unproven := motion.begin()) is not None:
+        return unproven
     paced = driver if offers(driver, Paced) else None
     if scalings is None and paced is not None:
         scalings = lambda: (paced.speed_fraction,)  # noqa: E731
@@ -77,7 +98,7 @@ def execute_coupled(
     clock, scale, last = 0.0, 1.0, 0.0 if paced is None else paced.tick
     deadline: float | None = None
     while True:
-        if cancel is not None and cancel.is_set():
+        if motion.is_set():
             return ended(Outcome(ErrorCode.PREEMPTED, f"cancelled at {clock:.2f} s"))
         if follower is not None and (fault := follower.fault()) is not None:
             return ended(Outcome(fault.code, f"stopped: {fault}", {"arm": fault.arm, "kind": fault.kind}))

@@ -70,6 +70,11 @@ class Driver(Protocol):
     period: float  # [s] between commands
     is_simulated: bool
 
+    @property
+    def is_paced(self) -> bool:
+        """Whether its clock keeps to the wall's: nothing that takes long may be done between two steps."""
+        ...
+
     def __enter__(self) -> Driver: ...
     def __exit__(self, *exc: object) -> None: ...
 
@@ -105,6 +110,16 @@ class Driver(Protocol):
 
     def stop(self) -> None:
         """Hold the measured position now."""
+        ...
+
+    def resume(self) -> None:
+        """Make ready for motions again after whatever has stopped it. Nothing moves, old goals are forgotten.
+
+        Where nothing has stopped it nothing happens, also while it moves. May be called from any thread.
+
+        Raises:
+            ArmcellError: it cannot be made ready from here; says why and what to do. It stays stopped.
+        """
         ...
 
     def object_poses(self) -> dict[str, SE3]:

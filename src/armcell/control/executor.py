@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
@@ -12,6 +11,7 @@ import numpy as np
 
 from armcell.control.driver import Driver, Player, Rehearsing
 from armcell.control.following import Follower, Steps, Tolerances, followed
+from armcell.control.gate import Executable, executable
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
 from armcell.core.checks import require
 from armcell.core.protocols import offers
@@ -42,25 +42,26 @@ Progress = Callable[[float], None]
 
 def execute(
     driver: Driver,
-    trajectory: JointTrajectory,
+    motion: Executable,
     settings: ExecutionSettings = ExecutionSettings(),
-    cancel: threading.Event | None = None,
     progress: Progress | None = None,
 ) -> ExecutionResult:
     """Play a trajectory to its end and wait until the arm rests at the goal.
 
     Args:
-        cancel: when set, the arm stops where it is and the result is PREEMPTED.
+        motion: from a `MotionGate`, which proves it first; when it is set, the arm stops where it is.
         progress: called after each command with the fraction done, 0..1. Without it, a driver that can plays
-            `AT_ONCE` seconds at once, and `cancel` is looked at in between.
+            `AT_ONCE` seconds at once, and `motion` is looked at in between.
     Returns:
         SUCCESS; CONTROL_FAILED (wrong start, left the path, goal not reached) with joint and error;
-        PREEMPTED. After any but SUCCESS the driver holds the measured position.
+        MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE or START_STATE_IN_COLLISION with the pair, the place and
+        the time, where the motion is not proven free; PREEMPTED. After any but SUCCESS the driver holds the
+        measured position.
     """
     # of the driver's own class: what stands before another driver and changes commands is not passed by
     plays = progress is None and hasattr(type(driver), "play")
     alone = cast(Player, driver) if plays else None
-    steps = playing(driver, trajectory, settings, cancel, progress, alone)
+    steps = playing(driver, motion, settings, progress, alone)
     while True:
         try:
             next(steps)
@@ -71,9 +72,8 @@ def execute(
 
 def playing(
     driver: Driver,
-    trajectory: JointTrajectory,
+    motion: Executable,
     settings: ExecutionSettings = ExecutionSettings(),
-    cancel: threading.Event | None = None,
     progress: Progress | None = None,
     alone: Player | None = None,
 ) -> Steps:
@@ -86,7 +86,24 @@ def playing(
     Args:
         alone: the driver, where it may let the time of the trajectory pass by itself.
     """
-    names, began = trajectory.joint_names, driver.now
+    executable(motion)
+    try:
+        result = yield from _played(driver, motion, settings, progress, alone)
+    except BaseException as error:
+        motion.end(ExecutionResult(ErrorCode.CONTROL_FAILED, str(error)))
+        raise
+    return motion.end(result)
+
+
+def _played(
+    driver: Driver,
+    motion: Executable,
+    settings: ExecutionSettings,
+    progress: Progress | None,
+    alone: Player | None,
+) -> Steps:
+    trajectory, began = motion.trajectory, driver.now
+    names = trajectory.joint_names
     whole = driver.joint_state()
     columns, measured = np.array(whole.columns(names), dtype=int), whole.reindexed(names)
     if len(trajectory.times) == 0:
@@ -104,13 +121,18 @@ def playing(
             code, text, {"joint": joint, "error": worst}, began, began,
             explainer=partial(explain_start, measured, start, tolerance, code, text),
         )  # fmt: skip
+    follows = offers(driver, Follower)
+    fade = None if follows else _fade(measured, trajectory, settings)
+    if (unproven := motion.begin(fade)) is not None:
+        return unproven
     refused = driver.rehearse(trajectory) if offers(driver, Rehearsing) else None
     if refused is not None:
         return ExecutionResult(refused.code, refused.message, refused.evidence, began, driver.now)
-    if offers(driver, Follower):
+    if follows:
         watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
-        return (yield from followed(driver, driver, trajectory, watched, cancel, progress))
-    tracking, fade = 0.0, _fade(measured, trajectory, settings)
+        follower = cast(Follower, driver)
+        return (yield from followed(driver, follower, trajectory, watched, motion, progress))
+    tracking = 0.0
 
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:
         if code is not ErrorCode.SUCCESS:
@@ -120,7 +142,7 @@ def playing(
 
     duration, playback = trajectory.duration, Playback(trajectory)
     while (t := driver.now - began) < duration - 1e-9:
-        if cancel is not None and cancel.is_set():
+        if motion.is_set():
             return ended(ErrorCode.PREEMPTED, f"cancelled at {t:.2f} of {duration:.2f} s")
         if alone is not None and fade is None:
             until = min(t + AT_ONCE, duration)
@@ -154,7 +176,7 @@ def playing(
         if driver.now - began > duration + settings.settle_time:
             text = f"{joint} ended {worst:.4f} from the goal (tolerance {settings.goal_tolerance:g})"
             return ended(ErrorCode.CONTROL_FAILED, text, joint=joint, error=worst)
-        if cancel is not None and cancel.is_set():
+        if motion.is_set():
             return ended(ErrorCode.PREEMPTED, "cancelled at the goal")
         yield
 

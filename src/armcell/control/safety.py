@@ -36,6 +36,15 @@ class Fault:
         return f"{self.arm}: {self.text}" + (f" ({self.cure})" if self.cure else "")
 
 
+def cannot_resume(reason: str, cure: str | None) -> InputError:
+    """Why arms stay stopped, and what to do before the next `resume()`."""
+    if cure and "start armcell" in cure:  # no resume helps
+        return InputError(f"cannot resume: {reason}", cure=cure)
+    return InputError(
+        f"cannot resume: {reason}", cure=f"{cure or 'see the pendant'}; then call resume() again"
+    )
+
+
 @dataclass(frozen=True)
 class SafetyEvent:
     """One line of the supervisor's record."""
@@ -106,7 +115,7 @@ class Supervisor:
             for arm in self._arms.values():
                 found = arm.fault()
                 if found is not None:
-                    raise InputError(f"cannot resume: {found.arm}: {found.text}", cure=found.cure or None)
+                    raise cannot_resume(f"{found.arm}: {found.text}", found.cure)
             if self.tripped is not None:
                 self.record(self.tripped.arm, "resumed", f"after {self.tripped.kind}")
             self.tripped = None

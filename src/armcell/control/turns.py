@@ -96,6 +96,7 @@ class ArmView:
         self._turns, self._driver, self._joints = turns, turns.driver, joint_names
         self.name, self._me = turns.driver.name, name
         self.period, self.is_simulated = turns.driver.period, turns.driver.is_simulated
+        self.is_paced = turns.driver.is_paced
 
     def __enter__(self) -> ArmView:
         return self
@@ -113,6 +114,9 @@ class ArmView:
     def stop(self) -> None:
         q = self._driver.joint_state().reindexed(self._joints).positions
         self._driver.command(self._joints, q, np.zeros(len(q)))
+
+    def resume(self) -> None:
+        self._driver.resume()
 
     def joint_state(self) -> JointState:
         return self._driver.joint_state()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.core import InputError, Mesh
+from armcell.model.files import read_text
 
 if TYPE_CHECKING:
     import trimesh
 
 MAX_MESH_BYTES = 100_000_000
+MAX_PACKAGE_BYTES = 1_000_000  # of a package.xml
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
 
 
@@ -24,6 +29,80 @@ def installed_share() -> list[Path]:
     """Share folders of robot descriptions installed by pip (`example-robot-data` lives in cmeel.prefix)."""
     found = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path if entry]
     return [share for share in found if share.is_dir()]
+
+
+PACKAGE_FILE = "package.xml"
+_PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
+
+
+@dataclass(frozen=True)
+class FoundPackage:
+    """A ROS package: its folder, and the real folders that its files are in."""
+
+    folder: Path
+    roots: tuple[Path, ...]
+
+
+def search_folders() -> list[Path]:
+    """Folders whose packages the user named or installed: ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, pip's."""
+    named = [
+        Path(entry)
+        for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+        for entry in os.environ.get(variable, "").split(os.pathsep)
+        if entry
+    ]
+    return [*named, *installed_share()]
+
+
+def package_above(path: Path) -> Path | None:
+    """The folder of the package that a file is in: the nearest above it with a package.xml, or None."""
+    return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
+
+
+def find_package(package: str, base: Path) -> FoundPackage:
+    """A ROS package by name: above or beside `base`, in the user's search path, among the installed ones.
+
+    Around `base` only a folder with a package.xml counts as a package, or else every folder of the machine
+    would: a file below /home/me could call /home its package.
+
+    Raises:
+        InputError: there is none.
+    """
+    for folder, searched in _package_folders(package, base):
+        file = folder / PACKAGE_FILE
+        if not folder.is_dir() or not (searched or file.is_file()):
+            continue
+        roots = [folder.resolve()]
+        if searched and file.is_file():  # colcon --symlink-install links each file to the source package
+            roots.append(file.resolve().parent)
+        return FoundPackage(folder, tuple(dict.fromkeys(roots)))
+    raise InputError(
+        f"package {package!r} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
+        cure=f"put package {package!r} (with its package.xml) beside the robot's package, or add its parent "
+        "folder to ROS_PACKAGE_PATH",
+    )
+
+
+def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
+    """Folders that may be the package, and whether each is from the user's search path; nearest first."""
+    if package in ("", ".", "..") or "/" in package or "\0" in package:
+        return
+    above = [base, *base.parents]
+    yield from ((folder, False) for folder in above if _package_name(folder) == package)
+    yield from ((folder / package, False) for folder in above)
+    yield from ((folder, False) for folder in above if folder.name == package)
+    for folder in search_folders():
+        yield from ((folder / package, True), (folder / "share" / package, True))
+        if folder.name == package:
+            yield folder, True
+
+
+def _package_name(folder: Path) -> str | None:
+    try:
+        found = _PACKAGE_NAME.search(read_text(folder / PACKAGE_FILE, MAX_PACKAGE_BYTES))
+    except (InputError, OSError):
+        return None
+    return found[1] if found else None
 
 
 def find_file(uri: str) -> Path:
@@ -38,7 +117,7 @@ def find_file(uri: str) -> Path:
 def resolve_uri(uri: str, base: Path) -> Path:
     """The file a URDF's mesh URI means.
 
-    `package://pkg/rest` is looked for in the folders above `base`, in ROS_PACKAGE_PATH and
+    `package://pkg/rest` is looked for in the packages above and beside `base`, in ROS_PACKAGE_PATH and
     AMENT_PREFIX_PATH, and among the descriptions installed by pip. Other URIs are relative to `base`.
 
     Args:
@@ -49,18 +128,9 @@ def resolve_uri(uri: str, base: Path) -> Path:
     """
     if uri.startswith("package://"):
         package, _, rest = uri[len("package://") :].partition("/")
-        roots = [base, *base.parents]
-        tried = [root / package / rest for root in roots]
-        tried += [root / rest for root in roots if root.name == package]
-        for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
-            for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
-                tried += [Path(entry) / package / rest, Path(entry) / "share" / package / rest]
-                if Path(entry).name == package:
-                    tried.append(Path(entry) / rest)
-        tried += [share / package / rest for share in installed_share()]
-        for path in tried:
-            if os.path.isfile(path):  # false for names that no file can have, where Path.is_file raises
-                return path
+        for folder, _ in _package_folders(package, base):
+            if os.path.isfile(folder / rest):  # Path.is_file raises for names that no file can have
+                return folder / rest
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
             cure=f"put package {package!r} beside the URDF or add its parent folder to ROS_PACKAGE_PATH",

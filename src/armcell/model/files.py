@@ -18,7 +18,21 @@ MAX_YAML_DEPTH = 64
 MAX_YAML_ALIASES = 50  # anchors are fine, a "billion laughs" document is not
 
 
-class _Loader(yaml.CSafeLoader):
+MAX_KEY_DIGITS = 18  # of an integer key: larger ones can be chosen to have equal hashes
+
+
+class SafeLoader(yaml.CSafeLoader):
+    """Plain data only, without keys that make a mapping slow to build."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:int" and len(key.value) > MAX_KEY_DIGITS:
+                text = f"an integer key has more than {MAX_KEY_DIGITS} digits"
+                raise yaml.MarkedYAMLError(problem=text, problem_mark=key.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+class _Loader(SafeLoader):
     """Only `true` and `false` are booleans, as in YAML 1.2: a key called `on` stays a key. A key given twice
     is an error, where YAML lets the last one win."""
 
@@ -87,7 +101,7 @@ class Bounded:
 
 
 def parse_xml(text: str, file: Path | str) -> etree._Element:
-    """The root element of an XML text.
+    """The root element of an XML text; its tree's `docinfo.URL` is the file.
 
     Raises:
         InputError: not well-formed (with the line), or it declares a DOCTYPE (entity bombs).
@@ -96,15 +110,18 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True
     )
     try:
-        root = etree.fromstring(text.encode(), parser)
+        root = etree.fromstring(text.encode(), parser, base_url=str(file))
     except etree.XMLSyntaxError as error:
-        raise InputError(f"is not valid XML: {error.msg}", file=file, line=error.lineno) from None
-    if root.getroottree().docinfo.doctype:
-        raise InputError("declares a DOCTYPE, which armcell refuses", file=file, cure="delete the DOCTYPE")
+        if "<!DOCTYPE" not in text:
+            raise InputError(f"is not valid XML: {error.msg}", file=file, line=error.lineno) from None
+        root = None
+    if root is None or root.getroottree().docinfo.doctype:
+        reason = "declares a DOCTYPE or entity, which armcell refuses"
+        raise InputError(reason, file=file, cure="delete the DOCTYPE")
     return root
 
 
-def _check_events(text: str, path: Path) -> None:
+def check_yaml_events(text: str, path: Path) -> None:
     """Refuse what is cheap to write and dear to build: deep nesting and "billion laughs" aliases."""
     aliases = depth = 0
     for event in yaml.parse(text, _Loader):
@@ -137,7 +154,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     text = read_text(path, MAX_YAML_BYTES)
     try:
-        _check_events(text, path)
+        check_yaml_events(text, path)
         data = yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None

@@ -29,13 +29,15 @@ def robot_names() -> list[str]:
     return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
 
 
-def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
+def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | None = None) -> RobotModel:
     """A robot model.
 
     Args:
         robot: a library name (`robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
             or a URDF or xacro file (an SRDF of the same name beside it is applied).
         base: folder that relative paths start from; the current folder by default.
+        allow_env: let xacro files read environment variables by `$(env)` and `$(optenv)`. None: only where
+            ARMCELL_ALLOW_ENV is set, which `armcell --allow-env` does.
     Raises:
         InputError: with file, element, reason and cure.
     """
@@ -44,10 +46,10 @@ def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
     path = Path(robot)
     if not path.is_absolute() and base is not None:
         path = base / path
-    if os.path.isdir(path):  # false for names that no folder can have, where Path.is_dir raises
-        return load_folder(path)
+    if os.path.isdir(path):  # Path.is_dir raises for names that no folder can have
+        return load_folder(path, allow_env)
     if path.suffix in (".urdf", ".xacro") or os.path.isfile(path):
-        model = load_urdf(path)
+        model = load_urdf(path, allow_env)
         srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
         return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
     if isinstance(robot, str) and "/" not in robot and "." not in robot:
@@ -57,11 +59,11 @@ def load_robot(robot: str | Path, base: Path | None = None) -> RobotModel:
     )
 
 
-def load_folder(folder: Path) -> RobotModel:
+def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
     """A robot from a folder with robot.yaml (a URDF, or parts mounted on each other), or a MoveIt package."""
     file = folder / ROBOT_FILE
     if not file.is_file() and is_moveit_config(folder):
-        return find_grippers(MoveItConfig.load(folder).model)
+        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env).model)
     data = read_yaml(file)
     for key in data:
         if key not in _KEYS:
@@ -72,16 +74,16 @@ def load_folder(folder: Path) -> RobotModel:
         raise InputError("is not a mapping", file=file, element="grippers")
     if ("urdf" in data) == ("parts" in data):
         raise InputError("needs either 'urdf' or 'parts'", file=file)
+    name = str(data.get("name", folder.resolve().name))  # the same from every working folder
     if "urdf" in data:
-        model = load_urdf(_urdf_path(str(data["urdf"]), folder, file))
+        model = load_urdf(_urdf_path(str(data["urdf"]), folder, file), allow_env, folder)
         if "root" in data:
             model = rerooted(model, str(data["root"]))
         model = with_adjacent_disabled(model)
     else:
-        model = compose(str(data.get("name", folder.name)), [_part(p, folder, file) for p in data["parts"]])
-    model = replace(
-        model, name=str(data.get("name", folder.name)), source=str(data.get("source", model.source))
-    )
+        parts = [_part(p, folder, file, allow_env) for p in data["parts"]]
+        model = compose(name, parts)
+    model = replace(model, name=name, source=str(data.get("source", model.source)))
     if "srdf" in data:
         grippers = model.grippers
         model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
@@ -118,7 +120,7 @@ def _urdf_path(uri: str, folder: Path, file: Path) -> Path:
         raise InputError(error.reason, file=file, element="urdf", cure=error.cure) from None
 
 
-def _part(entry: Any, folder: Path, file: Path) -> Part:
+def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
     if not isinstance(entry, dict) or not isinstance(entry.get("robot"), str):
         raise InputError("each of 'parts' needs a 'robot': a name or a path", file=file, element="parts")
     for key in entry:
@@ -127,16 +129,16 @@ def _part(entry: Any, folder: Path, file: Path) -> Part:
                 "key", key, ["robot", "prefix", "parent_link", "pose"], file=file, element="parts"
             )
     return Part(
-        _part_robot(entry["robot"], folder, file),
+        _part_robot(entry["robot"], folder, file, allow_env),
         str(entry.get("prefix") or ""),
         str(entry.get("parent_link", "world")),
         SE3.from_mapping(entry.get("pose", [0.0, 0.0, 0.0]), f"{file}: parts: pose"),
     )
 
 
-def _part_robot(robot: str, folder: Path, file: Path) -> RobotModel:
+def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) -> RobotModel:
     try:
-        return load_robot(robot, folder)
+        return load_robot(robot, folder, allow_env)
     except RecursionError:
         raise InputError(f"part {robot!r} contains itself", file=file, element="parts") from None
 

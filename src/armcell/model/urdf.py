@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,47 +13,28 @@ from armcell.core import SE3, Box, Capsule, Cylinder, InputError, Shape, Sphere
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
+from armcell.model.xacro import expand_xacro
 
 logger = logging.getLogger(__name__)
 
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
 
-def load_urdf(path: Path) -> RobotModel:
+def load_urdf(path: Path, allow_env: bool | None = None, home: Path | None = None) -> RobotModel:
     """A robot from a URDF or xacro file (`*.xacro`), without groups.
 
+    Args:
+        allow_env, home: of a xacro file, see `expand_xacro`.
     Raises:
         InputError: see the module.
     """
+    return parse_urdf(urdf_text(path, allow_env, home), path)
+
+
+def urdf_text(path: Path, allow_env: bool | None = None, home: Path | None = None) -> str:
+    """The text of a URDF or SRDF file; a xacro file is expanded."""
     path = Path(path)
-    text = read_text(path)
-    if path.suffix == ".xacro":
-        text = expand_xacro(path, text)
-    return parse_urdf(text, path)
-
-
-def expand_xacro(path: Path, text: str) -> str:
-    """The URDF text that a xacro file stands for."""
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError("declares a DOCTYPE or entity, which armcell refuses", file=path)
-    from xacrodoc import XacroDoc
-
-    try:
-        with _inside(path.resolve().parent):  # xacro looks for relative includes in the current folder
-            return XacroDoc.from_file(path.resolve(), resolve_packages=False).to_urdf_string()
-    except Exception as error:  # xacro raises many types
-        text = " ".join(str(error).split())
-        raise InputError(f"xacro cannot expand it: {text}", file=path) from None
-
-
-@contextmanager
-def _inside(folder: Path) -> Iterator[None]:
-    before = os.getcwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
+    return expand_xacro(path, None, allow_env, home) if path.suffix == ".xacro" else read_text(path)
 
 
 def parse_urdf(text: str, file: Path) -> RobotModel:

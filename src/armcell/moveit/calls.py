@@ -8,7 +8,7 @@ import numpy as np
 
 from armcell.moveit.session import CHECK, Session, current_session
 from armcell.ros import ActionClient
-from armcell.ros.actions import SentGoal
+from armcell.ros.actions import SentGoal, State
 from armcell.scene import PlanningScene
 
 SUCCESS, FAILURE, PREEMPTED = 1, 99999, -7  # moveit_msgs/MoveItErrorCodes
@@ -47,6 +47,8 @@ def finished(session: Session, sent: SentGoal) -> Any:
         sent.cancel()
         session.shut_down("interrupted")
         raise
+    if sent.state is not State.SUCCEEDED and sent.text and not session.has_said(sent.text):
+        session.say("WARN", sent.text)
     return session.messages.local(sent.result)
 
 

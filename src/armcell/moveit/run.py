@@ -20,6 +20,7 @@ def run_script(
     script: Path, live: LiveCell, arguments: Sequence[str] = (), rate: float = 100.0,
     auto_grip: bool = False, quiet: bool = False, ros1: Ros1Settings | None = None,
     ended: Callable[[int, Session], None] = lambda status, session: None,
+    began: Callable[[Session], None] = lambda session: None,
 ) -> tuple[int, Session]:  # fmt: skip
     """Run a script to its end, with the motions that it has begun; then leave nothing running.
 
@@ -29,6 +30,7 @@ def run_script(
         auto_grip: close a gripper that rests with an object between its open fingers.
         ros1: join the cell and the script to a ROS 1 graph.
         ended: called with the exit status when all is over, while the cell is still connected.
+        began: called when the cell is ready and joined, before the script.
     Returns:
         The script's exit status (130 after Ctrl-C, 143 after SIGTERM), and the session it ran in, closed.
     Raises:
@@ -42,6 +44,7 @@ def run_script(
     with session, installed(session.messages) as hidden:
         if hidden:
             session.hint("hidden", f"the installed {', '.join(hidden)} are not used in this run")
+        began(session)
         sys.argv = [str(script), *arguments]
         sys.path.insert(0, str(folder))
         try:

@@ -10,13 +10,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from armcell.cell import LiveCell
-from armcell.core import InputError
+from armcell.core import Event, InputError, JointTrajectory, StateSample
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell
+from armcell.ros.nodes.description import NAME
 
 logger = logging.getLogger(__name__)
+RECENT = 5  # lines of the log
 CHECK = 0.1  # [s] between two looks whether it is all over
 T = TypeVar("T")
 _current: list[Session] = []
@@ -37,8 +39,9 @@ class Session:
         ros1: Ros1Settings | None = None,
     ):  # fmt: skip
         self.bus = Bus()
-        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down)
+        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down, (NAME,))
         self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
+        live.ctx.observers.append(_Warnings(self))
         self.messages = MessageClasses(self.bus.schema)
         self.node_name = ""
         self.interrupted = False
@@ -63,10 +66,10 @@ class Session:
         _current.append(self)
         try:
             if self.graph is not None:  # a master that is missing is said before the cell is started
-                self.graph.start()
+                self.graph.reserve()
             self.served.start()
             if self.graph is not None:
-                self.graph.wait_settled()
+                self.graph.start()
         except BaseException:
             self.__exit__()
             raise
@@ -126,6 +129,10 @@ class Session:
         if not self._quiet:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (what a script logs is for its user)
 
+    def has_said(self, text: str) -> bool:
+        """Whether one of the last lines has a text already."""
+        return any(text in line for line in self.lines[-RECENT:])
+
     def hint(self, key: str, text: str) -> None:
         """Say something about the script, once."""
         if key not in self._hints:
@@ -146,6 +153,25 @@ class Session:
 
     def _goes_on(self) -> bool:
         return self.served.thread.is_alive() and not self.interrupted
+
+
+class _Warnings:
+    """Says what the cell reports of refused and stopped motions, unwanted contacts and lost objects."""
+
+    KINDS = ("stop", "contact", "lost")
+
+    def __init__(self, session: Session):
+        self._session = session
+
+    def on_event(self, event: Event) -> None:
+        if event.kind in self.KINDS:
+            self._session.say("WARN", event.text)
+
+    def on_state(self, sample: StateSample) -> None:
+        pass
+
+    def on_trajectory(self, time: float, trajectory: JointTrajectory) -> None:
+        pass
 
 
 def current_session() -> Session:

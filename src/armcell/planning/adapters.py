@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import touching
 from armcell.core import (
     WORLD,
     ConstraintGoal,
@@ -22,19 +23,13 @@ from armcell.core import (
     Registry,
     UnknownNameError,
 )
-from armcell.planning.placed import positioned
+from armcell.planning.departure import REPAIR_RADII, departure, leaving
 from armcell.planning.question import Question
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
 MAX_BOUNDS_ERROR = 0.05  # [rad or m] MoveIt's start_state_max_bounds_error
-REPAIR_RADII = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3)  # [rad or m] in which a free start is looked for
-REPAIR_SAMPLES = 200  # in each
-HALVINGS = 12  # that bring the free start nearer
-CLEARANCE = 2e-3  # [m] beyond the padding that a repaired start keeps from objects
-LEAD_STEP = 0.005  # [rad] between the places where the motion out of contact is looked at
-DEEPER = 5e-4  # [m] a contact may deepen on that way
 
 RequestAdapter = Callable[[Question], "Question | Outcome"]
 request_adapters: Registry[RequestAdapter] = Registry("adapter")
@@ -125,75 +120,24 @@ def fix_start_state_bounds(question: Question) -> Question | Outcome:
 
 @request_adapters.register("fix_start_state_collision")
 def fix_start_state_collision(question: Question) -> Question | Outcome:
-    """A start in contact is replaced by the nearest free state that is found.
+    """A start in contact, however deep, is replaced by a free state near it.
 
-    The motion begins where the robot is only if on the straight way out no contact deepens and no other pair
-    touches; else it begins at the free state. `start_repaired` in the evidence says which, and how far it is.
+    The motion begins where the robot is only if the way out is proven: no contact deepens or is dragged along
+    and no other pair touches. Else it begins at the free state. `start_repaired` in the evidence says which,
+    and how far it is.
     """
     scene = question.scene
     checker = KernelChecker(scene, question.joint_names)
     start = scene.positions[checker.columns]
     if not checker.touches(start):
         return question
-    contacts = checker.exact.contacts(start, padded=False)
-    roomy = KernelChecker(scene.with_padding(scene.padding + CLEARANCE), question.joint_names)
-    free = _nearest_free(roomy, start, np.random.default_rng(question.request.seed))
-    what = "; ".join(c.describe() for c in contacts[:3])
-    if free is None:
+    found = departure(checker, start, question.request.seed, np.inf)
+    if found is None:
+        contacts = touching(checker, start)
+        what = "; ".join(c.describe() for c in contacts[:3])
         text = f"start in collision: {what}; no free state within {REPAIR_RADII[-1]:g} rad was found"
         return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
-    acceptable = way_out(checker, start, free)
-    report = {
-        "contacts": contacts,
-        "from": start.copy(),
-        "to": free,
-        "distance": float(np.linalg.norm(free - start)),
-        "begins_at": "actual start" if acceptable else "repaired start",
-    }
-    lead = None
-    if acceptable:
-        lead = np.vstack([start if question.lead_in is None else question.lead_in[0], free])
-    return replace(
-        question,
-        scene=positioned(scene, question.joint_names, free),
-        lead_in=lead,
-        evidence={**question.evidence, "start_repaired": report},
-    )
-
-
-def _nearest_free(checker: KernelChecker, start: Array, rng: np.random.Generator) -> Array | None:
-    """A free state (n,) near the start: the nearest sample of the smallest ball with one, brought nearer."""
-    low, high = checker.model.lower[checker.columns], checker.model.upper[checker.columns]
-    for radius in REPAIR_RADII:
-        steps = rng.normal(size=(REPAIR_SAMPLES, len(start)))
-        steps *= (
-            radius / np.linalg.norm(steps, axis=1, keepdims=True) * rng.random((REPAIR_SAMPLES, 1)) ** 0.5
-        )
-        free = [q for q in np.clip(start + steps, low, high) if checker.is_free(q)]
-        if free:
-            best = min(free, key=lambda q: float(np.linalg.norm(q - start)))
-            near, far = 0.0, 1.0  # of the way to `best`
-            for _ in range(HALVINGS):
-                middle = (near + far) / 2
-                if checker.is_free(start + middle * (best - start)):
-                    far = middle
-                else:
-                    near = middle
-            return start + far * (best - start)
-    return None
-
-
-def way_out(checker: KernelChecker, start: Array, free: Array) -> bool:
-    """Whether the straight way from a start in contact deepens no contact and makes no other."""
-    depths = {(c.body_a, c.body_b): c.distance for c in checker.exact.contacts(start, padded=False)}
-    count = max(int(np.ceil(np.max(np.abs(free - start)) / LEAD_STEP)), 2)
-    for t in np.linspace(0.0, 1.0, count + 1)[1:]:
-        for c in checker.exact.contacts(start + t * (free - start), padded=False):
-            pair = (c.body_a, c.body_b)
-            if pair not in depths or c.distance < depths[pair] - DEEPER:
-                return False
-            depths[pair] = max(depths[pair], c.distance)
-    return True
+    return leaving(question, found, "actual start" if found.proven else "repaired start")
 
 
 @request_adapters.register("resolve_constraint_frames")

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import clearance_from_rest
 from armcell.core import SE3, InputError, JointTrajectory
 from armcell.kinematics import InverseDynamics
 from armcell.model import Inertial, RobotModel
@@ -133,5 +134,8 @@ def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseD
 
 
 def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
-    """Distance [m] that a motion is proven to keep, see `KernelChecker.clearance`; at most 0.25."""
-    return checker.clearance(trajectory.positions)
+    """Distance [m] that a motion is proven to keep, see `KernelChecker.clearance`; at most 0.25.
+
+    A pair in resting contact at the start counts from where it no longer moves apart.
+    """
+    return clearance_from_rest(checker, trajectory.positions)

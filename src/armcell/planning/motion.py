@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import certify_from_rest
 from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.planning.finish import finish, torque_model
 from armcell.planning.placed import Placed
 from armcell.planning.question import Question
 from armcell.planning.speed import slowed
-from armcell.timing import BlendedPath, TorqueLimitError, jerk_limited, parameterize
+from armcell.timing import BlendedPath, TimingSettings, TorqueLimitError, jerk_limited, parameterize
 
 Array = NDArray[np.float64]
 
@@ -63,12 +64,13 @@ def completed(
     """A proven motion led to from where the robot is, and slowed to the speed that the request allows."""
     request, words = question.request, ""
     if question.lead_in is not None:
-        lead = _lead_in(question, checker)
+        lead = lead_in(question, checker)
         if lead is None:
             words = "the motion begins at the start within limits, the way to it is not free"
         else:
-            waypoints = np.vstack([question.lead_in[0], waypoints])
-            trajectory = _joined(lead, trajectory)
+            waypoints = np.vstack([question.lead_in[:-1], waypoints])
+            trajectory = joined(lead, trajectory)
+            words = left_first(question)
     elif "start_repaired" in question.evidence:
         words = "the motion begins at the repaired start, not where the robot is"
     if request.max_cartesian_speed is not None:
@@ -78,11 +80,19 @@ def completed(
     return Motion(waypoints, trajectory if timing else None, done=True, words=words)
 
 
-def _lead_in(question: Question, checker: KernelChecker) -> JointTrajectory | None:
+def left_first(question: Question) -> str:
+    """What a caller must know of a motion that leads out of contact."""
+    contacts = question.evidence.get("start_repaired", {}).get("contacts", ())
+    return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""
+
+
+def lead_in(question: Question, checker: KernelChecker) -> JointTrajectory | None:
     """From where the robot is to the repaired start, both at rest; None where that is not free."""
     lead = question.lead_in
-    assert lead is not None
-    if "start_repaired" not in question.evidence and not checker.certify(lead, evidence=False).free:
+    if lead is None:
+        return None
+    checker = checker.without_room or checker  # the way to where room between arms can be kept
+    if not certify_from_rest(checker, lead, deepest=np.inf, evidence=False).free:
         return None
     names, request = question.joint_names, question.request
     velocity = checker.model.limits(names, "velocity") * request.velocity_scaling
@@ -90,10 +100,11 @@ def _lead_in(question: Question, checker: KernelChecker) -> JointTrajectory | No
     path = BlendedPath(lead, 0.0)
     if request.jerk_limits:
         return jerk_limited(path, names, velocity, acceleration, checker.model.limits(names, "jerk"))
-    return parameterize(path, names, velocity, acceleration)
+    torque = torque_model(question.scene, names) if request.torque_limits else None
+    return parameterize(path, names, velocity, acceleration, TimingSettings(), torque)
 
 
-def _joined(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
+def joined(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
     """One motion after the other; they meet at rest."""
 
     def both(a: Array | None, b: Array | None) -> Array | None:

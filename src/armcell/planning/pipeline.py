@@ -28,6 +28,7 @@ from armcell.core import (
 from armcell.planning.adapters import adapted
 from armcell.planning.apart import Room, room_between
 from armcell.planning.constraints.plan import check_planner, plan_constrained
+from armcell.planning.departure import departed
 from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along
 from armcell.planning.goal_stream import stream
@@ -81,6 +82,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
     ends = find_ends(question)
     if isinstance(ends, Outcome):
         return question.failed(ends)
+    question = ends.question
     if industrial:
         return plan_industrial(question, ends.checker, ends.start, ends.goals)
     if request.path_constraints:
@@ -99,8 +101,13 @@ def _links(request: PlanRequest) -> Iterator[str | None]:
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """A free start (n,) and goals (n,), bounds to sample in, and the checker they were found with."""
+    """A free start (n,) and goals (n,), bounds to sample in, and the checker they were found with.
 
+    Attributes:
+        question: from that start; where the robot stands in resting contact, its `lead_in` leads there.
+    """
+
+    question: Question
     checker: KernelChecker
     start: Array
     goals: tuple[Array, ...]
@@ -119,9 +126,12 @@ def find_ends(question: Question) -> Ends | Outcome:
     checker = KernelChecker(scene, question.joint_names)
     start = scene.positions[checker.columns]
     if checker.touches(start):
-        contacts = checker.exact.contacts(start, padded=False)
-        text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
-        return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
+        left = departed(question, checker)
+        if isinstance(left, Outcome):
+            return left
+        question, scene = left, left.scene
+        checker = KernelChecker(scene, question.joint_names)
+        start = scene.positions[checker.columns]
     if why := question.forbids(start):
         return Outcome(ErrorCode.START_STATE_INVALID, f"start: {why}")
     checker.relax_margins(start)
@@ -130,7 +140,7 @@ def find_ends(question: Question) -> Ends | Outcome:
     if not outcome.ok:
         return outcome
     lower, upper = sampling_bounds(scene.model, question.joint_names, start, goals)
-    return Ends(checker, start, goals, lower, upper)
+    return Ends(question, checker, start, goals, lower, upper)
 
 
 ROOMY_SHARE = 0.5

@@ -37,7 +37,7 @@ class Question:
     cancel: threading.Event
     adapters: tuple[str, ...] = ()  # by our names
     workspace: Workspace | None = None
-    lead_in: Array | None = None  # (2, n): where the robot is, and the repaired start that planning begins at
+    lead_in: Array | None = None  # (k, n): from where the robot is to the start that planning begins at
     evidence: Mapping[str, Any] = field(default_factory=dict)  # what adapters report; ends up in the result
 
     @property

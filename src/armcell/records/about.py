@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,8 +32,31 @@ def about_run(
         "mode": mode,
         "hashes": content_hashes(cell),
         "versions": versions(),
-        "machine": f"{platform.node()} {platform.machine()} {platform.processor()}".strip(),
+        "machine": this_machine(),
     }
+
+
+def this_machine() -> str:
+    """The computer's name and processor."""
+    return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
+
+
+def origin_of(about: Mapping[str, Any], file: Path) -> str:
+    """Where a record comes from, in words, if it is not this user's own of this computer; else nothing.
+
+    Args:
+        file: of the record.
+    """
+    machine = str(about.get("machine"))
+    if machine != this_machine():
+        return f"named by a record from another computer, {_printable(machine)}"
+    if hasattr(os, "getuid") and file.stat().st_uid != os.getuid():
+        return "named by another user's record"
+    return ""
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text[:80])
 
 
 def cell_of(about: Mapping[str, Any]) -> Cell:

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from armcell.cell import run_task
+from armcell.cell import announce_code, run_task
 from armcell.core import InputError, Observer
 from armcell.planning import warm_up
-from armcell.records.about import about_run, cell_of, changed_since
+from armcell.records.about import about_run, cell_of, changed_since, origin_of
 from armcell.records.compare import Comparison, compare
 from armcell.records.reader import Record, read_record
 from armcell.records.recorder import RunRecorder
@@ -70,6 +70,7 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
             f"since this record, what changed is: {', '.join(changed)}", file=record.file,
             cure="restore it, or compare all the same with --anyway",
         )  # fmt: skip
+    announce_code(cell, origin_of(record.about, record.file))
     return cell
 
 

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -27,6 +27,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from armcell.core import SE3, Contact, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
+from armcell.records.behind import WrittenBehind
 from armcell.records.shapes import object_data, pose_data
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 
@@ -90,8 +91,8 @@ class McapWriter:
         self._schemas: dict[str, int] = {}
         self._topics: dict[str, str] = {}  # by object
         self._touching = False
-        self._stream = self._part.open("wb")
-        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._stream = WrittenBehind(self._part)  # no motion waits for a disk
+        self._writer = Writer(cast("BinaryIO", self._stream), _CHUNK_BYTES, CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="armcell")
         if about is not None:
             self._write_json(ABOUT, {**about, "start_ns": self.start_ns})
@@ -99,6 +100,7 @@ class McapWriter:
         self._moving = [i for i, joint in enumerate(joints) if joint.movable]
         self._ends = [(joint.parent, joint.child) for joint in joints]
         self._write_static()
+        self._stream.wait()  # a disk that takes nothing is found before anything moves
 
     # --- what is recorded ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
@@ -129,7 +131,7 @@ class McapWriter:
                 pose=pose,
             )
         self._write("/tf", "tf2_msgs/msg/TFMessage", time, transforms=transforms)
-        self._stream.flush()  # whole chunks reach the disk as they come
+        self._stream.flush()  # whole chunks go to the disk as they come
 
     def _write_joints(self, topic: str, time: float, state: JointState) -> None:
         v, effort = ((() if x is None else x) for x in (state.velocities, state.efforts))

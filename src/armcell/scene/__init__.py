@@ -1,6 +1,6 @@
 """The planning scene: an immutable value of robot, state, objects and allowed contacts."""
 
-from armcell.scene.changed import scene_changes
+from armcell.scene.changed import new_obstacles, scene_changes
 from armcell.scene.cloud_file import load_obstacle, load_points
 from armcell.scene.depth import depth_points
 from armcell.scene.diff import (
@@ -84,6 +84,7 @@ __all__ = [
     "load_scene_file",
     "mesh_facts",
     "mesh_object",
+    "new_obstacles",
     "object_names",
     "octree_bytes",
     "octree_from_bytes",

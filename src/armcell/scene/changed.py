@@ -34,3 +34,18 @@ def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]
         ],
     }
     return {kind: what for kind, what in found.items() if what}
+
+
+def new_obstacles(before: PlanningScene, now: PlanningScene) -> list[str]:
+    """Objects in the world that are new since before, of another shape, or elsewhere."""
+    found = []
+    for name, item in now.objects.items():
+        was = before.objects.get(name)
+        if was is item:
+            continue
+        held = before.attached.get(name)
+        known = held.object if was is None and held is not None else was
+        same = known is not None and known.shapes is item.shapes
+        if not (same and (was is None or was.T_world_object.isclose(item.T_world_object))):
+            found.append(name)
+    return found

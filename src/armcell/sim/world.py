@@ -174,7 +174,7 @@ class SimWorld:
                     if self.settings.grip_mode != "friction":
                         weld(data)
             self._behind = True
-        self._check()
+        self.check()
 
     def _look_at_all(self) -> None:
         """The engine is to look at all pairs of links again, before it is used without compiled steps."""
@@ -190,7 +190,8 @@ class SimWorld:
             before.append(self._run_belts)
         return before
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Raise an ArmcellError if the state is no longer finite."""
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
@@ -214,7 +215,7 @@ class SimWorld:
                 used, errors = self._steps.follow(rows, targets.steps, tolerance, controls, at, self.monitor)
                 self._servo.command(data, controls, positions[used - 1], velocities[used - 1])
                 self._behind = True
-            self._check()
+            self.check()
         else:
             errors = np.zeros(len(names))
             for q, v in zip(positions, velocities, strict=True):

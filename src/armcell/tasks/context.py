@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from armcell.collision.kernel.world_part import object_part
-from armcell.control import Driver
+from armcell.control import Driver, MotionGate
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.model import Gripper
-from armcell.scene import PlanningScene, scene_changes
+from armcell.scene import PlanningScene, new_obstacles, scene_changes
 from armcell.tasks.failures import reason_in_short
-from armcell.tasks.guard import came
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.world import World, without_measured
 
@@ -66,7 +65,10 @@ class TaskContext:
         self.driver, self.settings, self.observers, self.seed = driver, settings, list(observers), seed
         self.cancel = cancel or threading.Event()
         self.world = World(scene)
+        self.gate = MotionGate(self)
+        self.expected: set[frozenset[str]] = set()  # pairs whose contact is part of the task now
         self.holding: dict[str, Holding] = {}  # by object
+        self.lost: dict[str, str] = {}  # by object that fell out of a hand and was not grasped again: how
         self.at_work: tuple[TaskContext, ...] = ()  # of arms side by side, that know now what they hold
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
@@ -113,7 +115,7 @@ class TaskContext:
         """Change the world the task plans in: objects added, changed, moved, removed, at once or not at all.
 
         At any time and from any thread, also while the arm moves: what is planned afterwards keeps to it, and
-        a motion across whose rest something has come is stopped (`PathGuard`). Joints, what hands hold and
+        a motion across whose rest something has come is stopped (`MotionGate`). Joints, what hands hold and
         the poses of bodies that the driver knows stay as they are measured.
 
         Args:
@@ -126,7 +128,7 @@ class TaskContext:
         with self.world.editing:
             before, now = self.base, self.whole_scene()
             after = without_measured(before, now, make(now), [held.object for held in self.hands()])
-            for name in came(before, after):
+            for name in new_obstacles(before, after):
                 object_part(after.objects[name])  # not on the time of who moves the arm
             self.world.scene = after
             if self.observers and (changes := scene_changes(before, after)):
@@ -151,9 +153,20 @@ class TaskContext:
             finally:
                 self.world.telling.release()
 
-    def measured(self) -> Set[str]:
-        """Objects whose poses the driver knows, whatever the scene is told of them."""
-        return self.driver.object_poses().keys()
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        """Contacts that are part of the task from now on (or no longer), for physics and the motion gate."""
+        others = tuple(others)
+        pairs = {frozenset((body, other)) for other in others}
+        self.expected = self.expected | pairs if expected else self.expected - pairs
+        self.driver.expect_contact(body, others, expected)
+
+    def object_poses(self) -> dict[str, SE3]:
+        """T_world_object of the objects that the driver measures."""
+        return self.driver.object_poses()
+
+    def expected_contacts(self) -> Set[frozenset[str]]:
+        """Pairs of bodies whose contact is part of the task now."""
+        return self.expected
 
     def clock(self) -> float:
         """The driver's [s]."""
@@ -238,6 +251,18 @@ class TaskContext:
             self._stops_told += 1
             kind = "note" if event.kind == "twin" else "stop"
             self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)
+
+    # --- what hands hold ---
+    def take(self, held: Holding) -> None:
+        """An object is in a hand now."""
+        self.holding[held.object] = held
+        self.lost.pop(held.object, None)
+
+    def lose(self, item: str, text: str) -> None:
+        """An object has fallen out of a hand: it belongs to the world again."""
+        self.holding.pop(item, None)
+        self.lost[item] = text
+        self.emit("lost", text, object=item)
 
     # --- telling ---
     def emit(self, kind: str, text: str, **data: Any) -> None:

@@ -19,7 +19,6 @@ from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.guard import guarded
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.stages.grasp import finger_state
@@ -156,18 +155,15 @@ class _Along:
                 ctx.driver.command_gripper(self.gripper.name, 0.0, self.force)
             ctx.observe()
 
-        result = guarded(
-            ctx, self.trajectory, ctx.cancel,
-            lambda stop: execute(ctx.driver, self.trajectory, ctx.settings.execution, stop, progress),
-            self.planned_in,
-        )  # fmt: skip
+        motion = ctx.gate.motion(self.trajectory, self.planned_in, ctx.cancel)
+        result = execute(ctx.driver, motion, ctx.settings.execution, progress)
         if not result.ok:
             return result
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held != self.item:
             return Outcome(ErrorCode.CONTROL_FAILED, f"{self.item} is not between the fingers")
         T = ctx.T_tcp_object(self.item, self.gripper)
-        ctx.holding[self.item] = Holding(self.item, self.gripper, T)
+        ctx.take(Holding(self.item, self.gripper, T))
         ctx.emit("grasp", f"holds {self.item} with {reading.force_per_finger:.0f} N per finger")
         return Watch(self.item).perform(ctx)
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from armcell.collision import neighbours
+from armcell.control import CHANGED
 from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
 from armcell.core.checks import require
 from armcell.grasping import Placement
@@ -17,7 +18,6 @@ from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import costs
-from armcell.tasks.guard import CHANGED
 from armcell.tasks.interfaces import holding
 from armcell.tasks.search import Draft, Foresee, Planning, Stage
 from armcell.tasks.settings import TaskSettings

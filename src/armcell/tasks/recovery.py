@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from armcell.control import CHANGED
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.core.checks import require
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
-from armcell.tasks.guard import CHANGED
 from armcell.tasks.interleaved import changed
 from armcell.tasks.laying import lay_down
 from armcell.tasks.recipes import AHEAD, Vector, back_off, pick, place

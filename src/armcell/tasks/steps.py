@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from armcell.control import execute
+from armcell.control import GuardedMotion, execute
 from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.guard import PathGuard
 
 DONE = Outcome(ErrorCode.SUCCESS)
 LOST_FOR = 0.1  # [s] that nothing has been felt between the fingers
@@ -54,19 +53,19 @@ class Motion:
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
         ctx.announce(trajectory, self.name, **self.told())
         watch = _Watch(ctx, trajectory, self.planned_in)
-        result = execute(ctx.driver, trajectory, ctx.settings.execution, watch, ctx.progress)
+        result = execute(ctx.driver, watch, ctx.settings.execution, ctx.progress)
         ctx.rested()
         for name, T_before in before.items():
             held = ctx.holding[name]
             report.slip_m = T_before.distance_to(ctx.T_tcp_object(held.object, held.gripper))[0]
-        return watch.dropped(self.name) if watch.lost is not None else watch.judged(result)
+        return watch.dropped(self.name) if watch.lost is not None else result
 
 
-class _Watch(PathGuard):
-    """Set when the motion must not go on, or when a hand has lost what it carries: then the arm stops."""
+class _Watch(GuardedMotion):
+    """A motion that also stops when a hand has lost what it carries."""
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
-        super().__init__(ctx, trajectory, planned_in, ctx.cancel)
+        super().__init__(ctx.gate, trajectory, planned_in, ctx.cancel)
         self._ctx = ctx
         self._since: dict[str, float] = {}  # [s] by object
         self._next_look = 0.0  # [s]
@@ -176,7 +175,7 @@ class Hold:
             text += f"; the scene has {self.object} at {x:.3f} {y:.3f} {z:.3f}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
-        ctx.holding[self.object] = Holding(self.object, self.gripper, T)
+        ctx.take(Holding(self.object, self.gripper, T))
         ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per finger")
         return DONE
 
@@ -203,7 +202,7 @@ class Expect:
 
     def perform(self, ctx: TaskContext) -> Outcome:
         if self.others:
-            ctx.driver.expect_contact(self.body, self.others, self.expected)
+            ctx.expect_contact(self.body, self.others, self.expected)
         return DONE
 
 
@@ -288,7 +287,7 @@ def not_held(ctx: TaskContext, text: str) -> Outcome:
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
     """The same of an object that was held: it belongs to the world again."""
-    ctx.holding.pop(item, None)
+    ctx.lose(item, text)
     ctx.driver.unwatch_object(item)
     return not_held(ctx, text)
 

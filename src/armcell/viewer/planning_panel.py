@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ class PlanningPanel:
     Args:
         session: what is shown and worked with; it is closed with the panel.
         folder: where scenes are saved to and loaded from.
+        names: further host names under which browsers may ask for the page.
     Raises:
         InputError: the host is no address of this machine, or no port is free.
     """
@@ -44,11 +46,13 @@ class PlanningPanel:
         port: int = 8080,
         title: str | None = None,
         folder: Path | None = None,
+        names: Iterable[str] = (),
     ):
         self.session = session
-        self.viewer = CellViewer(session.scene, host, port, title)
+        self.viewer = CellViewer(session.scene, host, port, title, names, starting=True)
         try:
             self._build(folder or Path.cwd())
+            self.viewer.open()
         except BaseException:
             self.viewer.close()
             raise

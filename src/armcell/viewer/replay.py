@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections.abc import Iterable
 from typing import Any
 
 from armcell.core import Event
@@ -23,11 +24,15 @@ class ReplayView:
 
     Args:
         scene: the cell as the run began.
+        names: further host names under which browsers may ask for the page.
     Raises:
         InputError: the host is no address of this machine, or no port is free.
     """
 
-    def __init__(self, record: Record, scene: PlanningScene, host: str = "127.0.0.1", port: int = 8080):
+    def __init__(
+        self, record: Record, scene: PlanningScene, host: str = "127.0.0.1", port: int = 8080,
+        names: Iterable[str] = (),
+    ):  # fmt: skip
         self.record = record
         self._begin, self._end = record.states[0].time, record.states[-1].time
         self._scenes = scenes_of(record, scene)
@@ -35,7 +40,7 @@ class ReplayView:
         self._at_scene = self._at_plan = 0
         self._from = self._begin
         name = record.about.get("cell", record.file.parent.name)
-        self.viewer = CellViewer(scene, host, port, f"{name}, recorded")
+        self.viewer = CellViewer(scene, host, port, f"{name}, recorded", names, starting=True)
         try:
             self._build()
         except BaseException:
@@ -43,6 +48,7 @@ class ReplayView:
             raise
         self._player = Player(self._show_played, lambda: self.loop.value, self._stopped)
         self.seek(self._begin)
+        self.viewer.open()
 
     @property
     def url(self) -> str:

@@ -1,16 +1,20 @@
-"""Starting and stopping viser's server: on a free port, and without a word on stdout."""
+"""Starting and stopping viser's server: guarded, on a free port, and without a word on stdout."""
 
 from __future__ import annotations
 
 import contextlib
+import http.client
 import logging
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from armcell.core import InputError
+from armcell.core import ArmcellError, InputError
+from armcell.core.endpoints import Endpoint
+from armcell.viewer.guard import MAX_CONNECTIONS, MAX_MESSAGE, PageGuard, page_url
 
 if TYPE_CHECKING:
     import viser
@@ -18,10 +22,78 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 PORTS_TRIED = 100
-_printing = threading.Lock()
+PROBE_S = 5.0  # [s] for the page to refuse a request without a token
+_starting = threading.Lock()
 
 
-def free_port(host: str, port: int) -> int:
+@dataclass(frozen=True)
+class PageServer:
+    """A running page: viser's server and the guard in front of it.
+
+    Attributes:
+        url: with the token; whoever has it can use the page.
+        endpoints: where it listens.
+    """
+
+    viser: viser.ViserServer
+    guard: PageGuard
+    url: str
+    endpoints: tuple[Endpoint, ...]
+
+    @property
+    def port(self) -> int:
+        return self.endpoints[0].port
+
+    def open(self) -> None:
+        """Answer browsers; to be called when the page is built."""
+        self.guard.open()
+
+    def stop(self) -> None:
+        """Stop the server and wait for its thread; clients are disconnected."""
+        with _quiet_viser():
+            self.viser.stop()
+
+
+def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> PageServer:
+    """Serve a page that says it is starting until `open` is called.
+
+    Args:
+        host: address to listen on.
+        port: the first port to try; when it is taken the next free one is used.
+        label: shown on top of the panel.
+        names: further host names under which browsers may ask for the page.
+    Raises:
+        InputError: the host is not an address of this machine, no port is free, a name is not a host name.
+        ArmcellError: the installed viser cannot be guarded; nothing listens then.
+    """
+    import viser
+
+    guard = PageGuard(host, names)
+    with _guarding_viser(guard) as serving, _quiet_viser():
+        server = viser.ViserServer(host=host, port=_free_port(host, port), label=label, verbose=False)
+    try:
+        endpoints = tuple(Endpoint.of(sock, "page") for each in serving for sock in each.server.sockets)
+        if len(serving) != 1 or not endpoints:
+            raise _unguarded("does not start its server as armcell expects")
+        for endpoint in endpoints:
+            _probe(endpoint)
+        # A browser could have viser open a tunnel that offers the page on the internet.
+        setattr(server, "request_share_url", lambda verbose=True: None)  # noqa: B010
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    except BaseException:
+        with _quiet_viser():
+            server.stop()
+        raise
+    if not all(endpoint.is_local for endpoint in endpoints):
+        logger.warning(
+            "the page is plain HTTP on %s: whoever can read this network's traffic can read its token; "
+            "use it in a trusted network, through SSH (ssh -L) or behind a proxy with TLS",
+            ", ".join(str(endpoint) for endpoint in endpoints),
+        )
+    return PageServer(server, guard, page_url(host, endpoints[0].port, guard.token), endpoints)
+
+
+def _free_port(host: str, port: int) -> int:
     """The first port from `port` on that can be bound (viser would wait for ever for a bad host).
 
     Raises:
@@ -44,24 +116,110 @@ def free_port(host: str, port: int) -> int:
     raise InputError(f"the viewer cannot listen on {host!r}, port {port}: {problem}", cure=cure)
 
 
-def start_server(host: str, port: int, label: str) -> viser.ViserServer:
-    """A running viser server, its theme set."""
+# --- what armcell changes of viser, which has no hook for either ---
+@contextlib.contextmanager
+def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
+    """While inside, the server that viser starts asks the guard first; gives what `websockets` started."""
+    import websockets.asyncio.server as websockets
+
+    serving: list[Any] = []
+    with _starting:
+        real = websockets.serve
+
+        def serve(*arguments: Any, **options: Any) -> Any:
+            if not _from_viser():
+                return real(*arguments, **options)
+            process = options.pop("process_request", None)
+            if process is None:  # not raised: viser would leave its caller waiting for the thread
+                process = lambda connection, request: None  # noqa: E731
+            options |= {
+                "process_request": guard.in_front_of(process), "max_size": MAX_MESSAGE, "logger": _wire,
+                "create_connection": _counted(),
+            }  # fmt: skip
+            started = real(*arguments, **options)
+            serving[:] = [started]  # a port that is taken makes viser try the next one
+            return started
+
+        setattr(websockets, "serve", serve)  # noqa: B010
+        try:
+            yield serving
+        finally:
+            setattr(websockets, "serve", real)  # noqa: B010
+
+
+class _OneLine(logging.Filter):
+    """Leaves out what strangers send, and the traceback of what a browser sends wrongly."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.exc_info:
+            record.msg, record.args = f"page: {record.getMessage()}: {record.exc_info[1]!r}", ()
+            record.exc_info = record.exc_text = None
+        return "opening handshake failed" not in record.getMessage()
+
+
+_wire = logging.getLogger(f"{__name__}.wire")
+_wire.addFilter(_OneLine())
+
+
+def _counted() -> Any:
+    """A connection that ends at once where there are too many, with or without the token.
+
+    Connections that say nothing would use up the file descriptors of a process that talks to robots.
+    """
+    from websockets.asyncio.server import ServerConnection
+
+    class Counted(ServerConnection):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            if len(self.server.handlers) > MAX_CONNECTIONS:
+                transport.abort()
+
+    return Counted
+
+
+def _probe(endpoint: Endpoint) -> None:
+    """See that a page without its token refuses a browser, whatever viser has become.
+
+    Raises:
+        ArmcellError: it does not.
+    """
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(endpoint.host, endpoint.host)
+    websocket = {
+        "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    }  # fmt: skip
+    for headers in ({}, websocket):
+        connection = http.client.HTTPConnection(host, endpoint.port, timeout=PROBE_S)
+        try:
+            connection.request("GET", "/", headers=headers)
+            status = connection.getresponse().status
+        except (OSError, http.client.HTTPException) as error:
+            raise _unguarded(f"does not answer ({error!r})") from None
+        finally:
+            connection.close()
+        if status != 403:
+            raise _unguarded(f"answers {status} to a request without the token")
+
+
+def _unguarded(why: str) -> ArmcellError:
     import viser
 
-    with _viser_prints_to_log():
-        server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-    return server
+    return ArmcellError(
+        f"viser {viser.__version__} {why}: armcell does not serve a page that it cannot guard "
+        "(install the tested version: pip install viser==1.1.1)"
+    )
 
 
-def stop_server(server: viser.ViserServer) -> None:
-    """Stop a server and wait for its thread; clients are disconnected."""
-    with _viser_prints_to_log():
-        server.stop()
+def _from_viser(depth: int = 2) -> bool:
+    """Whether the function that asks was called by viser."""
+    return str(sys._getframe(depth).f_globals.get("__name__", "")).partition(".")[0] == "viser"
+
+
+_printing = threading.Lock()
 
 
 @contextlib.contextmanager
-def _viser_prints_to_log() -> Iterator[None]:
+def _quiet_viser() -> Iterator[None]:
     """While inside, what viser gives to `rich.print` is logged; that of others is printed as ever.
 
     viser announces its start and end on stdout even with `verbose=False`, and stdout is the caller's.
@@ -72,7 +230,7 @@ def _viser_prints_to_log() -> Iterator[None]:
         real = rich.print
 
         def routed(*objects: Any, **options: Any) -> None:
-            if str(sys._getframe(1).f_globals.get("__name__", "")).startswith("viser"):
+            if _from_viser():
                 logger.debug("viser: %s", " ".join(str(o) for o in objects))
             else:
                 real(*objects, **options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +12,7 @@ from armcell.core import SE3
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.viewer.geometry import add_link, node_name
-from armcell.viewer.server import free_port, start_server, stop_server
+from armcell.viewer.server import start_page
 from armcell.viewer.widgets import paragraph
 
 NONE = "-"
@@ -46,23 +47,26 @@ class SetupView:
     most often in contact with it first. A named state is shown when it is chosen.
 
     Attributes:
-        url: where to point a browser.
+        url: where to point a browser; with the token that the page asks for.
         done: whether "Write" or "Cancel" was clicked.
         answer: the proposal with the boxes as they are; None after "Cancel".
+    Args:
+        names: further host names under which browsers may ask for the page.
     """
 
-    def __init__(self, proposal: Any, host: str = "127.0.0.1", port: int = 8080):
+    def __init__(self, proposal: Any, host: str = "127.0.0.1", port: int = 8080, names: Iterable[str] = ()):
         self.answer: Any = proposal
         self.done = False
         self._deciding = threading.Lock()  # clicks come in threads of viser's
         self._model: RobotModel = proposal.model
         self._tree = kinematic_tree(self._model)
         self._q = self._model.default_positions()
-        self._server = start_server(host, free_port(host, port), self._model.name)
-        self.url = f"http://{host}:{self._server.get_port()}"
+        self.page = start_page(host, port, self._model.name, names)
+        self._server, self.url = self.page.viser, self.page.url
         try:
             self._draw()
             self._panel(proposal)
+            self.page.open()
         except BaseException:
             self.close()
             raise
@@ -74,7 +78,7 @@ class SetupView:
         self.close()
 
     def close(self) -> None:
-        stop_server(self._server)
+        self.page.stop()
 
     def _draw(self) -> None:
         api = self._server.scene

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, PlanningScene, extent
 from armcell.viewer.geometry import add_link, add_object_shape, node_name
 from armcell.viewer.panel import StatusPanel
-from armcell.viewer.server import free_port, start_server, stop_server
+from armcell.viewer.server import start_page
 
 if TYPE_CHECKING:
     import viser
@@ -40,23 +41,24 @@ class CellViewer:
         host: address to listen on.
         port: the first port to try; when it is taken the next free one is used (see `url`).
         title: shown on top of the panel; the robot's name by default.
+        names: further host names under which browsers may ask for the page.
+        starting: say so to browsers until `open` is called, for pages that add to the view.
     Raises:
         InputError: the host is no address of this machine, or no port is free.
     """
 
     def __init__(
-        self, scene: PlanningScene, host: str = "127.0.0.1", port: int = 8080, title: str | None = None
-    ):
-        free = free_port(host, port)
+        self, scene: PlanningScene, host: str = "127.0.0.1", port: int = 8080, title: str | None = None,
+        names: Iterable[str] = (), starting: bool = False,
+    ):  # fmt: skip
         self._scene = scene
         self._tree = kinematic_tree(scene.model)
         self._tips = _tool_links(scene)
         self._q = np.array(scene.positions)
-        self._host = host
-        self._server = start_server(host, free, title or scene.model.name)
-        self.port = self._server.get_port()
+        self.page = start_page(host, port, title or scene.model.name, names)
+        self._server = self.page.viser
         if port not in (0, self.port):
-            logger.warning("port %d is in use: the viewer is at %s", port, self.url)
+            logger.warning("port %d is in use: the viewer is at port %d", port, self.port)
 
         self.link_frames: dict[str, viser.FrameHandle] = {}
         self.object_frames: dict[str, viser.FrameHandle] = {}
@@ -65,7 +67,7 @@ class CellViewer:
         try:
             self._build()
         except BaseException:  # a visual that cannot be read, say: leave no server behind
-            stop_server(self._server)
+            self.page.stop()
             raise
         self._panel = StatusPanel(
             self._server.gui, title or scene.model.name, scene.model.grippers, self._shown
@@ -78,12 +80,21 @@ class CellViewer:
         self._closing = False
         self._worker = threading.Thread(target=self._run, name="armcell-viewer", daemon=True)
         self._worker.start()
+        if not starting:
+            self.open()
 
     @property
     def url(self) -> str:
-        """Where to point a browser on this machine."""
-        host = "127.0.0.1" if self._host in ("", "0.0.0.0", "::") else self._host
-        return f"http://{host}:{self.port}"
+        """Where to point a browser on this machine; with the token that the page asks for."""
+        return self.page.url
+
+    @property
+    def port(self) -> int:
+        return self.page.port
+
+    def open(self) -> None:
+        """Answer browsers from now on."""
+        self.page.open()
 
     @property
     def server(self) -> viser.ViserServer:
@@ -114,7 +125,7 @@ class CellViewer:
             self._closing = True
             self._wake.notify()
         self._worker.join(timeout=5.0)
-        stop_server(self._server)
+        self.page.stop()
 
     def __enter__(self) -> CellViewer:
         return self

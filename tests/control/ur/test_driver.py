@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 import pytest
+from tests.control.ungated import execute
 from tests.control.ur.emulated import dashboard, emulator, free_hosts
 from tests.control.ur.rig import MOVE, one_arm, swing, two_arms
 
-from armcell.control import execute
 from armcell.control.drivers.ur.identity import identify
 from armcell.core import ErrorCode, InputError
 

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 from benchmarks.ur_stops import STOPS, spoilt
+from tests.control.ungated import execute
 from tests.control.ur.emulated import dashboard, emulator, free_hosts
 from tests.control.ur.rig import MOVE, swing, two_arms
 
-from armcell.control import execute
 from armcell.control.safety import Fault, Supervisor
 from armcell.control.ur_controller.controller import TRACE
 from armcell.core import InputError
@@ -110,7 +110,9 @@ def test_one_fault_stops_all_and_only_clear_ends_it():
     for _ in range(3):
         assert supervisor.check().arm == "right"
     assert (left.halted, right.halted) == (1, 1)
-    with pytest.raises(InputError, match=r"cannot resume: right: tracking error \(mend it\)"):
+    with pytest.raises(
+        InputError, match=r"cannot resume: right: tracking error \(mend it; then call resume\(\) again\)"
+    ):
         supervisor.clear()
     right.wrong = ""
     assert supervisor.check() is not None  # gone, and still stopped

@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from tests.control.ungated import execute_coupled
 from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port, in_real_time
 from tests.control.ur.rig import MOVE, pair, swing, two_arms
 
 from armcell.cell.cell import LIBRARY
 from armcell.cli.main import main
 from armcell.control import DriverOptions, drivers
-from armcell.control.coupled import execute_coupled
 from armcell.control.drivers.ur.identity import identify
 from armcell.core import ErrorCode, InputError
 from armcell.scene import PlanningScene

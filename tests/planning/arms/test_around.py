@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from benchmarks.carry import KINDS, RESTS, ROD, TABLE, Carry, draw, held, look_at
 from scipy.interpolate import BSpline
 
+from armcell.collision import ExactChecker
+from armcell.collision.resting import resting_pairs
 from armcell.core import SE3, Box, ErrorCode, InputError
 from armcell.planning.arms.ways import Rounded, Straight
 from armcell.scene import CollisionObject
@@ -149,3 +152,18 @@ def test_a_rounded_way_through_two_poses_is_the_straight_one():
     shares = np.linspace(0, 1, 50)
     for one, other in zip(rounded.poses(shares), straight.poses(shares), strict=True):
         assert one.isclose(other, 1e-12, 1e-9)
+
+
+@slow
+def test_what_two_hands_hold_is_lifted_off_what_it_rests_on():
+    """Contact with the rests is not allowed: the start is in resting contact, and the way leads out of it."""
+    problem = beyond([], SE3.from_xyz(0.0, 0.16, ROD[2] + 0.1))
+    scene = problem.scene.with_allowed("rod", RESTS, allow=False)
+    names = scene.model.group("both_arms").joint_names
+    rests = resting_pairs(ExactChecker(scene, names), scene.state.reindexed(names).positions)
+    assert {name for pair in rests for name in pair} >= {"rod", *RESTS}
+    lifted = replace(problem, scene=scene, rests_on=())
+    assert lifted.plan(planning_time=0.0).ok
+    sideways = replace(lifted, goal=SE3.from_xyz(0.0, 0.06, ROD[2]))
+    result = sideways.plan(planning_time=0.0)
+    assert not result.ok and "rod" in result.message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 
@@ -180,6 +181,33 @@ def test_parameters_are_the_graphs(joined):
     b.close()
     assert b.bus.parameters.get("/arm/ok", None) is None  # its own again
     assert a.bus.parameters.get("/")["robot_description"] == "<robot/>"
+
+
+def test_what_is_there_before_we_join_is_kept_where_asked(joined):
+    """A cell joins when it is ready, so its description is on its bus before that of the graph is known."""
+    a = joined("a")
+    a.bus.parameters.set("/robot_description", "theirs")
+    bus = Bus()
+    bus.parameters.set("/robot_description", "ours")
+    bus.parameters.set("/robot_description_semantic", "ours")
+    settings = Ros1Settings("late", master=a.settings.master, own_master=False)
+    with Ros1Graph(bus, settings, keep=("/robot_description", "/nothing")):
+        assert bus.parameters.get("/robot_description") == "theirs"
+        assert a.bus.parameters.get("/robot_description") == "theirs"
+        assert a.bus.parameters.get("/robot_description_semantic") == "ours"
+
+
+def test_a_reserved_graph_opens_nothing_and_keeps_the_port(master_uri):
+    port = int(master_uri.rpartition(":")[2])
+    settings = Ros1Settings(master=master_uri, own_master=True)
+    graph = Ros1Graph(Bus(), settings)
+    graph.reserve()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
+    with pytest.raises(OSError, match="in use"):
+        socket.create_server(("127.0.0.1", port))
+    graph.close()  # never started
+    socket.create_server(("127.0.0.1", port)).close()
 
 
 def test_namespace_and_remapping(joined):

@@ -66,6 +66,7 @@ class _Body:
 _parts: Kept[RobotPart] = Kept(8)
 _bodies: Kept[_Body] = Kept(512)
 _placed: Kept[_Body] = Kept(512)  # the same in their frames
+_pairs_found: Kept[I32] = Kept(32)
 _near_found: Kept[tuple[I32, dict[str, I32]]] = Kept(32)
 
 
@@ -218,13 +219,19 @@ class _Builder:
         )
 
     def _pairs(self, bodies: list[tuple[str, int]]) -> I32:
-        pairs = [
-            (i, j)
-            for i, (a, fa) in enumerate(bodies)
-            for j, (b, fb) in enumerate(bodies[:i])
-            if fa != fb and not self.scene.is_allowed(a, b)
-        ]
-        return np.array(pairs, np.int32).reshape(-1, 2)
+        def look() -> I32:
+            pairs = [
+                (i, j)
+                for i, (a, fa) in enumerate(bodies)
+                for j, (b, fb) in enumerate(bodies[:i])
+                if fa != fb and not self.scene.is_allowed(a, b)
+            ]
+            return np.array(pairs, np.int32).reshape(-1, 2)
+
+        touch = tuple((name, held.touch_links) for name, held in self.scene.attached.items())
+        names = {name for name, _ in bodies}
+        said = frozenset((pair, yes) for pair, yes in self.scene.allowed.items() if pair <= names)
+        return _pairs_found.get((self.model, tuple(bodies), touch, said), look)
 
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
@@ -340,12 +347,14 @@ class _Builder:
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
         """Only joints above exactly one of the two bodies move them against each other."""
-        above = [set(self.above[frame]) for _, frame in bodies]
-        out = np.zeros((len(pairs), self.dof))
-        for p, (i, j) in enumerate(pairs.tolist()):
-            for c in {self.column[f] for f in above[i] ^ above[j]}:
-                out[p, c] = reach[i, c] + reach[j, c]
-        return out
+        above = np.zeros((len(bodies), len(self.parent)), bool)
+        for k, (_, frame) in enumerate(bodies):
+            above[k, self.above[frame]] = True
+        column = np.zeros((len(self.parent), self.dof))
+        column[np.arange(1, len(self.parent)), self.column[1:]] = 1.0
+        i, j = pairs.T
+        moves = (above[i] ^ above[j]) @ column > 0
+        return np.where(moves, reach[i] + reach[j], 0.0)
 
 
 @lru_cache

@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell._cache import cache_root
+from armcell._cache import cache_root, make, trusted_file
 
 logger = logging.getLogger(__name__)
 
@@ -26,9 +26,12 @@ def key_of(*parts: NDArray | str) -> str:
 
 
 def recall(kind: str, key: str) -> dict[str, NDArray] | None:
-    """What was kept, or None where nothing readable is."""
+    """What was kept, or None where nothing readable is that only this user can have written."""
+    file = cache_root() / kind / f"{key}.npz"
+    if not trusted_file(file):
+        return None
     try:
-        with np.load(cache_root() / kind / f"{key}.npz") as stored:
+        with np.load(file, allow_pickle=False) as stored:
             return dict(stored)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None  # not there, or cut off
@@ -38,7 +41,7 @@ def keep(kind: str, key: str, **arrays: NDArray) -> None:
     """Write arrays, whole or not at all; a folder that cannot be written only costs the time again."""
     file = cache_root() / kind / f"{key}.npz"
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
+        make(file.parent)
         with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".npz", delete=False) as temporary:
             np.savez(temporary, **arrays)  # type: ignore[arg-type]
         os.replace(temporary.name, file)

@@ -42,6 +42,10 @@ class FakeDriver(SeesNoContacts):
         pass
 
     @property
+    def is_paced(self) -> bool:
+        return self._pacer.time_scale is not None
+
+    @property
     def now(self) -> float:
         return self._now
 
@@ -70,6 +74,9 @@ class FakeDriver(SeesNoContacts):
         held = self._held.get(gripper)
         force = self._targets.get(gripper, (0.0, 0.0))[1] if held else 0.0
         return GripperReading(width, force, held[0] if held else None)
+
+    def resume(self) -> None:
+        """As `Driver.resume`: nothing ever stops it."""
 
     def wrench(self, gripper: str) -> Array:
         self._model.gripper(gripper)

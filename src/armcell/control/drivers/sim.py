@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.control.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
-from armcell.core import SE3, Contact, JointState, Playback
+from armcell.core import SE3, ArmcellError, Contact, InputError, JointState, Playback
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer, PhysicsSettings, SimWorld, Targets
 
@@ -45,6 +45,10 @@ class SteppedSim:
         return self.world.lock
 
     @property
+    def is_paced(self) -> bool:
+        return self._pacer.time_scale is not None
+
+    @property
     def now(self) -> float:
         return self.world.time
 
@@ -77,6 +81,18 @@ class SteppedSim:
         fingers = {g.joint_name for g in self.world.robot.grippers.values()}
         arm = state.reindexed(n for n in state.joint_names if n not in fingers)
         self.world.set_arm_target(arm.joint_names, arm.positions)
+
+    def resume(self) -> None:
+        """As `Driver.resume`: only physics that has diverged stops it for good."""
+        try:
+            self._connected().check()
+        except ArmcellError as error:
+            raise InputError(f"cannot resume: {error}", cure="connect the cell again") from None
+
+    def _connected(self) -> SimWorld:
+        if self.world is None:
+            raise InputError("the simulation has not begun", cure="connect first: with driver: ...")
+        return self.world
 
     def object_poses(self) -> dict[str, SE3]:
         return self.world.object_poses()

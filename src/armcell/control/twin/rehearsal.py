@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armcell.control.driver import DriverOptions
 from armcell.control.drivers.sim import SimDriver
 from armcell.control.twin.load import Demand, demand
-from armcell.core import SE3, ErrorCode, JointState, JointTrajectory, Outcome
+from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory, Outcome
 from armcell.scene import PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 
@@ -96,7 +96,8 @@ class Stage:
             poses: T_world_object of the movable objects.
             held: object by the gripper that holds it; it goes along as if it were part of the hand.
         """
-        from armcell.control.executor import ExecutionSettings, execute
+        from armcell.control.executor import execute
+        from armcell.control.gate import UngatedMotion
 
         world = self._placed(state, poses, held)
         driver = SimDriver(self._scene, DriverOptions(physics=self._settings))
@@ -108,12 +109,15 @@ class Stage:
 
         def keep(_: float) -> None:
             now = world.joint_state()
-            assert now.velocities is not None and now.efforts is not None
+            if now.velocities is None or now.efforts is None:
+                raise InputError(
+                    "the twin's world tells no speeds and efforts", cure="rehearse in a SimWorld"
+                )
             times.append(world.time - began)
             rows.append((now.positions[columns], now.velocities[columns], now.efforts[columns]))
 
         keep(0.0)
-        result: Outcome = execute(driver, trajectory, ExecutionSettings(), progress=keep)
+        result: Outcome = execute(driver, UngatedMotion(trajectory), progress=keep)
         touched = world.monitor.unwanted
         if touched:
             first = touched[0]

@@ -134,11 +134,22 @@ class Rack:
             raise InputError("controllers of one rack have the same control period")
         self.lost = 0.0  # [s] of wall time that could not be kept up with
         self._stop = threading.Event()
+        self._opened = False
+
+    def open(self) -> None:
+        """Open the ports; whoever connects is served as soon as `run` goes on. `run` does this itself."""
+        if not self._opened:
+            self._opened = True
+            for controller in self.controllers:
+                controller.step()  # compiles, on the first run on a machine: not with clients who wait
+            for controller in self.controllers:
+                controller.network.open()
 
     def run(self) -> None:
         """Serve until `stop`. The controllers' cycles are not in step, as real ones' are not: each begins a
         part of a period after the one before.
         """
+        self.open()
         turn, due = 0, time.monotonic()
         part = self.controllers[0].robot.period / len(self.controllers)
         while not self._stop.is_set():
@@ -174,6 +185,7 @@ class Rack:
         self._selector.close()
 
     def __enter__(self) -> Rack:
+        self.open()
         self._thread = threading.Thread(target=self.run, name="ur-controller", daemon=True)
         self._thread.start()
         return self

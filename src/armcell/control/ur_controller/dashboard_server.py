@@ -38,7 +38,8 @@ class DashboardServer:
         self, robot: Robot, network: Network, host: str, external: ExternalControl, port: int = PORT
     ):
         self._robot, self._network, self._external = robot, network, external
-        self.port = network.listen(host, port, lambda link: link.send(f"{GREETING}\n".encode()), self._data)
+        greet = f"{GREETING}\n".encode()
+        self.port = network.listen(host, port, lambda link: link.send(greet), self._data, "dashboard")
         r = robot
         self._queries: dict[str, Callable[[], str]] = {
             "running": lambda: f"Program running: {str(r.runtime is RuntimeState.PLAYING).lower()}",

@@ -17,7 +17,7 @@ class GripperServer:
     def __init__(self, robot: Robot, network: Network, host: str, port: int = PORT):
         self._robot = robot
         self._values = {"ACT": 0, "GTO": 0, "POS": 0, "SPE": 255, "FOR": 0, "ATR": 0, "ARD": 0}
-        network.listen(host, port, lambda link: None, self._data)
+        network.listen(host, port, lambda link: None, self._data, "gripper")
 
     def _data(self, link: Link) -> None:
         while b"\n" in link.received:

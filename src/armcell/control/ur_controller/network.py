@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import selectors
 import socket
 import time
@@ -11,7 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armcell.core import ArmcellError
+from armcell.core.endpoints import Endpoint, listen, reserve
 
+BACKLOG = 8  # connections that wait to be accepted
 MAX_WAITING = 1 << 20  # bytes a client may be behind before it is cut off
 
 
@@ -96,35 +99,36 @@ class Link:
 
 
 class Network:
-    """Listening ports and connections of one controller."""
+    """Listening ports and connections of one controller.
+
+    Attributes:
+        endpoints: of the ports that are taken.
+    """
 
     def __init__(self, selector: selectors.BaseSelector):
         self.faults = Faults()
         self._selector = selector
-        self._listening: list[socket.socket] = []
+        self._ports: dict[socket.socket, Callable[[], None]] = {}  # and what accepts a connection
+        self.endpoints: list[Endpoint] = []
         self.links: dict[Link, Callable[[Link], None] | None] = {}
 
     def listen(
-        self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None]
-    ) -> int:
-        """Serve a port; returns its number.
+        self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
+        service: str,
+    ) -> int:  # fmt: skip
+        """Take a port, to be served from `open` on; returns its number.
 
         Raises:
             ArmcellError: the port is taken.
         """
-        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            sock.bind((host, port))
+            sock = reserve(host, port)
         except OSError as error:
-            sock.close()
             raise ArmcellError(
                 f"{host}:{port} cannot be served: {error.strerror} (another emulator or robot program "
                 "uses it, or the address is not this machine's: choose another --host, such as 127.0.0.3)"
             ) from None
-        sock.listen(8)
         sock.setblocking(False)
-        self._listening.append(sock)
 
         def accept() -> None:
             try:
@@ -138,8 +142,15 @@ class Network:
             self._add(link, on_data)
             begin(link)
 
-        self._selector.register(sock, selectors.EVENT_READ, accept)
-        return sock.getsockname()[1]
+        self._ports[sock] = accept
+        self.endpoints.append(Endpoint.of(sock, service))
+        return self.endpoints[-1].port
+
+    def open(self) -> None:
+        """Accept connections at all ports from now on."""
+        for sock, accept in self._ports.items():
+            listen(sock, BACKLOG)
+            self._selector.register(sock, selectors.EVENT_READ, accept)
 
     def connect(self, host: str, port: int) -> Link | None:
         """A connection out, as a program's socket_open makes it; None when nobody answers."""
@@ -180,7 +191,8 @@ class Network:
     def close(self) -> None:
         for link in list(self.links):
             link.close()
-        for sock in self._listening:
-            self._selector.unregister(sock)
+        for sock in self._ports:
+            with contextlib.suppress(KeyError):  # never opened
+                self._selector.unregister(sock)
             sock.close()
-        self._listening.clear()
+        self._ports.clear()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.control.ur_wire.kinematics import pose_of
-from armcell.core import SE3, SO3
+from armcell.core import SE3, SO3, InputError
 from armcell.sim import SimWorld
 
 Array = NDArray[np.float64]
@@ -148,7 +148,8 @@ class WorldPlant:
     def read(self) -> tuple[Array, Array, Array]:
         state = self.world.joint_state()
         columns = self._columns
-        assert state.velocities is not None and state.efforts is not None
+        if state.velocities is None or state.efforts is None:
+            raise InputError("the shared world tells no speeds and efforts", cure="share a SimWorld")
         return state.positions[columns], state.velocities[columns], state.efforts[columns]
 
     def _rest(self) -> None:

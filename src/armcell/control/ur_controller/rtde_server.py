@@ -96,7 +96,7 @@ class RtdeServer:
     def __init__(self, robot: Robot, network: Network, host: str, port: int = rtde.PORT):
         self._robot, self._table = robot, outputs_of(robot)
         self._clients: dict[Link, _Client] = {}
-        self.port = network.listen(host, port, self._begin, self._data)
+        self.port = network.listen(host, port, self._begin, self._data, "RTDE")
 
     def _begin(self, link: Link) -> None:
         self._clients[link] = _Client()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 
 from armcell.control.ur_controller.network import Link, Network
 from armcell.control.ur_controller.programs import run_script
@@ -21,8 +22,9 @@ class ScriptServer:
         self._text: dict[Link, tuple[list[str], int]] = {}
         self._watching: dict[Link, bool] = {}  # realtime or not
         self._next = 0.0
-        for i, port in enumerate(ports):
-            network.listen(host, port, lambda link, realtime=i == 2: self._begin(link, realtime), self._data)
+        for name, port in zip(("primary", "secondary", "real-time"), ports, strict=True):
+            begin = partial(self._begin, realtime=name == "real-time")
+            network.listen(host, port, begin, self._data, f"script, {name}")
 
     def _begin(self, link: Link, realtime: bool) -> None:
         self._watching[link] = realtime

@@ -11,14 +11,14 @@ from typing import Any
 
 from armcell.core import InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
-from armcell.model.files import parse_xml, read_text, read_yaml
+from armcell.model.files import parse_xml, read_yaml
 from armcell.model.robot import RobotModel
 from armcell.model.setup.defaults import ACCELERATION, VELOCITY
 from armcell.model.setup.folder import write_folder, yaml_text
 from armcell.model.setup.semantics import Element, parse_srdf, srdf_text
 from armcell.model.setup.urdf_text import find_meshes, xml_text
 from armcell.model.srdf import with_srdf_text
-from armcell.model.urdf import expand_xacro, parse_urdf
+from armcell.model.urdf import parse_urdf, urdf_text
 
 logger = logging.getLogger(__name__)
 
@@ -83,16 +83,19 @@ class MoveItConfig:
     names: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
-    def load(folder: str | Path, urdf: str | Path | None = None) -> MoveItConfig:
+    def load(
+        folder: str | Path, urdf: str | Path | None = None, allow_env: bool | None = None
+    ) -> MoveItConfig:
         """Read a package's folder.
 
         Args:
             urdf: the URDF or xacro file; by default what `.setup_assistant` names, or lies in config/.
+            allow_env: of xacro files, see `expand_xacro`.
         Raises:
             InputError: a missing file, a name that the robot does not have, a value of the wrong type; with
                 the file and the key.
         """
-        return _Reader(Path(folder)).read(None if urdf is None else Path(urdf))
+        return _Reader(Path(folder), allow_env).read(None if urdf is None else Path(urdf))
 
     # --- what planners and controllers ask for ---
     @property
@@ -195,8 +198,8 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
 class _Reader:
     """Carries the folder through the files, for messages."""
 
-    def __init__(self, folder: Path):
-        self.folder = folder
+    def __init__(self, folder: Path, allow_env: bool | None = None):
+        self.folder, self.allow_env = folder, allow_env
         self.config = folder / "config"
 
     def read(self, urdf: Path | None) -> MoveItConfig:
@@ -283,8 +286,7 @@ class _Reader:
         return found[0]
 
     def text(self, file: Path) -> str:
-        text = read_text(file)
-        return expand_xacro(file, text) if file.suffix == ".xacro" else text
+        return urdf_text(file, self.allow_env, self.folder)
 
     # --- values of the right type ---
     def mapping(self, value: Any, file: Path, key: str) -> Data:

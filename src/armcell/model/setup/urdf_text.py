@@ -12,8 +12,8 @@ from lxml import etree
 
 from armcell.core import InputError
 from armcell.model.assets import resolve_uri
-from armcell.model.files import parse_xml, read_text
-from armcell.model.urdf import expand_xacro
+from armcell.model.files import parse_xml
+from armcell.model.urdf import urdf_text
 
 NOWHERE = Path("/")
 """A folder to look from that no robot description lies above: what is found from here is installed."""
@@ -29,8 +29,13 @@ class UrdfPart:
     rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def merged_urdf(parts: Sequence[UrdfPart], name: str | None = None) -> tuple[str, str]:
+def merged_urdf(
+    parts: Sequence[UrdfPart], name: str | None = None, allow_env: bool | None = None
+) -> tuple[str, str]:
     """(name, text) of one URDF made of several; one part without a place is itself.
+
+    Args:
+        allow_env: of xacro files, see `expand_xacro`.
 
     Raises:
         InputError: a file that cannot be read, two parts with the same names.
@@ -41,7 +46,7 @@ def merged_urdf(parts: Sequence[UrdfPart], name: str | None = None) -> tuple[str
             "different",
             cure="give each robot its own: --prefix left_ --prefix right_",
         )
-    roots = [_read(part.file) for part in parts]
+    roots = [_read(part.file, allow_env) for part in parts]
     own = "_and_".join(dict.fromkeys(root.get("name") or part.file.stem for root, part in zip(roots, parts)))
     whole = etree.Element("robot", name=name or (own if len(parts) == 1 else f"dual_{own}"))
     placed = len(parts) > 1 or any(part.xyz is not None for part in parts)
@@ -71,11 +76,8 @@ def xml_text(root: etree._Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
 
-def _read(file: Path) -> etree._Element:
-    text = read_text(file)
-    if file.suffix == ".xacro":
-        text = expand_xacro(file, text)
-    root = parse_xml(text, file)
+def _read(file: Path, allow_env: bool | None) -> etree._Element:
+    root = parse_xml(urdf_text(file, allow_env), file)
     if root.tag != "robot":
         raise InputError("root element is not <robot>", file=file, cure="is this a URDF file?")
     return root

@@ -13,8 +13,9 @@ from armcell.collision.arms import CLEARANCE, Arms, without_arm
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact, ErrorCode, InputError, JointTrajectory, Outcome, PlanRequest, PlanResult
 from armcell.planning.arms.space_time import SpaceTimePath, SpaceTimeProblem, search, shortened
+from armcell.planning.motion import joined, lead_in
 from armcell.planning.moving import delayed
-from armcell.planning.pipeline import find_ends, plan
+from armcell.planning.pipeline import Ends, find_ends, plan
 from armcell.planning.question import ask
 from armcell.scene import PlanningScene
 from armcell.timing.averaged import averaged_pieces
@@ -195,6 +196,22 @@ def _searched(
     ends = find_ends(ask(alone, request, cancel))
     if isinstance(ends, Outcome) or first.trajectory is None:
         return None
+    if ends.question.lead_in is None:
+        return _earliest(alone, board, request, ends, latest, deadline, cancel)
+    lead = lead_in(ends.question, ends.checker)  # out of resting contact; the search begins where it ends
+    if lead is None:
+        return None
+    later = _Board(board.arms, board.running, board.start_time + lead.duration, board.clearance)
+    found = _earliest(alone, later, request, ends, latest, deadline, cancel)
+    whole = None if found is None else joined(lead, found)
+    return whole if whole is not None and board.meets(whole) is None else None
+
+
+def _earliest(
+    alone: PlanningScene, board: _Board, request: PlanRequest, ends: Ends, latest: float, deadline: float,
+    cancel: threading.Event | None,
+) -> JointTrajectory | None:  # fmt: skip
+    """See `_searched`; from the start of `ends`, at the board's start time."""
     names, model = ends.checker.joint_names, alone.model
     velocity = model.limits(names, "velocity") * request.velocity_scaling
     acceleration = model.limits(names, "acceleration") * request.acceleration_scaling

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import certify_from_rest
 from armcell.core import SE3, ErrorCode, InputError, JointPath, JointTrajectory, PlanResult
 from armcell.planning.arms.around import Limits, PoseSearch
 from armcell.planning.arms.carried import Carried, Hands, Stuck
@@ -182,7 +183,10 @@ class _Maker:
         times, velocities, accelerations = times * over, velocities / over, accelerations / over**2
         trajectory = JointTrajectory(self.names, times, values, velocities, accelerations)
         _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
-        proof = checker.certify(points, room, padded=padded, evidence=evidence)
+        if padded:
+            proof = checker.certify(points, room, padded=True, evidence=evidence)
+        else:
+            proof = certify_from_rest(checker, points, room, evidence=evidence)
         if not proof.free:
             what = "" if proof.contact is None else f": {proof.contact.describe()}"
             contacts = {"contacts": [proof.contact] if proof.contact else []}

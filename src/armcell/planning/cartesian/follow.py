@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import SE3, CartesianRequest
+from armcell.collision.resting import Leaving, allowing, resting_pairs, touching
+from armcell.core import SE3, CartesianRequest, Contact
 from armcell.kinematics import IKSolver
 from armcell.planning.cartesian.spare import way_of_spare_joint
 from armcell.planning.cartesian.stops import (
@@ -51,18 +52,49 @@ class Leg:
     stop: Stop | None
 
 
+def _near(checker: KernelChecker, q: Array) -> list[Contact]:
+    """What touches at q (n,), or is within the padding; the nearest pair if only the kernel says so."""
+    if found := checker.exact.contacts(q):
+        return found
+    nearest = checker.exact.nearest(q)
+    return [] if nearest is None else [nearest]
+
+
+class Resting:
+    """A start (n,) in resting contact: where the arm may stand on its way out.
+
+    Attributes:
+        contacts: at the start, deepest first.
+    """
+
+    def __init__(self, checker: KernelChecker, start: Array):
+        self.contacts = touching(checker, start)
+        near = resting_pairs(checker.exact, start)
+        self._leaving = Leaving(checker.exact, start, near)
+        self._others = KernelChecker(allowing(checker.scene, near), checker.joint_names)
+        self._others.relax_margins(start)
+
+    def refuses(self, q: Array) -> list[Contact] | None:
+        """What keeps the arm from standing at q (n,), or None."""
+        if (contact := self._leaving.refuses(q)) is not None:
+            return [contact]
+        return None if self._others.is_free(q) else _near(self._others, q)
+
+
 class Follower:
     """Follows lines with one group's joints; the others stay at `rest` (dof,).
 
     Args:
         bounds: (n, 2) that the joints keep to.
+        resting: where the start is in resting contact.
     """
 
     def __init__(
         self, request: CartesianRequest, ik: IKSolver, checker: KernelChecker | None,
         manifold: Manifold | None, rest: Array, bounds: Array, cancel: threading.Event,
+        resting: Resting | None = None,
     ):  # fmt: skip
-        self.cancel = cancel
+        self.cancel, self.resting = cancel, resting
         self.request, self.ik, self.checker, self.manifold = request, ik, checker, manifold
         self.rest, self.bounds = rest, np.ascontiguousarray(bounds)
         slides = np.array([ik.model.joint(name).type == "prismatic" for name in ik.joint_names])
@@ -135,7 +167,10 @@ class Follower:
         """Why the arm may not stand at q (n,), or None."""
         checker, manifold = self.checker, self.manifold
         if checker is not None and not checker.is_free(q):
-            return Stop(lambda: collided(checker.exact.contacts(q)))
+            if self.resting is None:
+                return Stop(lambda: collided(_near(checker, q)))
+            if (found := self.resting.refuses(q)) is not None:
+                return Stop(lambda: collided(found))
         if manifold is not None and at_violation(manifold, q):
             return Stop(lambda: violated(manifold, q))
         return None

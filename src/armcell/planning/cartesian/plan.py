@@ -13,16 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import certify_from_rest
 from armcell.core import CartesianRequest, ErrorCode, InputError, JointPath, JointTrajectory, PlanResult
 from armcell.kinematics import IKSolver, ik_solver
-from armcell.planning.cartesian.follow import Follower, relative_jump
+from armcell.planning.cartesian.follow import Follower, Resting, relative_jump
 from armcell.planning.cartesian.poses import poses_between
-from armcell.planning.cartesian.stops import Told, collided, violated
+from armcell.planning.cartesian.stops import COLLISION, LEAD_OUT, Told, collided, violated
 from armcell.planning.constraint_sense import check_constraints
 from armcell.planning.constraints.description import Manifold
 from armcell.planning.constraints.timed import chords
 from armcell.planning.constraints.views import manifold_of
 from armcell.planning.constraints.warm_up import warm_up_constraints
+from armcell.planning.departure import too_deep
 from armcell.planning.explanation import explained
 from armcell.planning.finish import clearance_along, finish
 from armcell.planning.placed import Placed
@@ -71,10 +73,11 @@ def plan_cartesian(
         return _refused(ErrorCode.START_STATE_INVALID, f"start: {error}", {})
     checker = KernelChecker(scene, ik.joint_names)
     start = scene.positions[ik.columns]
+    resting = None
     if request.avoid_collisions and checker.touches(start):
-        contacts = checker.exact.contacts(start, padded=False)
-        text = "start in collision: " + "; ".join(c.describe() for c in contacts[:3])
-        return _refused(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
+        resting = Resting(checker, start)
+        if (refusal := too_deep(resting.contacts)) is not None:
+            return _refused(refusal.code, refusal.message, refusal.evidence)
     checker.relax_margins(start)
     manifold = None
     if request.path_constraints:
@@ -83,7 +86,8 @@ def plan_cartesian(
             text = "start violates the path constraints: " + "; ".join(v.text for v in found[:3])
             return _refused(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, text, {"violations": found})
         manifold.allow_edges([start])
-    result = _along(_Line(scene, request, ik, checker, manifold, cancel or threading.Event()), start)
+    line = _Line(scene, request, ik, checker, manifold, cancel or threading.Event(), resting)
+    result = _along(line, start)
     return replace(result, planning_time=time.monotonic() - began)
 
 
@@ -109,9 +113,9 @@ class _Line:
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
-        manifold: Manifold | None, cancel: threading.Event,
+        manifold: Manifold | None, cancel: threading.Event, resting: Resting | None,
     ):  # fmt: skip
-        self.cancel = cancel
+        self.cancel, self.resting = cancel, resting
         self.scene, self.request, self.ik = scene, request, ik
         self.checker, self.manifold = checker, manifold
         self.legs = poses_between(scene.frame_pose(ik.tip_link), request)
@@ -127,8 +131,9 @@ class _Line:
             bounds[:, 1] = np.maximum(np.minimum(bounds[:, 1], high - room), start)
         checker = self.checker if self.request.avoid_collisions else None
         follower = Follower(
-            self.request, self.ik, checker, self.manifold, self.scene.positions, bounds, self.cancel
-        )
+            self.request, self.ik, checker, self.manifold, self.scene.positions, bounds, self.cancel,
+            self.resting,
+        )  # fmt: skip
         path, stop = [start], None
         for poses in self.legs:
             leg = follower.leg(poses, path[-1])
@@ -146,24 +151,37 @@ class _Line:
     def proven(self, path: Array, told: Told | None) -> tuple[Array, Told | None]:
         """The part of a path whose steps are proven, and why it is not all of it."""
         if self.request.avoid_collisions and len(path) > 1:
-            certificate = self.checker.certify(path)
-            if not certificate.free:
-                path = path[: int(certificate.at * (len(path) - 1)) + 1]
-                told = collided([] if certificate.contact is None else [certificate.contact])
+            certificate = self.certify(path)
+            while not certificate.free and len(path) > 1:
+                path = path[: min(int(certificate.at * (len(path) - 1)), len(path) - 2) + 1]
+                contacts = [] if certificate.contact is None else [certificate.contact]
+                # What is left of a line out of contact may end while it still touches.
+                certificate = Certificate(True) if self.resting is None else self.certify(path)
+                told = collided(contacts)
         if self.manifold is not None and len(path) > 1 and (edge := self.manifold.leaves(path)) >= 0:
             told = violated(self.manifold, path[edge + 1])
             path = path[: edge + 1]
         return path, told
 
+    def certify(self, path: Array, slack: Array | None = None) -> Certificate:
+        if self.resting is None:
+            return self.checker.certify(path, slack)
+        return certify_from_rest(self.checker, path, slack)
+
     def timed(self, path: Array) -> JointTrajectory | None:
         request, checker = self.request, self.checker
+        # A line out of contact is proven as it is timed: its first steps are too near for the slack that
+        # proves a path before it is timed.
+        strict = request.avoid_collisions and self.resting is None
         for timing in TIMINGS:
             trajectory = finish(
-                checker if request.avoid_collisions else _Blind(checker), path,
+                checker if strict else _Blind(checker), path,
                 request.velocity_scaling, request.acceleration_scaling, timing,
             ).trajectory  # fmt: skip
             if trajectory is None:
                 return None
+            if self.resting is not None and not self.certify(*chords(trajectory)).free:
+                continue
             if self.manifold is not None and self.manifold.leaves(*chords(trajectory)) >= 0:
                 continue
             if request.max_cartesian_speed is None:
@@ -201,6 +219,8 @@ def _along(line: _Line, start: Array) -> PlanResult:
     if told is not None:
         code = told.code
         message = f"stops at {fraction:.0%} ({len(path) - 1} of {line.total} steps): {told.text}"
+        if line.resting is not None and told.cause == COLLISION and len(path) == 1:
+            message += f"; {LEAD_OUT}"
         evidence = {**told.evidence, "cause": told.cause, **line.place(path)}
     return PlanResult(
         code,
@@ -215,7 +235,7 @@ def _along(line: _Line, start: Array) -> PlanResult:
 
 
 class _Blind:
-    """Proves everything, for avoid_collisions=False."""
+    """Proves everything, for avoid_collisions=False and what is proven after it was timed."""
 
     def __init__(self, checker: KernelChecker):
         self.model, self.joint_names = checker.model, checker.joint_names

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, ErrorCode
+from armcell.core import SE3, Contact, ErrorCode
 from armcell.kinematics import IKSolver
 from armcell.planning.constraints.description import Manifold, Violation
 
@@ -21,6 +21,11 @@ COLLISION, CONSTRAINT, JUMP, LIMIT, REACH, SINGULARITY, BRANCH = (
     "collision", "path constraint", "jump", "joint limit", "out of reach", "singularity", "no way on",
 )  # fmt: skip
 
+
+LEAD_OUT = (
+    "the line begins in contact and does not lead out of it: begin with a waypoint a few millimeters off "
+    "what it touches, or allow the contact"
+)
 
 TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "relative_jump_threshold"
 """The thresholds of a request."""
@@ -47,7 +52,7 @@ class Told:
     evidence: dict[str, Any] = field(default_factory=dict)
 
 
-def collided(contacts: list) -> Told:
+def collided(contacts: list[Contact]) -> Told:
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return Told(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 

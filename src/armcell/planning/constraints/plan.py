@@ -61,7 +61,8 @@ def plan_constrained(
     question = replace(question, began=question.began + compiling)  # not of the request's time
     scene, request = question.scene, question.request
     manifold = manifold_of(scene, request.group, request.path_constraints)
-    if violations := manifold.violations(start):
+    standing = start if question.lead_in is None else question.lead_in[0]
+    if violations := manifold.violations(standing) or manifold.violations(start):
         return question.failed(
             _violated(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "start", violations)
         )

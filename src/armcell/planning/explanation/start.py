@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armcell.collision import ExactChecker
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import RESTING, touching
 from armcell.core import JointState
 from armcell.planning.explanation import words
 from armcell.planning.explanation.case import Case, tell_margins, tell_way
@@ -46,11 +47,12 @@ def start_invalid(case: Case) -> None:
 
 def start_in_collision(case: Case) -> None:
     """Which pairs, how deep, what frees them: the arm moved, the object moved, the contact allowed."""
-    exact = ExactChecker(case.started, case.joint_names)
-    contacts = exact.contacts(case.start, padded=False)
+    checker = KernelChecker(case.started, case.joint_names)
+    contacts = checker.exact.contacts(case.start, padded=False) or touching(checker, case.start)
     case.contacts, case.state = contacts, case.group_state(case.start)
     for contact in contacts:
         case.say(contact.describe())
+    _tell_departure(case)
     tell_margins(case)
     q = case.nearest_free(case.start)
     if q is not None:
@@ -76,3 +78,17 @@ def start_in_collision(case: Case) -> None:
                 {"a": item, "b": other},
                 effort=np.inf,
             )
+
+
+def _tell_departure(case: Case) -> None:
+    """Why the motion cannot lead out of the contacts by itself, as it does from those where bodies rest."""
+    deepest = max((-c.distance for c in case.contacts), default=0.0)
+    if deepest > RESTING:
+        case.say(
+            f"a motion leads out of contacts up to {words.length(RESTING)} deep by itself, "
+            f"this one is {words.length(deepest)} deep"
+        )
+    elif case.result.evidence.get("no_departure"):
+        blocked = case.result.evidence.get("blocked_by", [])
+        where = f": on the nearest way out, {words.contacts(blocked)}" if blocked else ""
+        case.say(f"no motion of {case.request.group} leads out of this contact{where}")

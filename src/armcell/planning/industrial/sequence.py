@@ -25,6 +25,7 @@ from armcell.core import (
     SequenceRequest,
 )
 from armcell.planning.adapters import normalized_adapters
+from armcell.planning.finish import clearance_along
 from armcell.planning.industrial.blend import Blend, blended
 from armcell.planning.industrial.explain import explain_blend
 from armcell.planning.industrial.follow import solver_for
@@ -289,4 +290,4 @@ def _append(
 
 def _clearance(scene: PlanningScene, trajectory: JointTrajectory) -> float:
     start = positioned(scene, trajectory.joint_names, trajectory.positions[0])
-    return KernelChecker(start, trajectory.joint_names).clearance(trajectory.positions)
+    return clearance_along(KernelChecker(start, trajectory.joint_names), trajectory)

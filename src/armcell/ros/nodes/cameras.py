@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,10 @@ class CameraPublisher:
     where nothing is seen), /NAME/depth/camera_info, /NAME/depth/points (organised PointCloud2 with x, y, z
     and rgb). On /tf NAME_link and NAME_optical_frame, below the link that carries it or the world.
 
-    Nothing is drawn that nobody has subscribed to. A picture that is late is left out, and each subscriber's
-    queue drops its oldest: a camera never makes the cell wait.
+    Nothing is drawn that nobody has subscribed to. Where the cell keeps to the wall's clock, pictures are
+    drawn in another process and published from a thread of their own, each stamped with the time of the state
+    that it shows: as many as the machine can draw, at most the camera's rate. One that is late is left out,
+    and each subscriber's queue drops its oldest: a camera never makes the cell wait.
     """
 
     def __init__(self, bus: Bus, cameras: dict[str, LiveCamera]):
@@ -40,6 +43,10 @@ class CameraPublisher:
         for topics in self._cameras:
             topics.publish(tf)
 
+    def frames(self) -> dict[str, int]:
+        """How many pictures each camera has delivered."""
+        return {topics.name: topics.delivered for topics in self._cameras}
+
     def close(self) -> None:
         """Leave the bus."""
         for topics in self._cameras:
@@ -50,6 +57,8 @@ class _Topics:
     def __init__(self, bus: Bus, camera: LiveCamera):
         self._bus, self._camera = bus, camera
         self._next = 0.0
+        self._closed, self._giving = False, threading.Lock()
+        self.name, self.delivered = camera.name, 0
         name = ros_name(camera.name)
         self._link, self._optical = LINK.format(name), OPTICAL.format(name)
         self._color = bus.advertise(f"/{name}/color/image_raw", "sensor_msgs/Image")
@@ -74,19 +83,35 @@ class _Topics:
             tf.publish(schema.new("tf2_msgs/TFMessage", self._frames()))
         if not wanted:
             return
-        color = self._color.subscribers or (self._points is not None and self._points.subscribers)
-        image = self._camera.image(rgb=bool(color))
-        header = self._bus.header(self._optical)
+        points = self._points is not None and self._points.subscribers
+        depth = points or (self._depth is not None and self._depth.subscribers)
+        self._camera.ask(self, self._give, rgb=bool(self._color.subscribers or points), depth=bool(depth))
+
+    def _give(self, image: CameraImage) -> None:
+        """Publish what was drawn, in the thread that it comes in."""
+        with self._giving:
+            if not self._closed:
+                self._publish(image)
+
+    def _publish(self, image: CameraImage) -> None:
+        schema, header = self._bus.schema, self._bus.header(self._optical)
         header.stamp = schema.message("builtin_interfaces/Time").from_sec(image.time)
         for publisher in self._infos:
             if publisher.subscribers:
                 publisher.publish(camera_info_message(schema, header, image.pinhole))
         if self._color.subscribers and image.rgb is not None:
             self._color.publish(image_message(schema, header, image.rgb))
-        if self._depth is not None and self._depth.subscribers and image.depth is not None:
-            self._depth.publish(image_message(schema, header, _with_nan(image)))
-        if self._points is not None and self._points.subscribers and image.depth is not None:
-            points = organised(image.depth, image.pinhole).astype(np.float32)
+        if image.depth is not None:
+            self._publish_depth(image.depth, image, header)
+        if image.rgb is not None or image.depth is not None:
+            self.delivered += 1
+
+    def _publish_depth(self, depth: np.ndarray, image: CameraImage, header: Any) -> None:
+        schema = self._bus.schema
+        if self._depth is not None and self._depth.subscribers:
+            self._depth.publish(image_message(schema, header, _with_nan(depth)))
+        if self._points is not None and self._points.subscribers and image.rgb is not None:
+            points = organised(depth, image.pinhole).astype(np.float32)
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
@@ -100,11 +125,12 @@ class _Topics:
         ]
 
     def close(self) -> None:
+        with self._giving:
+            self._closed = True
         for member in self._members:
             member.close()
 
 
-def _with_nan(image: CameraImage) -> np.ndarray:
+def _with_nan(depth: np.ndarray) -> np.ndarray:
     """Depth with NaN where nothing was seen (REP-118)."""
-    assert image.depth is not None
-    return np.where(image.depth > 0, image.depth, np.float32(np.nan)).astype(np.float32)
+    return np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)

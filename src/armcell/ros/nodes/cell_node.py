@@ -8,29 +8,30 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from armcell.cell import LiveCell
-from armcell.control import ExecutionSettings, playing
+from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.control import CHANGED, NOT_STARTED, ExecutionSettings, GuardedMotion, playing
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
-from armcell.ros.nodes.conductor import Conductor, Steps, Work, remaining
-from armcell.ros.nodes.gripping import GripperNode, gripping
+from armcell.ros.nodes.conductor import Conductor, Steps, Work
+from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperNode, gripping
 from armcell.ros.nodes.states import RATE, StatePublisher
-from armcell.ros.nodes.together import contact_together
 from armcell.scene import PlanningScene
-from armcell.tasks.guard import CHANGED, PathGuard
 
 logger = logging.getLogger(__name__)
 TRAJECTORY = "/planned_trajectory"
 STATUS = "/trajectory_status"
 ACTION = "control_msgs/FollowJointTrajectory"
+SHIFT = 0.15  # [s] that clients' motions may be late or early against each other
 
 # control_msgs/FollowJointTrajectoryResult
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
@@ -57,10 +58,14 @@ class CellNode:
     def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE, auto_grip: bool = False):
         self.live, self.bus = live, bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)
-        self._cameras = CameraPublisher(bus, live.cameras)
+        self.cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
         live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
+        live.ctx.gate.shift = SHIFT
         self._stop, self._putting = threading.Event(), threading.Lock()
+        self.look_at_hands: Callable[[], None] = lambda: None
+        """Notes what the hands hold; in the driver's thread, often and before every motion."""
+        self._next_look = 0.0  # [s]
         self.ready = threading.Event()
         """Set once the cell is connected and publishes."""
         self.executed = 0
@@ -90,15 +95,18 @@ class CellNode:
                 self.grippers,
                 self._status,
                 self._states,
-                self._cameras,
+                self.cameras,
             ):
                 member.close()
 
     def _after_step(self) -> None:
         if self._states.due(self.live.driver.now):
             self._states.publish(self.live.driver)
-            self._cameras.publish(self._states.tf)
+            self.cameras.publish(self._states.tf)
         self.grippers.look()
+        if self.live.driver.now >= self._next_look:
+            self._next_look = self.live.driver.now + LOOK_PERIOD
+            self.look_at_hands()
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
@@ -121,8 +129,8 @@ class CellNode:
     ) -> Work:
         """Begin a trajectory_msgs/JointTrajectory, when what moves the same joints has made way for it.
 
-        /trajectory_status tells of it. One without points stops its joints, or all where it names none. It
-        ends where something comes across its rest (`PathGuard`, also for `planned_in`).
+        /trajectory_status tells of it. One without points stops its joints, or all where it names none. The
+        motion gate proves it when it starts, with the contacts that `planned_in` allows.
 
         Raises:
             InputError: what is wrong with the message.
@@ -144,10 +152,7 @@ class CellNode:
             # Where it is now decides, not where it was when the message came.
             now = trajectory_from_message(message, model, driver.joint_state())
             work.trajectory = now
-            self.say(f"executing {len(now.times)} points, {now.duration:.2f} s")
-            self.live.ctx.announce(now)
-            guard = PathGuard(self.live.ctx, now, planned_in, cancel)
-            return guard.judged((yield from playing(driver, now, settings, guard)))
+            return (yield from playing(driver, _Announced(self, now, planned_in, cancel), settings))
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
         return self._put_beside(work, trajectory)
@@ -157,9 +162,8 @@ class CellNode:
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say("stop")
-            return playing(
-                driver, replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
-            )
+            nothing = replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
+            return playing(driver, self.live.ctx.gate.motion(nothing))
 
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
@@ -177,7 +181,7 @@ class CellNode:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Begin a motion once it is proven free of contact beside what runs in other joints.
+        """Begin a motion; where other arms under way are what it would touch, once they have arrived.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -187,7 +191,7 @@ class CellNode:
             if (late := self._not_begun(work, others)) is not None:
                 late.wait(self.live.driver.period)  # when it begins is part of the proof
                 continue
-            if contact := self._contact(others, trajectory):
+            if contact := self._in_passing(others, trajectory):
                 self.say(f"waits until the other arm has arrived: {contact}")
                 while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
                     pass
@@ -208,25 +212,32 @@ class CellNode:
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
-    def _contact(self, others: list[Work], new: JointTrajectory) -> str:
-        """What a motion would touch that began now beside others; empty where nothing."""
-        if not others:
+    def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
+        """What a motion would touch beside others, but not once they have arrived; empty where nothing."""
+        running = [w.trajectory for w in others if w.trajectory is not None and not w.is_over]
+        if not running:
             return ""
-        scene, now = self.conductor.call(lambda: (self.live.scene(), self.live.driver.now))
-        running = [
-            remaining(w.trajectory, now - w.began)
-            for w in others
-            if w.trajectory is not None and w.began is not None and not w.is_over
-        ]
-        return contact_together(scene, running, new) if running else ""
+        scene, gate, motion = self.conductor.call(self.live.scene), self.live.ctx.gate, Moving(new)
+        now = gate.conflict(motion, scene)
+        if now is None:
+            return ""
+        for trajectory in running:
+            scene = scene.with_state(trajectory.end)
+        if first_conflict(scene, motion) is not None:
+            return ""  # it is refused at once
+        return "the motions meet" if now.contact is None else now.contact.describe()
 
     def _ended(self, work: Work) -> None:
         self.executed += 1
+        if not self._stop.is_set():
+            self.grippers.moved(work.joints)
         if work.error is not None:
             self.say(f"refused: {work.error}")
             return
         result = work.outcome()
         what = "done" if result.ok else "stopped" if result.code is ErrorCode.PREEMPTED else "failed"
+        if result.evidence.get(NOT_STARTED):
+            what = "refused"
         self.say(f"{what}: {result.message or f'final error {result.final_error:.4f}'}")
 
     def say(self, text: str) -> None:
@@ -266,6 +277,25 @@ class CellNode:
             return Done(State.SUCCEEDED, message, result.message)
         preempted = result.code is ErrorCode.PREEMPTED
         return Done(State.PREEMPTED if preempted else State.ABORTED, message, result.message)
+
+
+class _Announced(GuardedMotion):
+    """A motion of which /trajectory_status tells when it has been proven and starts."""
+
+    def __init__(
+        self, node: CellNode, trajectory: JointTrajectory, planned_in: PlanningScene | None,
+        cancel: threading.Event,
+    ):  # fmt: skip
+        super().__init__(node.live.ctx.gate, trajectory, planned_in, cancel)
+        self._node = node
+
+    def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+        self._node.look_at_hands()
+        refused = super().begin(fade)
+        if refused is None:
+            self._node.say(f"executing {len(self.trajectory.times)} points, {self.trajectory.duration:.2f} s")
+            self._node.live.ctx.announce(self.trajectory)
+        return refused
 
 
 class _Feedback:

@@ -11,7 +11,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -296,22 +295,3 @@ class _Some:
 
     def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> Any:
         return self._driver.command(joint_names, positions, velocities)
-
-
-def remaining(trajectory: JointTrajectory, passed: float) -> JointTrajectory:
-    """What is left of a trajectory after some time [s]."""
-    if passed <= 0:
-        return trajectory
-    q, v, a = trajectory.sample(passed)
-    later = trajectory.times > passed + 1e-9
-
-    def rows(first: np.ndarray, values: np.ndarray | None) -> np.ndarray | None:
-        return None if values is None else np.vstack([first, values[later]])
-
-    return replace(
-        trajectory,
-        times=np.concatenate([[0.0], trajectory.times[later] - passed]),
-        positions=np.vstack([q, trajectory.positions[later]]),
-        velocities=rows(v, trajectory.velocities),
-        accelerations=rows(a, trajectory.accelerations),
-    )

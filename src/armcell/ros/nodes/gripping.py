@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -92,6 +92,7 @@ class GripperNode:
         self._next, self._rests_since = 0.0, dict.fromkeys(live.model.grippers, np.inf)
         self._moved: dict[str, bool] = dict.fromkeys(live.model.grippers, False)
         grippers = list(live.model.grippers.values())
+        self._expected: dict[str, set[str]] = {g: set() for g in live.model.grippers}
         self._members: list[Any] = []
         for gripper in grippers:
             topic = TOPIC if len(grippers) == 1 else f"/{gripper.name}{TOPIC}"
@@ -201,3 +202,17 @@ class GripperNode:
         """Fingers that close around something are meant to touch it."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.driver.expect_contact(item.name, gripper.finger_links)
+            self._expected[gripper.name].add(item.name)
+
+    def moved(self, joints: Iterable[str]) -> None:
+        """An arm's motion has ended: fingers that have left an object are not meant to touch it any more."""
+        driver = self._live.driver
+        for gripper in self._live.model.grippers.values():
+            expected = self._expected[gripper.name]
+            arm = self._live.model.group(gripper.arm_group).joint_names
+            if not expected or not set(arm) & set(joints):
+                continue
+            near = {item.name for item in around_tcp(self._live.scene(), gripper, NEAR)}
+            for name in expected - near - {driver.gripper(gripper.name).held}:
+                driver.expect_contact(name, gripper.finger_links, expected=False)
+                expected.discard(name)

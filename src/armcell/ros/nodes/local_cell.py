@@ -26,15 +26,17 @@ class LocalCell:
     def __init__(self, node: CellNode):
         self._node = node
         self._widths: dict[str, float] = {}  # by object, of the fingers when it was grasped
+        node.look_at_hands = lambda: self._look_at_grippers(node.live.ctx)
 
     @property
     def model(self) -> RobotModel:
         return self._node.live.model
 
     def scene(self) -> PlanningScene:
-        return self._node.conductor.call(self._now)
+        return self._node.conductor.call(self.now)
 
-    def _now(self) -> PlanningScene:
+    def now(self) -> PlanningScene:
+        """The same, asked in the driver's thread."""
         ctx = self._node.live.ctx
         self._look_at_grippers(ctx)
         return ctx.scene()
@@ -46,12 +48,16 @@ class LocalCell:
             mine = [h for h in ctx.holding.values() if h.gripper.name == gripper.name]
             for held in mine:
                 opened = reading.width > self._widths.get(held.object, reading.width) + LET_GO
-                if reading.held != held.object and (opened or ctx.slip_of(held) > FALLEN):
+                if reading.held == held.object:
+                    continue
+                if opened:
                     del ctx.holding[held.object]
+                elif ctx.slip_of(held) > FALLEN:
+                    ctx.lose(held.object, f"{held.object} fell out of {gripper.name}")
             if reading.held is None or reading.held in ctx.holding or reading.held not in world.objects:
                 continue
             T = ctx.T_tcp_object(reading.held, gripper)
-            ctx.holding[reading.held] = Holding(reading.held, gripper, T)
+            ctx.take(Holding(reading.held, gripper, T))
             self._widths[reading.held] = reading.width
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
@@ -78,8 +84,8 @@ class LocalCell:
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         others = tuple(others)
-        driver = self._node.live.driver
-        self._node.conductor.call(lambda: driver.expect_contact(body, others, expected))
+        ctx = self._node.live.ctx
+        self._node.conductor.call(lambda: ctx.expect_contact(body, others, expected))
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
         self._node.conductor.soon(lambda: self._node.live.ctx.emit(kind, text, **data))

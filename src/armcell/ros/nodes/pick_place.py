@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from armcell.collision import neighbours
+from armcell.control import CHANGED
 from armcell.core import SE3, ErrorCode, InputError, Outcome, UnknownNameError
 from armcell.grasping import (
     Placement,
@@ -29,7 +30,6 @@ from armcell.ros.moveit_convert.states import trajectory_message
 from armcell.ros.nodes.move_group import MoveGroupNode, code_of, done, waited
 from armcell.scene import PlanningScene
 from armcell.tasks import TaskSettings
-from armcell.tasks.guard import CHANGED
 from armcell.tasks.search import Draft, Planning, Stage, search
 from armcell.tasks.stages import (
     ChooseGivenGrasp,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from armcell.control import ExecutionSettings
+from armcell.control import ExecutionSettings, MotionGate
 from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointState, JointTrajectory
 from armcell.model import Gripper, RobotModel
 from armcell.records.mcap_writer import ros_name
@@ -30,7 +30,6 @@ from armcell.ros.nodes.gripping import TOPIC as GRIPPER
 from armcell.ros.nodes.gripping import around_tcp
 from armcell.ros.units import check_near, unit_fault
 from armcell.scene import WORLD, PlanningScene
-from armcell.tasks.guard import PathGuard
 
 logger = logging.getLogger(__name__)
 STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint states
@@ -67,6 +66,8 @@ class RemoteCell:
         self._unseen = {n for n, o in scene.objects.items() if o.movable}  # no pose came yet
         self._targets: dict[str, float] = {}  # widths that the grippers were told
         self._running: list[Work] = []
+        self._expected: frozenset[frozenset[str]] = frozenset()
+        self.gate = MotionGate(self)
         self._closed = threading.Event()
         movable = [n for n, o in scene.objects.items() if o.movable]
         topics = {f"/object_pose/{ros_name(n)}": n for n in movable}
@@ -271,15 +272,18 @@ class RemoteCell:
         others[0].wait(0.05)
         return False
 
-    # --- what a guard asks ---
+    # --- what the motion gate asks ---
     @property
     def base(self) -> PlanningScene:
         with self._lock:
             return self._scene
 
-    def measured(self) -> Set[str]:
+    def object_poses(self) -> dict[str, SE3]:
         with self._lock:
-            return set(self._poses)
+            return dict(self._poses)
+
+    def expected_contacts(self) -> Set[frozenset[str]]:
+        return self._expected
 
     def clock(self) -> float:
         return time.monotonic()
@@ -307,11 +311,18 @@ class RemoteCell:
 
         def follow(work: Work) -> ExecutionResult:
             self._check_start(trajectory, settings)
-            with self._lock:
-                self._said.clear()
-            self._trajectories.publish(message)
-            guard = PathGuard(self, trajectory, planned_in, work.cancel)
-            return guard.judged(self._follow(trajectory, guard))
+            motion = self.gate.motion(trajectory, planned_in, work.cancel)
+            if (unproven := motion.begin()) is not None:
+                return unproven
+            try:
+                with self._lock:
+                    self._said.clear()
+                self._trajectories.publish(message)
+                result = self._follow(trajectory, motion)
+            except BaseException as error:
+                motion.end(ExecutionResult(ErrorCode.CONTROL_FAILED, str(error)))
+                raise
+            return motion.end(result)
 
         return self._begin(Work("trajectory", trajectory.joint_names, trajectory=trajectory), follow)
 
@@ -383,7 +394,10 @@ class RemoteCell:
         return ExecutionResult(ErrorCode.SUCCESS, evidence={"width": last, "stalled": True})
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Contacts are the simulator's affair."""
+        """For the motion gate; what physics makes of a contact is the simulator's affair."""
+        pairs = {frozenset((body, other)) for other in others}
+        with self._lock:
+            self._expected = self._expected | pairs if expected else self._expected - pairs
 
     def stop_joints(self, names: Iterable[str]) -> None:
         """An empty trajectory stops."""

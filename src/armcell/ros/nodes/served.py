@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from armcell.ros.nodes.states import RATE
 from armcell.tasks import TaskSettings
 
 T = TypeVar("T")
+RESUME = "/resume"
 AT_REST, STILL = 0.01, 0.2  # [rad/s or m/s], for so long [s]: an arm that was stopped swings
 
 
@@ -40,6 +41,9 @@ def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: Ex
 
 class ServedCell:
     """Runs from `start` (or `with`) to `close`.
+
+    Service /resume (std_srvs/Trigger): makes the cell ready after a stop, or answers with what to do first
+    (`LiveCell.resume`). In the caller's thread: to connect to an arm again takes seconds.
 
     Args:
         plan: serve move_group, too, not the robot and its grippers alone.
@@ -77,9 +81,14 @@ class ServedCell:
             while not self.node.ready.wait(poll):
                 if not self.thread.is_alive():
                     raise self.failure or RuntimeError("the cell ended before it was ready")
+        self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
         with layer("planner"):
             if self._plan:
                 _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
+
+    def _on_resume(self, request: Any) -> Any:
+        outcome = self.live.resume()
+        return self.bus.schema.new("std_srvs/TriggerResponse", outcome.ok, outcome.message or "ready")
 
     def call(self, function: Callable[[], T]) -> T:
         """Run something in the cell's thread between two steps, and wait; here, where that has ended."""
@@ -93,7 +102,7 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop what moves, and wait until it rests; nothing moves again."""
+        """Stop what moves, and wait until it rests; see what the hands hold then. Nothing moves again."""
         self.node.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
@@ -102,6 +111,7 @@ class ServedCell:
         while self.thread.is_alive() and (now := time.monotonic()) < min(moved + STILL, end):
             moved = now if self.call(self._speed) > AT_REST else moved
             time.sleep(0.01)
+        self.call(self.cell.now)
 
     def _speed(self) -> float:
         """Of the fastest joint [rad/s or m/s]; 0 where it is not known."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
 from armcell._interrupts import deferred, last_will
 from armcell.core import InputError
+from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus
 from armcell.ros.ros1.bridge import CLOCK, USE_SIM_TIME, BusBridge
 from armcell.ros.ros1.graph_names import GraphNames
@@ -44,6 +45,7 @@ class Ros1Graph:
 
     Args:
         on_end: told why, when somebody asks the node to end; from a thread of the node's.
+        keep: parameters that stay as they are in the graph where it has them.
 
     Everything on the bus is offered to the graph, now and later; the graph's topics, services and actions
     are used through the bus by their names; the bus's parameters are the graph's.
@@ -57,14 +59,26 @@ class Ros1Graph:
         bus: Bus,
         settings: Ros1Settings = Ros1Settings(),
         on_end: Callable[[str], None] = lambda _: None,
+        keep: Iterable[str] = (),
     ):
-        self.bus, self.settings, self._on_end = bus, settings, on_end
+        self.bus, self.settings, self._on_end, self._keep = bus, settings, on_end, tuple(keep)
         self.master: Ros1Master | None = None  # our own
         self.node: Ros1Node  # this and the next from `start` on
         self.bridge: BusBridge
         self.ended, self.reason = threading.Event(), ""
         self.rosout: RosOut | None = None
+        self._found = False  # a master, or the port for our own
         self._stack = ExitStack()
+
+    def reserve(self) -> None:
+        """Find the master, or take the port for our own; nothing is opened before `start`.
+
+        Raises:
+            InputError: there is no master and none may be started, or a port is taken.
+        """
+        self._find_master()
+        self._found = True
+        self._stack.callback(self._forget_master)
 
     def start(self) -> None:
         """Join, and return when the master knows what is on the bus.
@@ -72,8 +86,12 @@ class Ros1Graph:
         Raises:
             InputError: there is no master and none may be started, or a port is taken.
         """
-        with ExitStack() as stack:
-            self._find_master(stack)
+        if not self._found:
+            self.reserve()
+        with self._stack.pop_all() as stack:
+            if self.master is not None:
+                self.master.start()
+                logger.info("started a ROS master at %s", self.master.uri)
             settings = self.settings
             self.node = node = Ros1Node(self.bus.schema, settings, self._end)
             names = GraphNames(node.name, settings.namespace, settings.remap)
@@ -119,7 +137,11 @@ class Ros1Graph:
         if self.rosout is not None:
             self.rosout.say(level if level in LEVELS else "info", text)
 
-    def _find_master(self, stack: ExitStack) -> None:
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Where we listen, once it has started."""
+        return (*(self.master.endpoints() if self.master else ()), *self.node.endpoints())
+
+    def _find_master(self) -> None:
         s = self.settings
         if s.own_master is not True:
             try:
@@ -132,21 +154,24 @@ class Ros1Graph:
                     raise InputError(
                         f"no ROS master: {error}", cure=f"start roscore{where}; is ROS_MASTER_URI right?"
                     ) from None
-        self.master = Ros1Master(s)
-        stack.callback(self._forget_master, self.master)
-        self.master.start()
-        self.settings = replace(s, master=self.master.uri)
-        logger.info("started a ROS master at %s", self.master.uri)
+        master = Ros1Master(s)
+        master.reserve()
+        self.master, self.settings = master, replace(s, master=master.uri)
 
-    def _forget_master(self, master: Ros1Master) -> None:
-        master.close()
-        self.master = None
+    def _forget_master(self) -> None:
+        self._found = False
+        if self.master is not None:
+            self.master.close()
+            self.master = None
 
     def _join_parameters(self, stack: ExitStack, names: GraphNames) -> None:
         before = self.bus.parameters
         for name, value in self.settings.parameters.items():
             before.set(f"/{self.settings.name}/{name}", value)
         joined = GraphParameters(self.node.ask_master, names, before)
+        for name in self._keep:
+            if name in before and self.node.ask_master("hasParam", names.to_graph(name)):
+                before.delete(name)
         joined.tell_all()
         self.node.registrar.on_return = joined.tell_all
         self.bus.parameters = joined

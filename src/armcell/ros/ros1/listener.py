@@ -11,9 +11,11 @@ import time
 from collections.abc import Callable
 
 from armcell.core import InputError
+from armcell.core.endpoints import Endpoint, listen, reserve
 
 logger = logging.getLogger(__name__)
 MAX_CONNECTIONS = 512
+BACKLOG = 128  # connections that wait to be accepted
 JOIN_TIMEOUT = 3.0  # [s] for a thread to see that its socket is closed
 
 Handle = Callable[[socket.socket, str], bool]
@@ -31,7 +33,7 @@ class Listener:
     def __init__(
         self, host: str, port: int, handle: Handle, name: str, max_connections: int = MAX_CONNECTIONS
     ):
-        self.address = (host, port)
+        self.address: tuple[str, int] = (host, port)
         self._handle, self._name, self._most = handle, name, max_connections
         self._socket: socket.socket | None = None
         self._lock = threading.Lock()
@@ -40,13 +42,14 @@ class Listener:
         self._thread = threading.Thread(target=self._accept, name=f"{name} accept", daemon=True)
         self.refused = 0  # connections beyond the cap
 
-    def start(self) -> None:
-        """
+    def reserve(self) -> None:
+        """Take the port without opening it.
+
         Raises:
             InputError: the address cannot be listened on.
         """
         try:
-            self._socket = socket.create_server(self.address, backlog=128)
+            self._socket = reserve(*self.address)
         except OSError as error:
             taken, reason = error.errno == errno.EADDRINUSE, str(error.strerror).split(" (")[0]
             raise InputError(
@@ -54,6 +57,16 @@ class Listener:
                 cure="another program has the port" if taken else "is it an address of this machine?",
             ) from None
         self.address = self._socket.getsockname()[:2]
+
+    def start(self) -> None:
+        """
+        Raises:
+            InputError: the address cannot be listened on.
+        """
+        if self._socket is None:
+            self.reserve()
+        assert self._socket is not None
+        listen(self._socket, BACKLOG)
         self._thread.start()
 
     def close(self) -> None:
@@ -64,7 +77,7 @@ class Listener:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
-        if self._thread is not threading.current_thread():
+        if self._thread is not threading.current_thread() and self._thread.ident is not None:
             self._thread.join(JOIN_TIMEOUT)
         with self._lock:
             threads = dict(self._open)
@@ -73,6 +86,11 @@ class Listener:
         for thread in threads:
             if thread is not threading.current_thread():
                 thread.join(JOIN_TIMEOUT)
+
+    def endpoint(self, service: str) -> Endpoint:
+        """Where it listens, once it has started."""
+        assert self._socket is not None
+        return Endpoint.of(self._socket, service)
 
     def _accept(self) -> None:
         assert self._socket is not None

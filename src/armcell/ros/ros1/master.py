@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from armcell.core import ArmcellError
+from armcell.core.endpoints import Endpoint
 from armcell.ros.ros1 import rpc
 from armcell.ros.ros1.parameter_tree import ParameterTree, told
 from armcell.ros.ros1.rpc import Answer, Method, RpcServer, call
@@ -72,6 +73,15 @@ class Ros1Master:
         self._tellers = _Tellers()
         self._server = RpcServer(settings.bind, settings.master_address[1], self._methods(), "ros1 master")
 
+    def reserve(self) -> None:
+        """Take the port without opening it.
+
+        Raises:
+            InputError: the port is taken.
+        """
+        self._server.reserve()
+        self.uri = f"http://{self.settings.host}:{self._server.port}/"
+
     def start(self) -> None:
         """
         Raises:
@@ -79,6 +89,10 @@ class Ros1Master:
         """
         self._server.start()
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Where it listens, once it has started."""
+        return (self._server.endpoint("ROS 1 master"),)
 
     def close(self) -> None:
         self._server.close()

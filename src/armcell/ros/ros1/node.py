@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from armcell.core import InputError
+from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError
 from armcell.ros.complaints import Complaints
@@ -125,6 +126,10 @@ class Ros1Node:
     @property
     def service_uri(self) -> str:
         return f"rosrpc://{self.settings.host}:{self._tcpros.address[1]}"
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Where it listens, once it has started."""
+        return self._rpc.endpoint("ROS 1 node"), self._tcpros.endpoint("ROS 1 topics and services")
 
     def wait_registered(self, timeout: float | None = None) -> bool:
         """Whether the master knows of everything, after waiting for that."""

@@ -17,6 +17,7 @@ from http.server import BaseHTTPRequestHandler
 from typing import Any
 
 from armcell.core import ArmcellError, InputError
+from armcell.core.endpoints import Endpoint
 from armcell.ros.names import resolve
 from armcell.ros.ros1.listener import Listener
 from armcell.ros.ros1.settings import host_and_port
@@ -227,12 +228,24 @@ class RpcServer:
     def port(self) -> int:
         return self._listener.address[1]
 
+    def reserve(self) -> None:
+        """Take the port without opening it.
+
+        Raises:
+            InputError: the address cannot be listened on.
+        """
+        self._listener.reserve()
+
     def start(self) -> None:
         """
         Raises:
             InputError: the address cannot be listened on.
         """
         self._listener.start()
+
+    def endpoint(self, service: str) -> Endpoint:
+        """Where it listens, once it has started."""
+        return self._listener.endpoint(service)
 
     def close(self) -> None:
         self._listener.close()

@@ -16,6 +16,7 @@ from typing import Any
 
 from armcell._interrupts import deferred, last_will
 from armcell.core import ArmcellError, InputError
+from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus, Handler, TopicInfo
 from armcell.ros.names import resolve
 from armcell.ros.ros2 import names
@@ -141,6 +142,10 @@ class Ros2Bridge:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """The sockets that the domain has opened here, once the bridge has started."""
+        return self._joined().participant.endpoints
 
     # --- what others see of it ---
     def status(self) -> Ros2Status:

@@ -14,11 +14,13 @@ import logging
 import threading
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from armcell.core import ArmcellError, InputError, MissingExtraError
+from armcell.core.endpoints import open_sockets
 from armcell.ros.ros2.codec import Ros2Codec
 from armcell.ros.ros2.idl import Types
 from armcell.ros.ros2.names import DdsName
@@ -148,6 +150,10 @@ _DOMAINS = _Domains()
 class Participant:
     """Our place in a domain, with one thread that reads for all its readers.
 
+    Attributes:
+        endpoints: sockets that joining has opened; empty where the system does not tell, and for a further
+            participant of a domain, which shares those of the first.
+
     Raises:
         MissingExtraError: cyclonedds is not installed.
         InputError, DdsError: the domain cannot be joined.
@@ -162,6 +168,7 @@ class Participant:
         self._takers: dict[int, Callable[[], None]] = {}
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
+        before = open_sockets()
         _DOMAINS.enter(reach)
         try:
             with self._qos(Profile(), f"enclave={enclave};".encode(), bare=True) as qos:
@@ -172,6 +179,9 @@ class Participant:
         except DdsError:
             _DOMAINS.leave(reach.domain)
             raise
+        self.endpoints = tuple(
+            replace(found, service=f"DDS domain {reach.domain}") for found in sorted(open_sockets() - before)
+        )
         self._thread = threading.Thread(target=self._read, name="ros2 read", daemon=True)
         self._thread.start()
 

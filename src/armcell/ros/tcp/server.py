@@ -19,6 +19,7 @@ from typing import Any
 
 from armcell.core import InputError
 from armcell.core.checks import require
+from armcell.core.endpoints import Endpoint, listen, reserve
 from armcell.ros.bus import Bus
 from armcell.ros.codec import CODECS, Codec
 from armcell.ros.definitions import plain_name
@@ -31,6 +32,7 @@ from armcell.ros.tcp.peer import Params, Peer, need
 logger = logging.getLogger(__name__)
 VERSION = "v0.7.0"  # what Unity's connector 0.7 wants to see; 0.6 ignores the handshake
 PORT = 10000
+BACKLOG = 128  # connections that wait to be accepted
 
 
 @dataclass(frozen=True)
@@ -69,13 +71,13 @@ class ClientStatus:
 class RosTcpServer:
     """Serves a bus to ROS-TCP clients, from `start` (or `with`) to `close`.
 
-    Raises (start):
+    Raises (reserve, start):
         InputError: the address cannot be listened on.
     """
 
     def __init__(self, bus: Bus, settings: ServerSettings = ServerSettings()):
         self.bus, self.settings = bus, settings
-        self.address = (settings.host, settings.port)
+        self.address: tuple[str, int] = (settings.host, settings.port)
         self.total_clients = 0
         self._closing = False
         self._socket: socket.socket | None = None
@@ -84,9 +86,10 @@ class RosTcpServer:
         self._encoded: dict[tuple[str, str], tuple[Any, memoryview]] = {}
         self._thread = threading.Thread(target=self._accept, name="ros-tcp accept", daemon=True)
 
-    def start(self) -> None:
+    def reserve(self) -> None:
+        """Take the port without opening it, so that `start` can wait until the cell is ready."""
         try:
-            self._socket = socket.create_server(self.address, backlog=128)
+            self._socket = reserve(*self.address)
         except OSError as error:
             reason = str(error.strerror).split(" (while")[0]  # Python adds the address, which is said already
             raise InputError(
@@ -94,6 +97,12 @@ class RosTcpServer:
                 cure="another program has the port? choose one with --port",
             ) from None
         self.address = self._socket.getsockname()[:2]
+
+    def start(self) -> None:
+        if self._socket is None:
+            self.reserve()
+        assert self._socket is not None
+        listen(self._socket, BACKLOG)
         self._thread.start()
 
     def __enter__(self) -> RosTcpServer:
@@ -107,7 +116,8 @@ class RosTcpServer:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
             self._socket.close()
-            self._thread.join(timeout=2.0)
+            if self._thread.ident is not None:
+                self._thread.join(timeout=2.0)
         with self._lock:
             sessions = list(self._sessions)
         for session in sessions:
@@ -115,6 +125,10 @@ class RosTcpServer:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Where it listens, once it has started."""
+        return () if self._socket is None else (Endpoint.of(self._socket, "ROS-TCP"),)
 
     def clients(self) -> list[ClientStatus]:
         """Who is connected now."""

@@ -246,7 +246,7 @@ class Carrying:
         if not outcome:
             return self._told(outcome)
         for group in self.groups:
-            driver.expect_contact(self.item, self.grippers[group].finger_links)
+            ctx.expect_contact(self.item, self.grippers[group].finger_links)
         outcome = self._play("approach both", merged(approaches[0], approaches[1]))
         force = {g: grip_force(item, self.grippers[g]) for g in self.groups}
         outcome = outcome and self._grip(
@@ -286,7 +286,7 @@ class Carrying:
         if not result.ok or result.trajectory is None:
             return self._told(Outcome(result.code, f"{name}: {result.message}", result.evidence))
         report.clearance_m = result.min_clearance
-        self.ctx.driver.expect_contact(self.item, held.supports)
+        self.ctx.expect_contact(self.item, held.supports)
         told = {"poses": list(poses), "seed": self.ctx.seed, **result.evidence}
         outcome = self._play(name, result.trajectory, report, self._correct, self._watch, told)
         if outcome.ok:
@@ -334,7 +334,7 @@ class Carrying:
             retreats.append(result.trajectory)
         outcome = self._play("retreat both", merged(*synchronized(retreats)))
         for gripper in self.grippers.values():
-            self.ctx.driver.expect_contact(self.item, gripper.finger_links, expected=False)
+            self.ctx.expect_contact(self.item, gripper.finger_links, expected=False)
         return self._told(outcome)
 
     # --- inside ---
@@ -459,7 +459,15 @@ class Carrying:
             correct,
             watch,
             evidence,
+            self._touched,
         )
+
+    def _touched(self) -> PlanningScene:
+        """The scene as measured, with the contacts of both hands: with the object held, as they carry it."""
+        scene = self.ctx.scene()
+        if self._held is not None:
+            return self._attached(scene)
+        return scene.with_allowed(self.item, [n for g in self.grippers.values() for n in g.hand_links])
 
     def _told(self, outcome: Outcome) -> Outcome:
         return replace(outcome, evidence={**outcome.evidence, **self.record.as_dict()})

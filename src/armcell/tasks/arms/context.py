@@ -21,6 +21,7 @@ class ArmContext(TaskContext):
         super().__init__(driver, parent.base, parent.settings, parent.observers, parent.seed, parent.cancel)
         self.parent, self.group, self.traffic, self.ended = parent, group, traffic, False
         self.events, self.world = parent.events, parent.world
+        self.gate, self.lost = parent.gate, parent.lost
         traffic.contexts[group] = self
         arm = {g.name for g in parent.base.model.grippers.values() if g.arm_group == group}
         self.holding = {n: h for n, h in parent.holding.items() if h.gripper.name in arm}
@@ -30,6 +31,9 @@ class ArmContext(TaskContext):
 
     def scene(self) -> PlanningScene:
         return without_arm(self.whole_scene(), self.traffic.other(self.group))
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        self.parent.expect_contact(body, others, expected)
 
     def observe(self) -> None:
         self.parent.observe()

@@ -9,8 +9,8 @@ from typing import Any
 from armcell.control.coupled import execute_coupled
 from armcell.core import Goal, JointTrajectory, Outcome, PlanRequest
 from armcell.planning import plan_together
+from armcell.scene import PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.tasks.guard import guarded
 from armcell.tasks.stages.moves import goal_data
 from armcell.tasks.steps import staged
 
@@ -38,12 +38,13 @@ def move_together(
 def play(
     ctx: TaskContext, trajectory: JointTrajectory, report: StageReport,
     correct: Callable | None = None, watch: Callable | None = None,
-    evidence: Mapping[str, Any] = MappingProxyType({}),
+    evidence: Mapping[str, Any] = MappingProxyType({}), scene: Callable[[], PlanningScene] | None = None,
 ) -> Outcome:  # fmt: skip
     """A motion of coupled arms as a stage.
 
     Args:
         evidence: of its plan, for the record.
+        scene: as measured, with the contacts and the carried object of this motion; by default the cell's.
     """
 
     def act() -> Outcome:
@@ -51,12 +52,10 @@ def play(
             trajectory, report.name, planner=report.planner, planning_time_s=report.planning_time_s,
             clearance_m=report.clearance_m, evidence=dict(evidence),
         )  # fmt: skip
-        return guarded(
-            ctx, trajectory, ctx.cancel,
-            lambda stop: execute_coupled(
-                ctx.driver, trajectory, correct, watch, settings=ctx.settings.execution, cancel=stop,
-                progress=lambda _: ctx.observe(),
-            ),
+        motion = ctx.gate.motion(trajectory, cancel=ctx.cancel, scene=scene)
+        return execute_coupled(
+            ctx.driver, motion, correct, watch, settings=ctx.settings.execution,
+            progress=lambda _: ctx.observe(),
         )  # fmt: skip
 
     return staged(ctx, report, act)

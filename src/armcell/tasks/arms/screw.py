@@ -14,7 +14,6 @@ from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.core.checks import require
 from armcell.kinematics import kinematic_tree
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.tasks.guard import guarded
 from armcell.tasks.steps import staged
 from armcell.timing.chords import chords
 
@@ -65,7 +64,8 @@ def screw(
             cure="grasp it turned back, or turn less at a time",
         )
     others = [n for n in scene.objects if scene.is_allowed(item, n)]
-    checker = KernelChecker(scene.with_allowed(item, others) if others else scene, names)
+    planned_in = scene.with_allowed(item, others) if others else scene
+    checker = KernelChecker(planned_in, names)
     _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
     proof = checker.certify(points, room)
     if not proof.free:
@@ -76,12 +76,10 @@ def screw(
     def act() -> Outcome:
         asked = {"turns": turns, "force_N": force}
         ctx.announce(trajectory, "screw", planner="admittance", evidence=asked)
-        result = guarded(
-            ctx, trajectory, ctx.cancel,
-            lambda stop: execute_coupled(
-                ctx.driver, trajectory, turning.correct, turning.watch, settings=ctx.settings.execution,
-                cancel=stop, progress=lambda _: ctx.observe(),
-            ),
+        motion = ctx.gate.motion(trajectory, planned_in, ctx.cancel)
+        result = execute_coupled(
+            ctx.driver, motion, turning.correct, turning.watch, settings=ctx.settings.execution,
+            progress=lambda _: ctx.observe(),
         )  # fmt: skip
         return replace(result, evidence={**result.evidence, **turning.evidence()})
 

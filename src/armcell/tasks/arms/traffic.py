@@ -28,7 +28,6 @@ from armcell.core import (
 )
 from armcell.planning import RunningMotion, plan_beside
 from armcell.scene import PlanningScene
-from armcell.tasks.guard import guarded
 
 if TYPE_CHECKING:
     from armcell.tasks.arms.context import ArmContext
@@ -150,10 +149,8 @@ class Traffic:
         """A motion of the traffic's own (making way, coming back), begun now."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
-        done = guarded(
-            ctx, trajectory, ctx.cancel,
-            lambda stop: execute(ctx.driver, trajectory, ctx.settings.execution, stop, ctx.progress),
-        )  # fmt: skip
+        motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
+        done = execute(ctx.driver, motion, ctx.settings.execution, ctx.progress)
         self.rest(ctx)
         return done.ok
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,22 +14,27 @@ from numpy.typing import ArrayLike, NDArray
 from armcell import _interrupts
 from armcell.control.drivers.ur import program as commands
 from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.drivers.ur.identity import Identity
+from armcell.control.drivers.ur.identity import Identity, check_ready, identify
 from armcell.control.drivers.ur.program import ProgramLink, ProgramSettings
 from armcell.control.drivers.ur.rtde_client import RobotState, RtdeClient
 from armcell.control.drivers.ur.settings import ArmSettings, RealSettings
 from armcell.control.safety import Fault
 from armcell.control.ur_wire.kinematics import forward
 from armcell.control.ur_wire.modes import MAY_MOVE, RobotMode, RuntimeState, SafetyMode
-from armcell.core import InputError, JointTrajectory
+from armcell.core import ArmcellError, InputError, JointTrajectory
 
 Array = NDArray[np.float64]
 
+HALTED_WITHIN = 3.0  # [s] of a halt until the robot has been told for sure
+MENDED_BY_RESUME = ("program ended", "stale state")
 FARTHEST = 0.3  # [s] from the last state to a point that is sent
 INPUTS = (("speed_slider_mask", "speed_slider_fraction"),)
+_RELEASE = "release the emergency stop button, then power on and release the brakes"
 _CURES = {
-    SafetyMode.PROTECTIVE_STOP: "look why, free the arm, then unlock it and resume",
-    SafetyMode.SAFEGUARD_STOP: "close the fence, reset the safeguard, then resume",
+    SafetyMode.PROTECTIVE_STOP: "look why, free the arm, then unlock it at the pendant",
+    SafetyMode.SAFEGUARD_STOP: "close the fence, reset the safeguard",
+    SafetyMode.ROBOT_EMERGENCY_STOP: _RELEASE,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: _RELEASE,
 }
 
 
@@ -66,6 +72,8 @@ class UrArm:
         self._session = 0
         self._streamed = 0.0  # when a servo target was last sent
         self._no_force = np.zeros(6)
+        self._halting: threading.Thread | None = None
+        self._unsent_slider: float | None = None  # set while the link was lost
 
     def _made_link(self, settings: ProgramSettings) -> MotionLink:
         own = self.settings
@@ -82,13 +90,27 @@ class UrArm:
         self.start_program()
 
     def start_program(self) -> None:
-        """(Re)start our program on the robot; the connection to its state is made anew if it is gone."""
+        """(Re)start our program on the robot; the connection to its state is made anew if it is gone.
+
+        Raises:
+            InputError: with the cause and the cure. The arm is then as it was.
+        """
         if self._rtde.error is not None:
             self._rtde.close()
-            self._rtde = RtdeClient(self.settings.host, self.step**-1, self.inputs, self._rtde._on_state)
-            self._rtde.connect()
+            fresh = RtdeClient(self.settings.host, self.step**-1, self.inputs, self._rtde._on_state)
+            try:
+                fresh.connect()
+            except BaseException:
+                fresh.close()
+                raise
+            self._rtde = fresh  # with a state: until there is one, the old one says what is wrong
         self._session = self._link.start()
+        end = time.monotonic() + 1.0
+        while self.state.runtime_state == RuntimeState.STOPPED and time.monotonic() < end:
+            time.sleep(0.005)  # the state that says that it runs is on its way
         self.armed = True
+        if self._unsent_slider is not None:
+            self.set_slider(self._unsent_slider)
         settings = self.settings
         if settings.payload is not None:
             self._link.send(commands.PAYLOAD, (settings.payload, *settings.payload_cog))
@@ -108,8 +130,16 @@ class UrArm:
     # --- state ---
     @property
     def state(self) -> RobotState:
-        assert self._rtde.latest is not None
-        return self._rtde.latest
+        latest = self._rtde.latest
+        if latest is None:
+            raise self._not_connected()
+        return latest
+
+    def _not_connected(self) -> InputError:
+        return InputError(
+            f"arm {self.name!r}: {self.settings.host} has told no state: it is not connected",
+            cure="connect the cell first: with cell.connect('real') as live: ...",
+        )
 
     @property
     def age(self) -> float:
@@ -143,7 +173,9 @@ class UrArm:
         """What is wrong now; see `Supervised`."""
         if self._rtde.error is not None:
             return self._found(
-                "link lost", f"the RTDE connection ended: {self._rtde.error}", "check the cable"
+                "link lost",
+                f"the link to {self.settings.host} is lost: {self._rtde.error}",
+                "check the cable and that the robot is on",
             )
         state, limits = self.state, self._limits
         safety, mode = state.safety_mode, state.robot_mode
@@ -153,7 +185,7 @@ class UrArm:
             except ValueError:
                 return self._found("safety", f"unknown safety mode {safety}", "see the pendant")
             kind = found.name.lower().replace("_", " ").replace("robot ", "").replace("system ", "")
-            return self._found(kind, kind, _CURES.get(found, "see the pendant; power on, then resume"))
+            return self._found(kind, kind, _CURES.get(found, "see the pendant, then power on"))
         if mode != RobotMode.RUNNING:
             names = {int(m): m.name for m in RobotMode}
             return self._found(
@@ -169,8 +201,11 @@ class UrArm:
         if self.armed and blind > (limits.watchdog if moving else limits.max_silence):
             text = f"this computer was held up for {blind * 1000:.0f} ms"
             return self._found("stale state", text, "give it less to do, or priority: chrt -f 10 armcell ...")
-        if self.armed and not self._link.connected:
-            return self._found("program ended", "our program on the robot ended or its link broke", "resume")
+        stopped = self.state.runtime_state == RuntimeState.STOPPED  # its connections may outlive a program
+        if self.armed and (stopped or not self._link.connected):
+            return self._found(
+                "program ended", "our program on the robot ended or its link broke", "call resume()"
+            )
         error = float(np.abs(np.subtract(state.target_q, state.actual_q)).max())
         if self.armed and error > limits.max_tracking_error:
             return self._found("tracking error", f"{error:.3f} rad from its target", "is it blocked?")
@@ -202,7 +237,8 @@ class UrArm:
         To be sent again every period. Points of the same time keep several arms together.
         """
         self._mark_streamed()
-        assert self._rtde.last_two is not None
+        if self._rtde.last_two is None:
+            raise self._not_connected()
         before, state = self._rtde.last_two
         runs = state.output_double_register_25 > before.output_double_register_25
         pace = self.scaling if runs else 0.0  # of the program's clock: slider and pause slow it
@@ -255,7 +291,8 @@ class UrArm:
         self.armed = False
         self._streamed = 0.0
         self._link.send(commands.END)
-        threading.Thread(target=self._make_sure, name=f"halt {self.name}", daemon=True).start()
+        self._halting = threading.Thread(target=self._make_sure, name=f"halt {self.name}", daemon=True)
+        self._halting.start()
 
     def _make_sure(self) -> None:
         """A paused program cannot hear us: the dashboard ends it, so that nothing is left to go on."""
@@ -271,18 +308,38 @@ class UrArm:
             self._link.close_links()
 
     def prepare_resume(self) -> None:
-        """What a resume needs first.
+        """What a resume needs first: the same robot, which answers and may be driven.
 
         Raises:
-            InputError: the robot is not ready; says what to do.
+            InputError: it is not; says what to do.
         """
+        if self._halting is not None:
+            self._halting.join(HALTED_WITHIN)  # lest it end the new program instead of the old one
         fault = self.fault() if self._rtde.error is None else None
-        if fault is not None and fault.kind not in ("program ended", "stale state"):
-            raise InputError(f"cannot resume: {fault.arm}: {fault.text}", cure=fault.cure)
+        if fault is not None and fault.kind not in MENDED_BY_RESUME:
+            raise InputError(f"arm {fault.arm!r}: {fault.text}", cure=fault.cure)
+        try:
+            found = identify(self.settings.host)
+        except ArmcellError as error:
+            raise InputError(
+                f"arm {self.name!r}: the link to {self.settings.host} is lost: {error}",
+                cure="check the cable and that the robot is on",
+            ) from None
+        if (found.serial, found.calibration) != (self.identity.serial, self.identity.calibration):
+            raise InputError(
+                f"arm {self.name!r}: another robot than before answers at {self.settings.host} "
+                f"(serial {found.serial}, before {self.identity.serial})",
+                cure="check cables and addresses, then start armcell anew",
+            )
+        check_ready(self.name, found)
 
     def set_slider(self, fraction: float) -> None:
-        """The pendant's speed slider, 0 to 1."""
-        self._rtde.send(0, (1, float(np.clip(fraction, 0.0, 1.0))))
+        """The pendant's speed slider, 0 to 1. While the link is lost it is kept, and set by the resume."""
+        self._unsent_slider = value = float(np.clip(fraction, 0.0, 1.0))
+        with contextlib.suppress(OSError):
+            if self._rtde.error is None:
+                self._rtde.send(0, (1, value))
+                self._unsent_slider = None
 
     def set_tool_output(self, pin: int, on: bool) -> None:
         self._link.send(commands.TOOL_OUT, (float(on),), pin)

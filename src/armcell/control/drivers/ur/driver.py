@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -22,7 +23,7 @@ from armcell.control.drivers.ur.rtde_arm import UrRtdeArm
 from armcell.control.drivers.ur.rtde_link import require_ur_rtde
 from armcell.control.drivers.ur.settings import real_settings
 from armcell.control.following import Following, SentClock
-from armcell.control.safety import Fault, SafetyEvent, Supervisor
+from armcell.control.safety import Fault, SafetyEvent, Supervisor, cannot_resume
 from armcell.control.twin.guard import TwinGuard
 from armcell.control.twin.pinger import Pinger
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
@@ -32,6 +33,7 @@ from armcell.scene import PlanningScene
 log = logging.getLogger(__name__)
 
 SEEN_LATE = 0.06  # [s] by which a measured state may be behind
+GRIPPER_LOST = "gripper lost"
 GRIPPER_SILENCE = 1.5  # [s] without a word of a gripper until the arms stop
 LONGEST_SKEW = 0.05  # [s] between the arms' states; beyond it the older one is taken as it is
 
@@ -44,6 +46,7 @@ class UrDriver(SeesNoContacts):
 
     name = "real"
     is_simulated = False
+    is_paced = True
 
     def __init__(self, scene: PlanningScene, options: DriverOptions):
         if options.time_scale not in (None, 1.0):
@@ -60,6 +63,8 @@ class UrDriver(SeesNoContacts):
         self.latency = self.settings.stream_lead + SEEN_LATE
         self.arms: dict[str, UrArm] = {}
         self._grippers: dict[str, UrGripper] = {}
+        self._supervisor: Supervisor | None = None  # while connected
+        self._resuming = threading.Lock()
 
     def __enter__(self) -> UrDriver:
         """Connect to every arm. Nothing moves.
@@ -78,7 +83,6 @@ class UrDriver(SeesNoContacts):
         for name, arm in wanted.items():
             check_identity(name, arm, found[name])
             check_ready(name, found[name])
-        self._supervisor: Supervisor | None = None
         with ExitStack() as undo:
             self._heart = Heart(self._beat)
             self._heart.start()
@@ -111,23 +115,34 @@ class UrDriver(SeesNoContacts):
             name: self._tree.link_pose(self._q, self._model.joints[arm.joint_names[0]].parent) @ HALF_TURN
             for name, arm in self.arms.items()
         }
-        self._supervisor = Supervisor(self.arms)
+        self._supervisor = supervisor = Supervisor(self.arms)
         if self.guard is not None:
             with ExitStack() as undo:
                 undo.callback(self.__exit__)
-                self._begin_guard(self.guard)
+                self._begin_guard(self.guard, supervisor)
                 undo.pop_all()
         return self
 
-    def _begin_guard(self, guard: TwinGuard) -> None:
+    def _begin_guard(self, guard: TwinGuard, supervisor: Supervisor) -> None:
         """Have it notice every arm's network, and write down what it does."""
         guard.check_calibration({name: arm.identity.calibration for name, arm in self.arms.items()})
         self._pingers = [Pinger(arm.settings.host) for arm in self.arms.values()]
         for pinger in self._pingers:
             pinger.start()
         guard.trips = {name: ping.trip for name, ping in zip(self.arms, self._pingers)}
-        assert self._supervisor is not None
-        guard.note = self._supervisor.record
+        guard.note = supervisor.record
+
+    def _connected(self) -> Supervisor:
+        """
+        Raises:
+            InputError: the driver is not connected.
+        """
+        if self._supervisor is None:
+            raise InputError(
+                "the real arms are not connected",
+                cure="use the cell within its block: with cell.connect('real') as live: ...",
+            )
+        return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
         """Why the twin refuses a trajectory; None if it does not, or there is none."""
@@ -170,7 +185,7 @@ class UrDriver(SeesNoContacts):
             if gripper.silent > GRIPPER_SILENCE:
                 text = f"gripper {name!r} has told nothing for {gripper.silent:.1f} s"
                 group = self._model.gripper(name).arm_group
-                return Fault(group, "gripper lost", text, "look at its URCap and cable, then resume")
+                return Fault(group, GRIPPER_LOST, text, "look at its URCap and cable")
         return None
 
     # --- state ---
@@ -180,6 +195,7 @@ class UrDriver(SeesNoContacts):
 
     def joint_state(self) -> JointState:
         """All arms at one time: that of the arm whose last state is the oldest."""
+        self._connected()
         q, v = self._q.copy(), np.zeros(self._model.dof)
         times = [arm.time_of_state for arm in self.arms.values()]
         when = max(min(times), max(times) - LONGEST_SKEW)
@@ -229,30 +245,30 @@ class UrDriver(SeesNoContacts):
 
     def follow(self, trajectory: JointTrajectory) -> Following:
         """One arm plays its trajectory itself; several get it streamed by one clock."""
-        fault = self.fault()
+        supervisor, fault = self._connected(), self.fault()
         if fault is not None:
             raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
         arms = self._arms_of(trajectory.joint_names)
         if len(arms) == 1:
-            return self._guarded(Forwarded(arms[0], trajectory), trajectory, arms)
+            return self._guarded(supervisor, Forwarded(arms[0], trajectory), trajectory, arms)
         streamed = Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
-        return self._guarded(streamed, trajectory, arms, streamed.sent_for)
+        return self._guarded(supervisor, streamed, trajectory, arms, streamed.sent_for)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
         """As `Rehearsing.watch`."""
         arms = self._arms_of(trajectory.joint_names)
         moving = Commanded(lambda: self._due() + self.settings.stream_lead)
-        moving.watched = self._guarded(moving, trajectory, arms, moving.sent_for, forced)
+        supervisor = self._connected()
+        moving.watched = self._guarded(supervisor, moving, trajectory, arms, moving.sent_for, forced)
         return moving
 
     def _guarded(
-        self, following: Following, trajectory: JointTrajectory, arms: list[UrArm],
+        self, supervisor: Supervisor, following: Following, trajectory: JointTrajectory, arms: list[UrArm],
         sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
         if self.guard is None:
             return following
-        assert self._supervisor is not None
-        return self.guard.watching(following, trajectory, arms, self._supervisor.trip, sent_for, forced)
+        return self.guard.watching(following, trajectory, arms, supervisor.trip, sent_for, forced)
 
     def _arms_of(self, joint_names: Iterable[str]) -> list[UrArm]:
         names = set(joint_names)
@@ -288,21 +304,44 @@ class UrDriver(SeesNoContacts):
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
-        """Let the arms move again after a stop. They stay where they are; old goals are forgotten.
+        """As `Driver.resume`: connects to arms whose link was lost, and starts the program of each again.
 
         Raises:
-            InputError: something still stops an arm; says what helps.
+            InputError: something still stops an arm; says what to do. All arms stay stopped.
         """
-        if self._supervisor is None or self._supervisor.check() is None:
-            return
-        died = self._died()
-        if died is not None:
-            raise InputError(f"cannot resume: {died.arm}: {died.text}", cure=died.cure)
+        with self._resuming:
+            supervisor = self._connected()
+            if supervisor.check() is None:
+                return
+            try:
+                self._wait_for_grippers()
+                for arm in self.arms.values():
+                    arm.prepare_resume()
+                for arm in self.arms.values():
+                    arm.start_program()
+            except InputError as error:
+                self._halt()
+                raise cannot_resume(error.reason, error.cure) from None
+            try:
+                supervisor.clear()
+            except InputError:
+                self._halt()
+                raise
+
+    def _wait_for_grippers(self) -> None:
+        """
+        Raises:
+            InputError: a part of this driver has ended and does not come back by itself.
+        """
+        end = time.monotonic() + GRIPPER_SILENCE
+        while (died := self._died()) is not None:
+            if died.kind != GRIPPER_LOST or time.monotonic() > end:
+                raise InputError(f"{died.arm}: {died.text}", cure=died.cure)
+            time.sleep(0.05)  # its connection is being made anew
+
+    def _halt(self) -> None:
         for arm in self.arms.values():
-            arm.prepare_resume()
-        for arm in self.arms.values():
-            arm.start_program()
-        self._supervisor.clear()
+            arm.halt()
 
     @property
     def speed_fraction(self) -> float:
@@ -390,6 +429,7 @@ class UrDriver(SeesNoContacts):
         return dict(self._poses)
 
     def targets(self) -> JointState | None:
+        self._connected()
         names = tuple(n for arm in self.arms.values() for n in arm.joint_names)
         states = [arm.state for arm in self.arms.values()]
         q, v = (np.concatenate([s.values[key] for s in states]) for key in ("target_q", "target_qd"))

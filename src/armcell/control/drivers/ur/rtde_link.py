@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -93,13 +93,12 @@ class RtdeLink:
                     f"({said[-1] if said else 'it says nothing'})",
                     cure="look at the pendant; e-Series: remote control must be on",
                 )
-        threading.Thread(target=self._drain, args=(self._process,), daemon=True).start()
+        threading.Thread(target=self._drain, args=(self._process.stderr,), daemon=True).start()
         return self._session
 
-    def _drain(self, process: subprocess.Popen) -> None:
+    def _drain(self, words: Iterable[str] | None) -> None:
         """What the library says goes nowhere, and must not block it."""
-        assert process.stderr is not None
-        for _ in process.stderr:
+        for _ in words or ():
             pass
 
     def _receive(self, link: socket.socket) -> None:

@@ -1,0 +1,156 @@
+"""Cameras of a cell whose clock keeps to the wall's: drawn in another process, never waited for."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+
+from armcell.control import Driver
+from armcell.core import ArmcellError, CameraImage
+from armcell.scene import PlanningScene
+from armcell.sim import Camera, Decal, SimWorld
+from armcell.sim.render_process import MeasuredState, Order, PhysicsState, RenderProcess, Setup
+
+logger = logging.getLogger(__name__)
+Give = Callable[[CameraImage], None]
+
+MOST_KEPT = 64  # pictures of key moments that wait
+GIVES_UP_AFTER = 3  # failures in a row
+CLOSE = 10.0  # [s] for the key moments that wait when the cell is closed
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    order: Order
+    time: float  # [s] of the driver's clock, of the state
+    give: Give
+    keep: bool
+
+
+class CellRenderer:
+    """Draws what a driver's cameras see. Its thread and process begin with the first picture asked for.
+
+    Attributes:
+        ready: whether a picture has come: the process has started and has built the scene.
+        broken: why no more pictures come; else empty. Motions go on.
+    """
+
+    def __init__(self, driver: Driver, scene: PlanningScene, decals: Sequence[Decal] = ()):
+        self._driver, self._scene, self._decals = driver, scene, decals
+        self._setup: tuple[object, Setup] | None = None
+        self._wake = threading.Condition()
+        self._waiting: dict[Hashable, _Request] = {}
+        self._thread: threading.Thread | None = None
+        self._closing = False
+        self._process = RenderProcess()
+        self._failures = 0
+        self.ready = False
+        self.broken = ""
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that draws, while there is one."""
+        return self._process.pid
+
+    def ask(
+        self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
+        keep: bool = False,
+    ) -> None:  # fmt: skip
+        """Have the present state drawn; returns at once. To be called from the thread that steps the driver.
+
+        Args:
+            key: whose picture. One that waits under the same key is replaced: the newest state is drawn, as
+                often as the machine can. Keys take turns.
+            give: gets the picture, stamped with the state's time, in the renderer's thread.
+            keep: a key moment, which is drawn even when the cell is closed meanwhile.
+        """
+        if self.broken or self._closing:
+            return
+        order = Order(*self._state(), camera, rgb, depth)
+        with self._wake:
+            if keep and len(self._waiting) >= MOST_KEPT:
+                logger.warning("a picture is left out: %d wait to be drawn", MOST_KEPT)
+                return
+            self._waiting[key] = _Request(order, self._driver.now, give, keep)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="armcell-renderer", daemon=True)
+                self._thread.start()
+            self._wake.notify()
+
+    def close(self) -> None:
+        """End the process. Key moments that wait are drawn before."""
+        with self._wake:
+            self._closing = True
+            self._waiting = {k: r for k, r in self._waiting.items() if r.keep}
+            thread, self._thread = self._thread, None
+            self._wake.notify()
+        if thread is not None:
+            thread.join(CLOSE)
+            self._waiting = {}
+            if thread.is_alive():
+                self._process.kill()
+                thread.join(1.0)
+        self._setup = None
+
+    # --- how ---
+    def _state(self) -> tuple[Setup, PhysicsState | MeasuredState]:
+        world = getattr(self._driver, "world", None)
+        if isinstance(world, SimWorld):
+            if self._setup is None or self._setup[0] is not world.mj_model:
+                self._setup = world.mj_model, Setup.of(world)
+            return self._setup[1], PhysicsState.of(world)
+        if self._setup is None:
+            self._setup = self, Setup(self._scene, decals=self._decals)
+        q = self._driver.joint_state().positions
+        return self._setup[1], MeasuredState(q, self._driver.object_poses())
+
+    def _run(self) -> None:
+        """One picture is drawn while the last one is given on."""
+        try:
+            request = self._next(wait=True)
+            while request is not None:
+                image = self._finish(request)
+                following = self._next(wait=False)
+                if image is not None:
+                    self._give(request, image)
+                request = following or self._next(wait=True)
+        finally:
+            self._process.close()
+
+    def _next(self, wait: bool) -> _Request | None:
+        """Begin what has waited longest; None where nothing waits, or when the renderer is closed."""
+        with self._wake:
+            if wait:
+                self._wake.wait_for(lambda: self._waiting or self._closing or self.broken)
+            if not self._waiting or self.broken:
+                return None
+            request = self._waiting.pop(next(iter(self._waiting)))
+        self._process.begin(request.order)
+        return request
+
+    def _finish(self, request: _Request) -> CameraImage | None:
+        try:
+            image = self._process.finish()
+        except ArmcellError as error:
+            self._failed(f"camera {request.order.camera.name!r}: {error}")
+            return None
+        self._failures, self.ready = 0, True
+        return replace(image, time=request.time)
+
+    def _give(self, request: _Request, image: CameraImage) -> None:
+        try:
+            request.give(image)
+        except Exception:  # who gets pictures must not end those of others
+            logger.exception("a picture of %s could not be used", image.camera)
+
+    def _failed(self, reason: str) -> None:
+        self._failures += 1
+        if self._failures < GIVES_UP_AFTER:
+            logger.warning("%s; motions go on, rendering is tried again", reason)
+            return
+        self.broken = reason
+        logger.warning(
+            "%s: no more pictures of this cell; motions go on (MUJOCO_GL=off draws without OpenGL)", reason
+        )

@@ -1,0 +1,5 @@
+"""Xacro: macros, properties and expressions in robot descriptions, expanded without running code."""
+
+from armcell.model.xacro.expand import ALLOW_ENV, expand_xacro
+
+__all__ = ["ALLOW_ENV", "expand_xacro"]

@@ -1,0 +1,458 @@
+"""Expand a xacro file into URDF text, without running code from it.
+
+armcell has its own processor because the library `xacro` cannot be made safe from outside: it calls Python's
+`eval` in three places (expressions, `$(eval)`, units in YAML) behind a filter that a lambda passes, keeps its
+state in module variables, reads any file, parses entities, and expands without limit. Replacing those
+functions at run time would replace most of the library, and a renamed one would silently bring `eval` back.
+Tests compare both on the same files, element by element.
+
+The processor reads the source tree and writes a new one. As in plain xacro, a text is expanded once, a macro
+sees the properties of its caller, and properties are evaluated at first use.
+"""
+
+from __future__ import annotations
+
+import keyword
+import logging
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from armcell.core import InputError
+from armcell.model.files import parse_xml, read_text
+from armcell.model.xacro.budget import CHARACTERS, Budget, Function, XacroError
+from armcell.model.xacro.expressions import Dotted, NameSpace, evaluate
+from armcell.model.xacro.files import RobotFiles
+from armcell.model.xacro.functions import BASIC, MATH, PYTHON, plain, text_of, tokenize
+from armcell.model.xacro.parameters import Parameter, parameters_of
+from armcell.model.xacro.scope import Scope, evaluate_text, truth
+from armcell.model.xacro.substitution import Substitution
+
+log = logging.getLogger(__name__)
+
+Element = etree._Element
+MAX_INCLUDES = 30  # files within files
+MAX_MACROS = 200  # macros within macros
+MAX_CALLS = 5000  # of Python's functions within each other; they take no C stack since Python 3.11
+MAX_REASON = 600  # characters of a message
+ELEMENT_STEPS = 5
+MACRO_STEPS = 25
+ALLOW_ENV = "ARMCELL_ALLOW_ENV"
+"""Variable by which `armcell --allow-env` reaches the processes that a command starts."""
+
+
+def expand_xacro(
+    file: Path,
+    arguments: Mapping[str, str] | None = None,
+    allow_env: bool | None = None,
+    home: Path | None = None,
+) -> str:
+    """Return the URDF text that a xacro file stands for.
+
+    Args:
+        arguments: values of `$(arg NAME)`, as `name:=value` on xacro's command line.
+        allow_env: let the file read environment variables by `$(env)` and `$(optenv)`. None: only if
+            ARMCELL_ALLOW_ENV is set.
+        home: folder that all files of the robot are in; the file's package or folder by default.
+    Raises:
+        InputError: with file, line and reason.
+    """
+    if allow_env is None:
+        allow_env = os.environ.get(ALLOW_ENV, "") not in ("", "0")
+    root = parse_xml(read_text(file), file)
+    work = _Expansion(file, dict(arguments or {}), allow_env, home)
+    try:
+        with _deep_calls():
+            return work.document(root)
+    except XacroError as error:
+        raise work.failed(error.reason, error.cure) from None
+    except RecursionError:
+        raise work.failed("it is nested too deeply") from None
+
+
+@dataclass(frozen=True, eq=False)
+class Macro:
+    """A macro's definition."""
+
+    body: Element
+    parameters: tuple[Parameter, ...]
+
+
+class _Expansion:
+    """One file's expansion: macros and properties are passed on by scope, all else is in here."""
+
+    def __init__(self, file: Path, arguments: dict[str, str], allow_env: bool, home: Path | None):
+        self.file = file
+        self.budget = Budget()
+        self.files = RobotFiles(file, self.budget, home)
+        self.substitution = Substitution(self.files, self.budget, arguments, allow_env)
+        self.reading = [self.files.main]  # the file, and those within each other that are being included
+        self.macros: list[str] = []  # names of those being expanded
+        self.here: Element | None = None
+
+    def document(self, root: Element) -> str:
+        names = Scope(self.budget, self._substitute)
+        names.values.update(self._names(names))
+        out = etree.Element(root.tag, nsmap=_spaces(root))
+        scope, macros = names.inner(), Scope(self.budget, self._substitute).inner()
+        self._attributes(root, out, scope)
+        self._children(root, out, macros, scope)
+        return etree.tostring(out, encoding="unicode")
+
+    def failed(self, reason: str, cure: str | None = None) -> InputError:
+        """Return the error to raise, with the place that was being expanded."""
+        file, line, label = self.file, None, None
+        if self.here is not None:
+            url = self.here.getroottree().docinfo.URL
+            file = Path(url) if url and Path(url) != self.files.main else self.file
+            line, label = self.here.sourceline, _label(self.here)
+        if file != self.file:
+            reason = f"{reason} (part of {self.file})"
+        reason = f"xacro cannot expand it: {_one_line(reason)}"
+        return InputError(reason, file=file, line=line, element=label, cure=cure and _one_line(cure))
+
+    def _substitute(self, inside: str, scope: Scope) -> str:
+        return self.substitution.resolve(inside, self.reading[-1].parent)
+
+    def _names(self, names: Scope) -> dict[str, Any]:
+        """What every expression can use."""
+
+        def say(level: int) -> Any:
+            def run(budget: Budget, /, *arguments: Any, **_: Any) -> str:
+                log.log(level, "%s: %s", self.file, _one_line(" ".join(text_of(a) for a in arguments)))
+                return ""
+
+            return run
+
+        def fatal(*arguments: Any) -> None:
+            raise XacroError(" ".join(text_of(argument) for argument in arguments))
+
+        def number(text: str) -> Any:
+            return evaluate(text, names, self.budget)
+
+        functions = {
+            "load_yaml": plain("load_yaml", lambda name: self.files.yaml(self._path(name), number)),
+            "abs_filename": plain("abs_filename", lambda name: str(self._path(name))),
+            "dotify": plain("dotify", Dotted),
+        }
+        own = {
+            **functions,
+            "arg": plain("arg", self.substitution.arg),
+            "fatal": plain("fatal", fatal),
+            "tokenize": plain("tokenize", tokenize),
+            "print_location": plain("print_location", lambda: ""),
+            "message": Function("message", say(logging.INFO)),
+            "warning": Function("warning", say(logging.WARNING)),
+            "error": Function("error", say(logging.ERROR)),
+        }
+        spaces = {"math": NameSpace(MATH), "python": NameSpace(PYTHON), "xacro": NameSpace(own)}
+        return {**MATH, **BASIC, **functions, **spaces}
+
+    def _path(self, name: str) -> Path:
+        """A path as written in the file that is being read."""
+        if "\0" in name:
+            raise XacroError(f"{name!r} is not a path")
+        return self.reading[-1].parent / name
+
+    # --- elements ---
+    def _attributes(self, source: Element, out: Element, scope: Scope) -> None:
+        for name, value in source.attrib.items():
+            if not _is_xacro(source, str(name)):
+                _set(out, str(name), self._text(value, scope))
+
+    def _text(self, value: Any, scope: Scope) -> str:
+        return text_of(evaluate_text(str(value), scope))
+
+    def _children(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        """Append the expansion of everything inside `source` to `out`."""
+        self._words(source.text, out, scope)
+        for child in source:
+            self._child(child, out, macros, scope)
+            self._words(child.tail, out, scope)
+
+    def _words(self, text: str | None, out: Element, scope: Scope) -> None:
+        """Append text; white space between elements means nothing in a URDF."""
+        if text and not text.isspace():
+            before = out[-1].tail if len(out) else out.text
+            self.budget.charge(len(before or "") // CHARACTERS)  # appending copies what is there
+            _append_text(out, self._text(text, scope))
+
+    def _child(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        if not isinstance(source.tag, str):
+            return  # a processing instruction
+        self.budget.charge(ELEMENT_STEPS)
+        self.here = source
+        if source.prefix == "xacro":
+            self._directive(etree.QName(source).localname, source, out, macros, scope)
+        else:
+            self._copy(source.tag, source, out, macros, scope)
+
+    def _directive(self, name: str, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        directive = _DIRECTIVES.get(name)
+        if directive is not None:
+            directive(self, source, out, macros, scope)
+        else:
+            self._call(name, source, out, macros, scope)
+
+    def _copy(self, tag: str, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        """Append an element of the URDF with its content expanded."""
+        try:
+            made = etree.SubElement(out, tag, nsmap=_spaces(source))
+        except ValueError:
+            raise XacroError(f"{tag!r} is not a valid name of an element") from None
+        self._attributes(source, made, scope)
+        self._children(source, made, macros, scope)
+
+    def _inside(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        """As `_children`, but an <xacro:attribute> in it is lost, as in plain xacro."""
+        made = etree.Element("made")
+        self._children(source, made, macros, scope)
+        _move(made, out)
+
+    # --- directives ---
+    def _property(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        name = self._text(_needed(source, "name"), scope)
+        if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("__"):
+            raise XacroError(f"{name!r} is not a valid name of a property")
+        value: Any = source.get("value")
+        default, where = source.get("default"), source.get("scope")
+        remove = truth(evaluate_text(source.get("remove", "false"), scope))
+        if (value is not None) + (default is not None) + remove > 1:
+            raise XacroError(f"property {name}: 'value', 'default' and 'remove' exclude each other")
+        if remove and name in scope:
+            scope.remove(name)
+            return
+        if default is not None:
+            if name in scope:
+                return
+            value = default
+        if value is None:
+            name, value = f"**{name}", source
+        target, lazy = scope, truth(evaluate_text(source.get("lazy_eval", "true"), scope))
+        if where == "global":
+            target, lazy = scope.outermost, False
+        elif where == "parent":
+            target, lazy = _parent_of(scope), False
+        if not lazy and isinstance(value, str):
+            value = evaluate_text(value, scope)
+        target.put(name, value, lazy)
+
+    def _argument(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        name, default = _needed(source, "name"), _needed(source, "default")
+        if name not in self.substitution.values:
+            self.substitution.values[name] = self._text(default, scope)
+
+    def _if(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        if self._holds(source, scope):
+            self._inside(source, out, macros, scope)
+
+    def _unless(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        if not self._holds(source, scope):
+            self._inside(source, out, macros, scope)
+
+    def _holds(self, source: Element, scope: Scope) -> bool:
+        text = _needed(source, "value")
+        return truth(evaluate_text(text, scope), text)
+
+    def _attribute(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        name, value = (self._text(_needed(source, key), scope) for key in ("name", "value"))
+        _set(out, name, value)
+
+    def _element(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        key = next((k for k in source.attrib if _is_xacro(source, str(k)) and str(k).endswith("}name")), None)
+        if key is None:
+            raise XacroError("attribute 'xacro:name' is missing")
+        name = self._text(source.get(key), scope)
+        if name.startswith("xacro:"):
+            self._directive(name.removeprefix("xacro:"), source, out, macros, scope)
+        else:
+            self._copy(name, source, out, macros, scope)
+
+    def _include(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        path = self._path(self._text(_needed(source, "filename"), scope))
+        if source.get("ns") is not None:
+            space = self._text(source.get("ns"), scope)
+            macros.values[space] = macros = macros.inner(name_space=True)
+            scope.values[space] = scope = scope.inner(name_space=True)
+        found = self.files.matching(path) if set(str(path)) & set("*?[") else [path]
+        optional = truth(source.get("optional") or "false")
+        for each in found:
+            real = self.files.checked(each)
+            if optional and not real.is_file():
+                continue
+            if len(self.reading) > MAX_INCLUDES:
+                chain = " includes ".join(one.name for one in self.reading[-3:])
+                raise XacroError(f"more than {MAX_INCLUDES} files include each other: {chain}")
+            root = self.files.xml(real)
+            with _pushed(self.reading, each):
+                self._inside(root, out, macros, scope)
+
+    def _define(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        name = _needed(source, "name").removeprefix("xacro:")
+        if name == "call" or "." in name:
+            raise XacroError(f"{name!r} is not a valid name of a macro")
+        macros.values[name] = Macro(source, parameters_of(source.get("params", "")))
+
+    def _insert(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        name = _needed(source, "name")
+        if f"**{name}" in scope:
+            self._inside(scope.lookup(f"**{name}"), out, macros, scope)
+        elif f"*{name}" in scope:
+            block = scope.lookup(f"*{name}")
+            self._copy(block.tag, block, out, macros, scope)
+        else:
+            raise XacroError(f"undefined block {name!r}")
+
+    # --- macros ---
+    def _call_named(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
+        self._call(self._text(_needed(source, "macro"), scope), source, out, macros, scope, skip="macro")
+
+    def _call(
+        self, name: str, source: Element, out: Element, macros: Scope, scope: Scope, skip: str = ""
+    ) -> None:
+        macros_there, scope_there, macro = _resolved(name, macros, scope)
+        if len(self.macros) >= MAX_MACROS:
+            chain = " calls ".join(self.macros[-3:])
+            raise XacroError(f"more than {MAX_MACROS} macros call each other: {chain}")
+        self.budget.charge(MACRO_STEPS)
+        inner = scope_there.inner()
+        missing = {parameter.name: parameter for parameter in macro.parameters}
+        for key, value in source.attrib.items():
+            if str(key) == skip or _is_xacro(source, str(key)):
+                continue
+            if missing.pop(str(key), None) is None:
+                raise XacroError(f"invalid parameter {str(key)!r} of macro {name!r}")
+            inner.put(str(key), evaluate_text(str(value), scope))
+        evaluated = etree.Element("blocks")
+        self._children(source, evaluated, macros, scope)
+        blocks = [block for block in evaluated if isinstance(block.tag, str)]
+        for parameter in [p for p in missing.values() if p.is_block]:
+            if not blocks:
+                raise XacroError(f"macro {name!r} needs a block for {parameter.name!r}")
+            inner.put(missing.pop(parameter.name).name, blocks.pop(0))
+        if blocks:
+            raise XacroError(f"macro {name!r} does not use the block <{blocks[0].tag}>")
+        self.here = source
+        for parameter in list(missing.values()):
+            if parameter.forwarded and parameter.name in scope:
+                inner.put(parameter.name, scope.lookup(parameter.name))
+            elif parameter.default is not None:
+                inner.put(parameter.name, evaluate_text(parameter.default, scope))
+            else:
+                continue
+            del missing[parameter.name]
+        if missing:
+            raise XacroError(f"macro {name!r} needs the parameters {', '.join(missing)}")
+        with _pushed(self.macros, name):
+            self._inside(macro.body, out, macros_there.inner(), inner)
+
+
+_DIRECTIVES = {
+    "arg": _Expansion._argument, "attribute": _Expansion._attribute, "call": _Expansion._call_named,
+    "element": _Expansion._element, "if": _Expansion._if, "include": _Expansion._include,
+    "insert_block": _Expansion._insert, "macro": _Expansion._define, "property": _Expansion._property,
+    "unless": _Expansion._unless,
+}  # fmt: skip
+
+
+@contextmanager
+def _deep_calls() -> Iterator[None]:
+    """Room for macros that loop by calling themselves: each level takes about ten of Python's frames."""
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(before, MAX_CALLS))
+    try:
+        yield
+    finally:
+        sys.setrecursionlimit(before)
+
+
+@contextmanager
+def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
+    stack.append(item)
+    yield
+    stack.pop()  # not after an error: nothing goes on then
+
+
+def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
+    """Find a macro, perhaps behind name spaces, with the scopes it is expanded in."""
+    try:
+        found = macros.lookup(name)
+    except KeyError:
+        *spaces, last = name.split(".")
+        try:
+            for space in spaces:
+                macros, scope = macros.lookup(space), scope.lookup(space)
+            found = macros.lookup(last)
+        except (KeyError, AttributeError):
+            raise XacroError(f"unknown macro name: xacro:{name}") from None
+    if not isinstance(found, Macro):
+        raise XacroError(f"unknown macro name: xacro:{name}")
+    return macros, scope, found
+
+
+def _parent_of(scope: Scope) -> Scope:
+    """The scope of a macro's caller; that of an included file is its includer's."""
+    target = scope.around
+    if target is None or target.around is None:
+        return scope
+    while not scope.name_space and target.name_space and target.around is not None:
+        target = target.around
+    return target
+
+
+def _needed(source: Element, name: str) -> str:
+    found = source.get(name)
+    if found is None:
+        raise XacroError(f"attribute {name!r} is missing")
+    return str(found)
+
+
+def _is_xacro(element: Element, attribute: str) -> bool:
+    return attribute.startswith("{") and attribute.startswith(f"{{{element.nsmap.get('xacro')}}}")
+
+
+def _spaces(source: Element) -> Any:
+    """The XML name spaces of an element but xacro's."""
+    return {prefix: uri for prefix, uri in source.nsmap.items() if prefix != "xacro"}
+
+
+def _set(out: Element, name: str, value: str) -> None:
+    try:
+        out.set(name, value)
+    except ValueError as error:
+        raise XacroError(f"attribute {name!r}: {error}") from None
+
+
+def _append_text(out: Element, text: str) -> None:
+    try:
+        if len(out):
+            out[-1].tail = (out[-1].tail or "") + text
+        else:
+            out.text = (out.text or "") + text
+    except ValueError as error:
+        raise XacroError(f"text in <{out.tag}>: {error}") from None
+
+
+def _move(made: Element, out: Element) -> None:
+    """Move everything inside one element to the end of another."""
+    if made.text:
+        _append_text(out, made.text)
+    out.extend(list(made))
+
+
+def _label(element: Element) -> str:
+    name = element.get("name")
+    prefix = f"{element.prefix}:" if element.prefix else ""
+    return f"<{prefix}{etree.QName(element).localname}{f' name={name!r}' if name else ''}>"
+
+
+def _one_line(text: str) -> str:
+    """A text from a file as a message can hold it: one line, no control characters."""
+    line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
+    return line if len(line) <= MAX_REASON else line[: MAX_REASON - 3] + "..."

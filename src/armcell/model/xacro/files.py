@@ -1,0 +1,160 @@
+"""Which files a robot description may read: those of its own packages.
+
+A description from another person could otherwise copy any YAML or XML file of this user into the robot, where
+a record, a served model or a written cell gives it away.
+"""
+
+from __future__ import annotations
+
+import datetime
+import fnmatch
+from pathlib import Path
+from typing import Any
+
+import yaml
+from lxml import etree
+
+from armcell.core import InputError
+from armcell.model.assets import find_package, package_above, search_folders
+from armcell.model.files import (
+    MAX_TEXT_BYTES,
+    MAX_YAML_BYTES,
+    SafeLoader,
+    check_yaml_events,
+    parse_xml,
+    read_text,
+)
+from armcell.model.xacro.budget import Budget, XacroError, size
+from armcell.model.xacro.expressions import Dotted
+
+YAML_CHARACTERS = 4  # that count as one operation: the YAML parser is slow
+XML_CHARACTERS = 40
+UNITS = {
+    "!radians": 1.0, "!degrees": 0.017453292519943295, "!meters": 1.0, "!millimeters": 0.001, "!foot": 0.3048,
+    "!inches": 0.0254,
+}  # fmt: skip
+
+
+class RobotFiles:
+    """Reads the files that a description names.
+
+    Args:
+        main: the robot file.
+        home: folder that the robot's other files are in, where it is known; else the package of `main`, or
+            its folder.
+    """
+
+    def __init__(self, main: Path, budget: Budget, home: Path | None = None):
+        self.main, self.budget = main.resolve(), budget
+        above = package_above(self.main) or self.main.parent
+        named = [home] if home is not None else []
+        self.roots = [folder.resolve() for folder in (above, *named, *search_folders())]
+        self._yaml: dict[Path, Any] = {}
+
+    def find(self, package: str) -> Path:
+        """Return a package's folder, from which files may be read from now on.
+
+        Raises:
+            XacroError: there is no such package.
+        """
+        try:
+            found = find_package(package, self.main.parent)
+        except InputError as error:
+            raise XacroError(error.reason, error.cure) from None
+        self.roots += [root for root in found.roots if root not in self.roots]
+        return found.folder
+
+    def checked(self, path: Path) -> Path:
+        """Return the file that a path leads to, links followed.
+
+        Raises:
+            XacroError: the file is not in one of the robot's packages.
+        """
+        if not str(path).isprintable():  # a message would send it to the terminal
+            raise XacroError(f"{str(path)!r} is not a path")
+        try:
+            real = path.resolve()
+        except (OSError, RuntimeError, ValueError):
+            raise XacroError(f"{path} is not a path") from None
+        if not any(real.is_relative_to(root) for root in self.roots):
+            link = "" if real == path.absolute() else f" (it leads to {real})"
+            own = ", ".join(str(root) for root in self.roots[:3])
+            raise XacroError(
+                f"{path}{link} is outside the robot's packages ({own})",
+                "copy the file into the robot's package, or name the package's parent folder in "
+                "ROS_PACKAGE_PATH",
+            )
+        return real
+
+    def xml(self, path: Path) -> etree._Element:
+        """Return an XML file's root element."""
+        path = self.checked(path)
+        text = read_text(path, MAX_TEXT_BYTES)
+        self.budget.charge(len(text) // XML_CHARACTERS)
+        return parse_xml(text, path)
+
+    def yaml(self, path: Path, evaluate: Any) -> Any:
+        """Return a YAML file's content; its dictionaries have their keys as attributes, too.
+
+        Args:
+            evaluate: gives the value of an expression, for values with a unit.
+        """
+        path = self.checked(path)
+        if path not in self._yaml:
+            text = read_text(path, MAX_YAML_BYTES)
+            self.budget.charge(len(text) // YAML_CHARACTERS)
+            self._yaml[path] = self._loaded(text, path, evaluate)
+        return self._yaml[path]
+
+    def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
+        class Loader(SafeLoader):
+            """YAML 1.1 as ROS reads it (`yes` is true), with xacro's units."""
+
+        def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:
+            if not isinstance(node, yaml.ScalarNode):
+                raise XacroError(f"{path}: {tag} needs a number")
+            return float(evaluate(str(loader.construct_scalar(node)))) * UNITS[tag]
+
+        for tag in UNITS:
+            Loader.add_constructor(tag, lambda loader, node, tag=tag: with_unit(loader, tag, node))
+        try:
+            check_yaml_events(text, path)
+            return self._plain(yaml.load(text, Loader))
+        except yaml.MarkedYAMLError as error:
+            line = error.problem_mark.line + 1 if error.problem_mark else None
+            raise InputError(f"is not valid YAML: {error.problem}", file=path, line=line) from None
+        except (yaml.YAMLError, ValueError, TypeError) as error:
+            raise InputError(f"is not valid YAML: {error}", file=path) from None
+
+    def _plain(self, value: Any) -> Any:
+        """Return YAML's value as xacro's: dictionaries with attributes, dates as text."""
+        self.budget.charge(1)
+        if isinstance(value, dict):
+            found = Dotted((key, self._plain(item)) for key, item in value.items())
+            size(list(found))
+            return found
+        if isinstance(value, list):
+            return [self._plain(item) for item in value]
+        if isinstance(value, datetime.date):
+            return str(value)
+        size(value)
+        return value
+
+    def matching(self, pattern: Path) -> list[Path]:
+        """Return the files that a path with `*`, `?` or `[...]` stands for, sorted."""
+        parts = pattern.parts
+        first = next(i for i, part in enumerate(parts) if set(part) & set("*?["))
+        if ".." in parts[first:]:
+            raise XacroError(f"{pattern}: '..' after a wildcard is not supported")
+        found = [self.checked(Path(*parts[:first]))]
+        for part in parts[first:]:
+            inner: list[Path] = []
+            for folder in found:
+                try:
+                    entries = sorted(folder.iterdir()) if folder.is_dir() else []
+                except OSError:
+                    continue
+                self.budget.charge(1 + len(entries))
+                inner += [self.checked(e) for e in entries if fnmatch.fnmatchcase(e.name, part)]
+            found = inner
+        return found

@@ -1,0 +1,326 @@
+"""Functions and methods that xacro expressions may call: those of plain xacro that cannot do harm.
+
+Left out on purpose: whatever returns a Python type, module or object other than plain data (`type`, `vars`),
+whatever changes its argument (`append`, `update`), and sets, whose order differs from run to run.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+import string
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from armcell.model.xacro.budget import MAX_SIZE, Budget, Function, XacroError, check_key, check_repeated, size
+
+MAX_WIDTH = 1000  # of a padded text
+MAX_DIGITS = 2000  # of an integer written as text
+MAX_ARGUMENT = 500  # of factorial, comb and perm
+PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?P<digits>\*|\d*))?")
+
+
+def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
+    """Make a Python function callable that takes no more time than its arguments are large."""
+
+    def run(budget: Budget, /, *arguments: Any, **keywords: Any) -> Any:
+        budget.charge(sum(size(argument) for argument in (*arguments, *keywords.values())))
+        return function(*arguments, **keywords)
+
+    return Function(name, run, kind)
+
+
+def text_of(value: Any) -> str:
+    """Return a value as text, as xacro writes it into the URDF.
+
+    Raises:
+        XacroError: a function or a name space has no text.
+    """
+    if isinstance(value, str):
+        return value
+    size(value)
+    if isinstance(value, Function):
+        raise XacroError(f"{value.name} is a function, not a value", f"write {value.name}(...)")
+    return str(value)
+
+
+def items_of(value: Any) -> Sequence[Any]:
+    """Return the items that a loop over a value visits.
+
+    Raises:
+        XacroError: the value has no items.
+    """
+    if isinstance(value, str | list | tuple):
+        return value
+    if isinstance(value, dict):
+        return list(value)
+    raise XacroError(f"a value of type {type(value).__name__} has no items")
+
+
+# --- conversions ---
+def _int(value: Any = 0, base: int | None = None) -> int:
+    if isinstance(value, str) and len(value) > MAX_DIGITS:
+        raise XacroError(f"a number has more than {MAX_DIGITS} digits")
+    return int(value) if base is None else int(value, base)
+
+
+def _list(value: Any = ()) -> list[Any]:
+    return list(items_of(value))
+
+
+def _tuple(value: Any = ()) -> tuple[Any, ...]:
+    return tuple(items_of(value))
+
+
+def _dict(value: Any = (), /, **entries: Any) -> dict[Any, Any]:
+    pairs = value.items() if isinstance(value, dict) else [_tuple(pair) for pair in items_of(value)]
+    return {**_checked_dict(pairs), **entries}
+
+
+def _checked_dict(pairs: Iterable[Any]) -> dict[Any, Any]:
+
+    found = {}
+    for key, value in pairs:
+        check_key(key)
+        found[key] = value
+    return found
+
+
+def _range(*arguments: int) -> list[int]:
+    found = range(*arguments)
+    if len(found) > MAX_SIZE:
+        raise XacroError(f"range{arguments} has more than {MAX_SIZE:,} items")
+    return list(found)
+
+
+def _round(number: float, ndigits: int | None = None) -> float:
+    if ndigits is not None and abs(ndigits) > 400:
+        raise XacroError(f"round to {ndigits} digits")
+    return round(number, ndigits)
+
+
+# --- sequences ---
+def _map(budget: Budget, function: Function, *lists: Any) -> list[Any]:
+    return [_called(budget, function, *row) for row in zip(*(items_of(each) for each in lists))]
+
+
+def _filter(budget: Budget, function: Function | None, items: Any) -> list[Any]:
+    return [x for x in items_of(items) if (x if function is None else _called(budget, function, x))]
+
+
+def _called(budget: Budget, function: Any, *arguments: Any) -> Any:
+    if not isinstance(function, Function):
+        raise XacroError(f"a value of type {type(function).__name__} cannot be called")
+    budget.charge(1)
+    return budget.made(function.run(budget, *arguments))
+
+
+def _keyed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`min`, `max` or `sorted`: their `key` is a function of ours."""
+
+    def run(budget: Budget, /, *arguments: Any, key: Function | None = None, **keywords: Any) -> Any:
+        of_item = None if key is None else functools.partial(_called, budget, key)
+        budget.charge(sum(size(argument) for argument in arguments))
+        given = [items_of(arguments[0])] if len(arguments) == 1 else arguments
+        return function(*given, key=of_item, **keywords)
+
+    return run
+
+
+def _sum(items: Any, start: Any = 0) -> Any:
+    found = [start, *items_of(items)]
+    if not all(isinstance(item, int | float) for item in found):
+        raise XacroError("sum() adds numbers only")
+    return sum(found)
+
+
+def _prod(items: Any) -> Any:
+    found = 1
+    for item in items_of(items):
+        found = found * item if isinstance(item, int | float) else float("nan")
+        size(found)
+    return found
+
+
+def _isinstance(value: Any, kind: Any) -> bool:
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    if not all(isinstance(each, Function) and each.type is not None for each in kinds):
+        raise XacroError("isinstance() needs one of str, int, float, bool, list, dict, tuple")
+    return any(isinstance(value, each.type) for each in kinds)
+
+
+def _small(function: Callable[..., int]) -> Callable[..., int]:
+    def run(*arguments: int) -> int:
+        if any(abs(argument) > MAX_ARGUMENT for argument in arguments):
+            raise XacroError(f"{function.__name__} of more than {MAX_ARGUMENT}")
+        return function(*arguments)
+
+    return run
+
+
+def _types() -> dict[str, Function]:
+    """Functions that are also the names of types."""
+    return {
+        "str": plain("str", lambda value="": text_of(value), str),
+        "int": plain("int", _int, int),
+        "float": plain("float", lambda value=0.0: float(value), float),
+        "bool": plain("bool", lambda value=False: bool(value), bool),
+        "list": plain("list", _list, list),
+        "tuple": plain("tuple", _tuple, tuple),
+        "dict": plain("dict", _dict, dict),
+    }
+
+
+BASIC: dict[str, Any] = {
+    **_types(),
+    "len": plain("len", lambda value: len(items_of(value))),
+    "round": plain("round", _round),
+    "map": Function("map", _map),
+    "min": Function("min", _keyed(min)),
+    "max": Function("max", _keyed(max)),
+    "sorted": Function("sorted", _keyed(sorted)),
+    "range": plain("range", _range),
+    "True": True,
+    "False": False,
+}
+"""By name, as plain xacro has them without a prefix. `sorted` and `range` are deprecated there, not gone."""
+
+PYTHON: dict[str, Any] = {
+    **BASIC,
+    "abs": plain("abs", abs),
+    "all": plain("all", lambda items: all(items_of(items))),
+    "any": plain("any", lambda items: any(items_of(items))),
+    "divmod": plain("divmod", divmod),
+    "enumerate": plain("enumerate", lambda items, start=0: list(enumerate(items_of(items), start))),
+    "filter": Function("filter", _filter),
+    "isinstance": plain("isinstance", _isinstance),
+    "ord": plain("ord", ord),
+    "repr": plain("repr", lambda value: repr(value)),
+    "reversed": plain("reversed", lambda items: list(items_of(items))[::-1]),
+    "sum": plain("sum", _sum),
+    "zip": plain("zip", lambda *lists: list(zip(*(items_of(each) for each in lists)))),
+}
+"""By name after `python.`"""
+
+MATH: dict[str, Any] = {
+    **{name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")},
+    **{
+        name: plain(name, getattr(math, name))
+        for name in (
+            "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "copysign", "cos",
+            "cosh", "degrees", "dist", "erf", "erfc", "exp", "exp2", "expm1", "fabs", "floor", "fmod",
+            "frexp", "fsum", "gamma", "gcd", "hypot", "isclose", "isfinite", "isinf", "isnan", "isqrt",
+            "lcm", "ldexp", "lgamma", "log", "log10", "log1p", "log2", "modf", "pow", "radians",
+            "remainder", "sin", "sinh", "sqrt", "tan", "tanh", "trunc", "ulp",
+        )
+    },
+    "prod": plain("prod", _prod),
+    **{f.__name__: plain(f.__name__, _small(f)) for f in (math.factorial, math.comb, math.perm)},
+}  # fmt: skip
+"""By name after `math.`, and without a prefix."""
+
+
+# --- text ---
+class _Formatter(string.Formatter):
+    """`str.format` for plain fields: `{0.attribute}` and `{0[item]}` would reach into Python's objects."""
+
+    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        if "." in field_name or "[" in field_name:
+            raise XacroError(f"format field {{{field_name}}} is not supported", "name the value by itself")
+        return super().get_field(field_name, args, kwargs)
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        _check_widths(re.findall(r"\d+", format_spec))
+        return format(value if format_spec else text_of(value), format_spec)
+
+
+def _check_widths(widths: Iterable[str | None]) -> None:
+    for width in widths:
+        if width == "*" or (width and (len(width) > 6 or int(width) > MAX_WIDTH)):
+            raise XacroError(f"a text of width {width[:20]}", f"the limit is {MAX_WIDTH}")
+
+
+def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
+    _check_filled(text.count("{"), (list(arguments), keywords))
+    return _Formatter().vformat(text, arguments, keywords)
+
+
+def percent(text: str, values: Any) -> str:
+    """Return `text % values` after checking the widths."""
+    fields = list(PERCENT.finditer(text))
+    if any("(" in (field["key"] or "") for field in fields):  # Python counts parentheses, PERCENT does not
+        raise XacroError("a key with parentheses is not supported")
+    _check_widths(width for field in fields for width in (field["width"], field["digits"]))
+    _check_filled(len(fields), values)
+    return text % values
+
+
+def _check_filled(fields: int, values: Any) -> None:
+    if fields * size(values) > MAX_SIZE:
+        raise XacroError("a formatted text would be too long")
+
+
+def _replace(text: str, old: str, new: str, count: int = -1) -> str:
+    times = text.count(old) if count < 0 else min(count, len(text) + 1)
+    check_repeated(new, times)
+    return text.replace(old, new, count)
+
+
+def _join(text: str, items: Any) -> str:
+    found = items_of(items)
+    size(found)  # each item counts, also where they are all the same long text
+    check_repeated(text, len(found))
+    return text.join(found)
+
+
+def _padded(method: Callable[..., str]) -> Callable[..., str]:
+    def run(text: str, width: int, *fill: str) -> str:
+        if width > MAX_WIDTH:
+            raise XacroError(f"a text of width {width}", f"the limit is {MAX_WIDTH}")
+        return method(text, width, *fill)
+
+    return run
+
+
+METHODS: dict[type, dict[str, Callable[..., Any]]] = {
+    str: {
+        **{
+            name: getattr(str, name)
+            for name in (
+                "capitalize", "casefold", "count", "endswith", "find", "index", "isalnum", "isalpha",
+                "isdecimal", "isdigit", "isidentifier", "islower", "isnumeric", "isspace", "isupper", "lower",
+                "lstrip", "partition", "removeprefix", "removesuffix", "rfind", "rindex", "rpartition",
+                "rsplit", "rstrip", "split", "splitlines", "startswith", "strip", "swapcase", "title",
+                "upper",
+            )
+        },
+        **{name: _padded(getattr(str, name)) for name in ("center", "ljust", "rjust", "zfill")},
+        "format": _format,
+        "join": _join,
+        "replace": _replace,
+    },
+    list: {"copy": list.copy, "count": list.count, "index": list.index},
+    tuple: {"count": tuple.count, "index": tuple.index},
+    dict: {
+        "copy": lambda value: dict(value),
+        "get": dict.get,
+        "items": lambda value: list(value.items()),
+        "keys": lambda value: list(value),
+        "values": lambda value: list(value.values()),
+    },
+    float: {"is_integer": float.is_integer},
+}  # fmt: skip
+"""By type and name; none changes its object."""
+
+
+def method_of(value: Any, name: str) -> Function | None:
+    """Return the method of that name of a value, or None where expressions may not call one."""
+    found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)
+    return None if found is None else plain(name, functools.partial(found, value))
+
+
+def tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+    """Split a text at each of the characters of `sep`, as `xacro.tokenize`."""
+    items = re.split("[" + re.escape(sep) + "]", text) if sep else [text]
+    return [item for item in items if item] if skip_empty else items

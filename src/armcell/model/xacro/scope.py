@@ -1,0 +1,186 @@
+"""Properties by scope, and the text in which they are used: `${...}` and `$(...)`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from armcell.model.xacro.budget import Budget, XacroError
+from armcell.model.xacro.expressions import Names, evaluate
+from armcell.model.xacro.functions import MAX_DIGITS, text_of
+
+TOKEN = re.compile(
+    r"(?P<escaped>\$\$+[{(])"  # $${ stands for ${
+    r"|\$\{(?P<expression>[^}]*)\}"
+    r"|\$\((?P<extension>[^)]*)\)"
+    r"|(?P<text>[^$]+|\$[^{($]+|\$$)"
+)
+
+Substitute = Callable[[str, "Scope"], str]
+
+
+class Scope:
+    """Properties, with those of the scope around it behind them.
+
+    Args:
+        around: scope of the file or of the macro's caller; None for the names that every file has.
+        substitute: evaluates the inside of `$(...)`.
+        name_space: holds the properties of an included file with `ns`.
+    """
+
+    def __init__(
+        self,
+        budget: Budget,
+        substitute: Substitute,
+        around: Scope | None = None,
+        name_space: bool = False,
+    ):
+        self.budget, self.substitute, self.around, self.name_space = budget, substitute, around, name_space
+        self.values: dict[str, Any] = {}
+        self._texts: set[str] = set()  # properties whose text is not evaluated yet
+        self._open: list[str] = []  # properties whose text is being evaluated
+
+    def inner(self, name_space: bool = False) -> Scope:
+        return Scope(self.budget, self.substitute, self, name_space)
+
+    @property
+    def outermost(self) -> Scope:
+        """The scope of the file itself."""
+        scope = self
+        while scope.around is not None and scope.around.around is not None:
+            scope = scope.around
+        return scope
+
+    def __contains__(self, name: str) -> bool:
+        return self._holder(name) is not None
+
+    def _holder(self, name: str) -> Scope | None:
+        scope: Scope | None = self
+        while scope is not None and name not in scope.values:
+            scope = scope.around
+        return scope
+
+    def lookup(self, name: str) -> Any:
+        """Return a property's value; its text is evaluated at the first use, in the scope that holds it.
+
+        Raises:
+            KeyError: there is no such property.
+            XacroError: the property is defined by itself.
+        """
+        scope = self._holder(name)
+        if scope is None:
+            raise KeyError(name)
+        if name in scope._texts:
+            if name in scope._open:
+                circle = " -> ".join([*scope._open, name])
+                raise XacroError(
+                    f"circular variable definition: {circle}", 'lazy_eval="false" takes the value of now'
+                )
+            scope._open.append(name)
+            scope.values[name] = literal(evaluate_text(scope.values[name], scope))
+            scope._texts.discard(name)
+            scope._open.pop()
+        return scope.values[name]
+
+    def put(self, name: str, value: Any, lazy: bool = False) -> None:
+        """Set a property; with `lazy` a text is evaluated at its first use."""
+        value = literal(value)
+        self.values[name] = value
+        if lazy and isinstance(value, str):
+            self._texts.add(name)
+        else:
+            self._texts.discard(name)
+
+    def remove(self, name: str) -> None:
+        scope: Scope | None = self
+        while scope is not None and scope.around is not None:
+            scope.values.pop(name, None)
+            scope = scope.around
+
+
+def evaluate_text(text: str, scope: Scope) -> Any:
+    """Return what a text with `${...}` and `$(...)` stands for; a single expression keeps its type.
+
+    Raises:
+        XacroError: see `evaluate`; a `$` that begins neither.
+    """
+    scope.budget.charge(1 + len(text) // 64)
+    found, at = [], 0
+    while at < len(text):
+        token = TOKEN.match(text, at)
+        if token is None:
+            raise XacroError(f"invalid expression: {text[at : at + 40]}")
+        at = token.end()
+        if token["escaped"]:
+            found.append(token["escaped"][1:])
+        elif token["expression"] is not None:
+            inside = evaluate_text(token["expression"], scope)
+            found.append(evaluate(text_of(inside), scope, scope.budget))
+        elif token["extension"] is not None:
+            found.append(scope.substitute(text_of(evaluate_text(token["extension"], scope)), scope))
+        else:
+            found.append(token["text"])
+    if len(found) == 1:
+        return found[0]
+    scope.budget.charge(len(found))
+    return scope.budget.made("".join(text_of(each) for each in found))
+
+
+def literal(value: Any) -> Any:
+    """Return the number or truth value that a property's text is, or the text."""
+    if not isinstance(value, str):
+        return value
+    if len(value) >= 2 and value[0] == value[-1] == "'":
+        return value[1:-1]
+    if "_" in value or len(value) > MAX_DIGITS:  # Python would read 1_000 as a number
+        return value
+    for read in (int, float, truth):
+        try:
+            return read(value)
+        except (ValueError, XacroError):
+            pass
+    return value
+
+
+def truth(value: Any, text: str | None = None) -> bool:
+    """Return the truth value of a condition.
+
+    Args:
+        text: as written in the file, for the message.
+    Raises:
+        XacroError: a text that is not a truth value.
+    """
+    if not isinstance(value, str):
+        return bool(value)
+    if value in ("true", "True", "false", "False"):
+        return value in ("true", "True")
+    try:
+        return bool(int(value))
+    except ValueError:
+        raise XacroError(
+            f"condition {text or value!r} is {value!r}, which is neither true nor false"
+        ) from None
+
+
+class Arguments:
+    """`$(arg NAME)` values as names of `$(eval ...)`."""
+
+    def __init__(self, scope: Names, values: dict[str, str]):
+        self.scope, self.values = scope, values
+
+    def lookup(self, name: str) -> Any:
+        try:
+            return self.scope.lookup(name)
+        except KeyError:
+            return typed(self.values[name])
+
+
+def typed(value: str) -> Any:
+    """Return a `$(arg)` value as a number or truth value where it is one."""
+    if len(value) <= MAX_DIGITS:
+        try:
+            return float(value) if "." in value else int(value)
+        except ValueError:
+            pass
+    return value.lower() == "true" if value.lower() in ("true", "false") else value

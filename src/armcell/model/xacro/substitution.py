@@ -1,0 +1,86 @@
+"""Substitution arguments: `$(arg)`, `$(find)`, `$(env)`, `$(optenv)`, `$(eval)`, `$(dirname)`, `$(cwd)`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from armcell.model.xacro.budget import Budget, Function, XacroError
+from armcell.model.xacro.expressions import NameSpace, evaluate
+from armcell.model.xacro.files import RobotFiles
+from armcell.model.xacro.functions import BASIC, MATH, plain, text_of
+from armcell.model.xacro.scope import Arguments, typed
+
+ENV_CURE = "if you trust this file: armcell --allow-env COMMAND ..., or allow_env=True in Python"
+
+
+class Substitution:
+    """Evaluates the inside of `$(...)`.
+
+    Args:
+        values: of `$(arg)`, by name; `<xacro:arg>` adds defaults.
+        allow_env: let the file read environment variables, which may hold secrets.
+    """
+
+    def __init__(self, files: RobotFiles, budget: Budget, values: dict[str, str], allow_env: bool):
+        self.files, self.budget, self.values, self.allow_env = files, budget, values, allow_env
+        functions = {
+            "arg": lambda name: typed(self.arg(name)),
+            "dirname": lambda: str(files.main.parent),
+            "env": self.env,
+            "find": lambda package: str(files.find(package)),
+            "optenv": self.optional_env,
+        }
+        own = {name: plain(name, function) for name, function in functions.items()}
+        types = {name: value for name, value in BASIC.items() if isinstance(value, Function) and value.type}
+        names = {**MATH, **types, "map": BASIC["map"], **own, "true": True, "false": False}
+        self._names = Arguments(NameSpace({**names, "True": True, "False": False}), values)
+
+    def resolve(self, inside: str, folder: Path) -> str:
+        """Return the text that stands for `$(inside)`; `folder` is that of the file.
+
+        Raises:
+            XacroError: an unknown command, argument or package; an environment variable without permission.
+        """
+        command, _, rest = inside.strip().partition(" ")
+        words = rest.split()
+        match command, len(words):
+            case "eval", n if n > 0:
+                return text_of(evaluate(rest, self._names, self.budget))
+            case "arg", 1:
+                return self.arg(words[0])
+            case "find", 1:
+                return str(self.files.find(words[0]))
+            case "env", 1:
+                return self.env(words[0])
+            case "optenv", n if n > 0:
+                return self.optional_env(words[0], " ".join(words[1:]))
+            case "dirname", 0:
+                return str(folder)
+            case "cwd", 0:
+                return str(self.files.main.parent)
+        raise XacroError(
+            f"$({inside}) is not a substitution argument",
+            "use $(arg NAME), $(find PACKAGE), $(dirname), $(env NAME), $(optenv NAME DEFAULT), $(eval ...)",
+        )
+
+    def arg(self, name: str) -> str:
+        if name not in self.values:
+            raise XacroError(
+                f"argument {name!r} has no value", f'<xacro:arg name="{name}" default="..."/> gives it one'
+            )
+        return self.values[name]
+
+    def env(self, name: str) -> str:
+        found = self.optional_env(name, None)
+        if found is None:
+            raise XacroError(f"environment variable {name!r} is not set")
+        return found
+
+    def optional_env(self, name: str, default: Any = "") -> Any:
+        if not self.allow_env:
+            raise XacroError(
+                f"the file reads the environment variable {name!r}, which needs permission", ENV_CURE
+            )
+        return os.environ.get(name, default)

@@ -1,0 +1,131 @@
+"""A file whose disk may be slow: whoever writes goes on at once, a thread of its own puts it down."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections import deque
+from pathlib import Path
+
+MOST_WAITING = 256 << 20  # [bytes] a record of an hour; a disk that is so far behind has failed
+
+
+class WrittenBehind:
+    """A binary file to be written from its beginning to its end, as `mcap` writes one.
+
+    `write` and `flush` never wait for the disk. What goes wrong there is raised by the next call of either.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+
+    def __init__(self, file: Path):
+        self._file = file.open("wb", buffering=0)
+        self._wake = threading.Condition()
+        self._open: list[bytes] = []  # until the next flush
+        self._waiting: deque[bytes] = deque()
+        self._bytes = self._position = 0
+        self._closing = False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="armcell-record", daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes) -> int:
+        """
+        Raises:
+            OSError: the disk is full, or is too far behind.
+        """
+        self._raise()
+        if self._bytes + len(data) > MOST_WAITING:
+            self._failed(OSError(errno.ETIMEDOUT, f"the disk is {self._bytes >> 20} MB behind"))
+            self._raise()
+        self._open.append(bytes(data))
+        self._position += len(data)
+        with self._wake:
+            self._bytes += len(data)
+        return len(data)
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that are not on the disk yet."""
+        return self._bytes
+
+    def tell(self) -> int:
+        return self._position
+
+    def flush(self) -> None:
+        """Have everything that was written put down soon.
+
+        Raises:
+            OSError: as `write`.
+        """
+        self._raise()
+        if self._open:
+            whole = b"".join(self._open)
+            self._open.clear()
+            with self._wake:
+                self._waiting.append(whole)
+                self._wake.notify()
+
+    def wait(self) -> None:
+        """Flush, and wait until everything is on the disk.
+
+        Raises:
+            OSError: it is not.
+        """
+        self.flush()
+        with self._wake:
+            self._wake.wait_for(lambda: not self._bytes or self._error is not None)
+        self._raise()
+
+    def fileno(self) -> int:
+        return self._file.fileno()
+
+    def close(self) -> None:
+        """Wait until everything is on the disk. Closing twice is fine.
+
+        Raises:
+            OSError: it is not.
+        """
+        if self._file.closed:
+            return
+        try:
+            if self._error is None:
+                self.flush()
+        finally:
+            with self._wake:
+                self._closing = True
+                self._wake.notify()
+            self._thread.join()
+            self._file.close()
+        self._raise()
+
+    def _failed(self, error: OSError) -> None:
+        """What waits is given up, and the thread ends."""
+        with self._wake:
+            self._error, self._closing = error, True
+            self._waiting.clear()
+            self._wake.notify_all()
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._waiting or self._closing)
+                if not self._waiting:
+                    return
+                data = self._waiting.popleft()
+            try:
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[os.write(self._file.fileno(), rest) :]
+            except OSError as error:
+                self._failed(error)
+                return
+            with self._wake:
+                self._bytes -= len(data)
+                self._wake.notify_all()

@@ -1,0 +1,193 @@
+"""Rendering in another process: the thread that steps physics never waits for a picture.
+
+OpenGL in software takes 10 to 100 ms for a picture, casting rays half a second, and building the model with
+its visual meshes holds the interpreter for a second. The other process (`render_worker.py`) has a world of
+its own, which it puts into each state that it gets, so its pictures are those of `take_image`, bit for bit.
+It runs at a lower priority, ignores the terminal's signals and ends when its socket does.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell._interrupts import unsignaled
+from armcell.core import SE3, ArmcellError, CameraImage
+from armcell.scene import PlanningScene
+from armcell.sim.camera import Camera
+from armcell.sim.decals import Decal
+from armcell.sim.settings import PhysicsSettings
+from armcell.sim.world import SimWorld
+
+ENDS_WITHIN = 1.0  # [s] from the socket's end to the process's; then it is killed
+WORKER = "armcell.sim.render_worker"
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicsState:
+    """Where everything in a world is at one instant; a copy."""
+
+    time: float  # [s]
+    qpos: NDArray[np.float64]  # (nq,) MuJoCo's
+    bodies: tuple[NDArray[np.float64], NDArray[np.float64]]  # (nbody, 3) [m], (nbody, 4) wxyz; in parents
+
+    @staticmethod
+    def of(world: SimWorld) -> PhysicsState:
+        with world.lock:
+            model, data = world.mj_model, world.mj_data
+            return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
+
+    def put_into(self, world: SimWorld) -> None:
+        """Put a world of the same scene and settings into this state, to be looked at."""
+        model, data = world.mj_model, world.mj_data
+        data.time, data.qpos[:] = self.time, self.qpos
+        model.body_pos[:], model.body_quat[:] = self.bodies
+        mujoco.mj_kinematics(model, data)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredState:
+    """Where a robot without physics and its objects are said to be."""
+
+    positions: NDArray[np.float64]  # (dof,) [rad or m] in the model's order
+    object_poses: dict[str, SE3]  # T_world_object
+
+    def put_into(self, world: SimWorld) -> None:
+        world.set_positions(np.clip(self.positions, world.robot.lower, world.robot.upper))  # as measured
+        for name, pose in self.object_poses.items():
+            world.set_object_pose(name, pose)
+
+
+State = PhysicsState | MeasuredState
+
+
+class Setup:
+    """What a render process builds its world of. Pickled at once: the scene is then nobody else's."""
+
+    def __init__(
+        self, scene: PlanningScene, settings: PhysicsSettings | None = None, seed: int = 0,
+        decals: Iterable[Decal] = (),
+    ):  # fmt: skip
+        self.data = pickle.dumps((scene, settings, seed, tuple(decals)), protocol=5)
+
+    @staticmethod
+    def of(world: SimWorld) -> Setup:
+        return Setup(world.built.scene, world.settings, world.seed, world.decals)
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """One picture to be drawn."""
+
+    setup: Setup
+    state: State
+    camera: Camera
+    rgb: bool = True
+    depth: bool = True
+
+
+class RenderProcess:
+    """A process that draws; started by the first `begin`, and again after one that has died. One thread uses
+    it: `begin`, then `finish`.
+    """
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen | None = None
+        self._link: Connection | None = None
+        self._setup: Setup | None = None
+        self._trouble = ""
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that runs."""
+        return None if self._process is None else self._process.pid
+
+    def begin(self, order: Order) -> None:
+        """Have a picture drawn; returns at once. What goes wrong is raised by `finish`."""
+        try:
+            link = self._link or self._start()
+            if order.setup is not self._setup:
+                link.send(order.setup.data)
+                self._setup = order.setup
+            link.send((order.state, order.camera, order.rgb, order.depth))
+        except OSError as error:
+            self._trouble = error.strerror or str(error)
+
+    def finish(self) -> CameraImage:
+        """The picture that was begun, as soon as it is there.
+
+        Raises:
+            ArmcellError: it could not be drawn, or the process has died.
+        """
+        answer: Any
+        try:
+            if self._link is None:
+                raise EOFError
+            answer = self._link.recv()
+        except (OSError, EOFError):
+            raise ArmcellError(self._last_words()) from None
+        if isinstance(answer, CameraImage):
+            return answer
+        raise ArmcellError(str(answer))
+
+    def kill(self) -> None:
+        """End the process at once, from any thread: a `finish` that waits fails."""
+        if self._process is not None:
+            self._process.kill()
+
+    def close(self) -> None:
+        """End the process; returns when it is gone."""
+        link, self._link, self._setup = self._link, None, None
+        if link is not None:
+            link.close()
+        if self._process is None:
+            return
+        try:
+            self._process.wait(ENDS_WITHIN)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process = None
+
+    def _start(self) -> Connection:
+        ours, its = socket.socketpair()
+        # -P: a file called numpy.py in the folder that one works in is not the worker's business
+        places = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in places if p)}
+        try:
+            with unsignaled():
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", WORKER, str(its.fileno())],
+                    pass_fds=(its.fileno(),), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=env,
+                )  # fmt: skip
+        except OSError:
+            ours.close()
+            raise
+        finally:
+            its.close()
+        self._link = Connection(ours.detach())
+        return self._link
+
+    def _last_words(self) -> str:
+        process, trouble = self._process, self._trouble
+        self.close()
+        self._trouble = ""
+        if process is None:
+            return f"the render process cannot be started: {trouble}"
+        status = process.returncode
+        if status >= 0:
+            return f"the render process ended with status {status}"
+        return f"the render process ended by {signal.Signals(-status).name}"
