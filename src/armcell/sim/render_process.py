@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._interrupts import unsignaled
 from armcell.core import SE3, ArmcellError, CameraImage
 from armcell.scene import PlanningScene
 from armcell.sim.camera import Camera
@@ -167,10 +168,11 @@ class RenderProcess:
         places = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in places if p)}
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", WORKER, str(its.fileno())],
-                pass_fds=(its.fileno(),), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=env,
-            )  # fmt: skip
+            with unsignaled():
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", WORKER, str(its.fileno())],
+                    pass_fds=(its.fileno(),), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=env,
+                )  # fmt: skip
         except OSError:
             ours.close()
             raise
