@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import weakref
 from collections.abc import Callable, Iterable, Sequence, Set
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
@@ -65,7 +66,8 @@ class TaskContext:
         self.driver, self.settings, self.observers, self.seed = driver, settings, list(observers), seed
         self.cancel = cancel or threading.Event()
         self.world = World(scene)
-        self.gate = MotionGate(self)
+        # Not kept alive by its gate: physics behind it is used again as soon as nobody holds it.
+        self.gate = MotionGate(weakref.proxy(self))
         self.expected: set[frozenset[str]] = set()  # pairs whose contact is part of the task now
         self.holding: dict[str, Holding] = {}  # by object
         self.lost: dict[str, str] = {}  # by object that fell out of a hand and was not grasped again: how
