@@ -197,6 +197,7 @@ class GuardedMotion(Executable):
         self._known: tuple[PlanningScene, int] | None = None  # the world and the version it was proven in
         self._poses: Mapping[str, SE3] = {}  # of measured objects that no hand held, when it was proven
         self._next_look = 0.0  # [s]
+        self._objects: frozenset[str] = frozenset()  # of the world, when it was proven: no hand held them
         self.conflict: Conflict | None = None
         self._text = ""
 
@@ -277,6 +278,7 @@ class GuardedMotion(Executable):
         """Look for a conflict; of the world's objects only with those named, if any are."""
         self._known = (self._world.base, self._gate.version)
         scene = self._scene()
+        self._objects = frozenset(scene.objects)
         measured = self._world.object_poses()
         self._poses = {n: o.T_world_object for n, o in scene.objects.items() if n in measured}
         self._next_look = self._world.clock() + LOOK
@@ -301,7 +303,7 @@ class GuardedMotion(Executable):
                 "position": found.contact.position,
                 "contacts": [found.contact],
             }
-            if objects := [name for name in data["pair"] if name in self._world.base.objects]:
+            if objects := [name for name in data["pair"] if name in self._objects]:
                 data["object"] = objects[0]
         return data
 

@@ -6,6 +6,7 @@ This module and the wire codecs are the only places that know a quaternion's com
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,11 @@ class SO3:
     """A rotation, kept as a 3x3 matrix."""
 
     matrix: Array  # (3, 3)
+
+    def __post_init__(self) -> None:
+        m = self.matrix
+        if np.shape(m) != (3, 3) or not math.isfinite(np.sum(m)):
+            raise InputError(f"a rotation needs a finite (3, 3) matrix, not {m!r}")
 
     @staticmethod
     def identity() -> SO3:
@@ -167,6 +173,11 @@ class SE3:
 
     rotation: SO3
     translation: Array  # (3,)
+
+    def __post_init__(self) -> None:
+        t = self.translation
+        if np.shape(t) != (3,) or not math.isfinite(t[0] + t[1] + t[2]):
+            raise InputError(f"a pose needs three finite numbers [m] as its translation, not {t!r}")
 
     @staticmethod
     def identity() -> SE3:
