@@ -289,7 +289,7 @@ def _run(
             served.start(layer=health.layer)
             ready()
             with line:
-                _until(what.seconds, line, served.thread)
+                _until(what.seconds, line, served.over)
         except KeyboardInterrupt:
             if not served.node.ready.is_set():
                 raise
@@ -331,21 +331,16 @@ def _plan_only(
     return 0
 
 
-def _until(seconds: float | None, line: _StatusLine, thread: threading.Thread | None) -> None:
-    """Show the status line until the time is over or a thread has ended."""
+def _until(seconds: float | None, line: _StatusLine, over: threading.Event | None) -> None:
+    """Show the status line until the time is up or the cell is over."""
     end = None if seconds is None else time.monotonic() + seconds
-    while (thread is None or thread.is_alive()) and (end is None or time.monotonic() < end):
+    while (over is None or not over.is_set()) and (end is None or time.monotonic() < end):
         line.show()
         left = REFRESH if end is None else max(min(REFRESH, end - time.monotonic()), 0.0)
-        if thread is None:
+        if over is None:
             _interrupts.sleep(left)
         else:
-            _interrupts.wait(lambda seconds: _ended(thread, seconds), left)
-
-
-def _ended(thread: threading.Thread, seconds: float) -> bool:
-    thread.join(seconds)
-    return not thread.is_alive()
+            _interrupts.wait(over.wait, left)
 
 
 def _troubles(dropped: int, wrong: int) -> str:

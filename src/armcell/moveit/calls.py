@@ -41,7 +41,7 @@ def finished(session: Session, sent: SentGoal) -> Any:
     """
     try:
         while not sent.wait(CHECK):
-            if session.shutting_down.is_set() or not session.served.thread.is_alive():
+            if session.shutting_down.is_set() or not session.served.is_running:
                 raise KeyboardInterrupt
     except KeyboardInterrupt:
         sent.cancel()

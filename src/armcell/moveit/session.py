@@ -152,7 +152,7 @@ class Session:
             works[0].wait(CHECK)
 
     def _goes_on(self) -> bool:
-        return self.served.thread.is_alive() and not self.interrupted
+        return self.served.is_running and not self.interrupted
 
 
 class _Warnings:

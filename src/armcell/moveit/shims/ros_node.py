@@ -162,7 +162,7 @@ def wait_until(seconds: float) -> None:
     clock = session.bus.clock
     try:
         while not clock.wait_until(seconds, timeout=CHECK):
-            if session.shutting_down.is_set() or not session.served.thread.is_alive():
+            if session.shutting_down.is_set() or not session.served.is_running:
                 session.shut_down("signal")
                 raise ROSInterruptException("ROS shutdown request")
     except ROSInterruptException:

@@ -59,6 +59,8 @@ class ServedCell:
         self._plan = plan
         self._stack = ExitStack()
         self.failure: BaseException | None = None
+        # Not the thread's own word: an interrupted `join` of Python 3.11 marks a running thread as dead.
+        self.over = threading.Event()
         self.thread = threading.Thread(target=self._run, name=f"cell {live.name}", daemon=True)
 
     def _run(self) -> None:
@@ -66,6 +68,13 @@ class ServedCell:
             self.node.run()
         except BaseException as error:  # said by whoever waits for it
             self.failure = error
+        finally:
+            self.over.set()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the cell's thread steps it."""
+        return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
         """Connect the cell and serve it; returns when it is ready.
@@ -79,7 +88,7 @@ class ServedCell:
         with layer("drivers"):
             self.thread.start()
             while not self.node.ready.wait(poll):
-                if not self.thread.is_alive():
+                if not self.is_running:
                     raise self.failure or RuntimeError("the cell ended before it was ready")
         self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
         with layer("planner"):
@@ -92,12 +101,11 @@ class ServedCell:
 
     def call(self, function: Callable[[], T]) -> T:
         """Run something in the cell's thread between two steps, and wait; here, where that has ended."""
-        if self.thread.is_alive():
+        if self.is_running:
             try:
                 return self.node.conductor.call(function)
             except InputError:
-                self.thread.join(1.0)
-                if self.thread.is_alive():
+                if not self.over.wait(1.0):
                     raise
         return function()
 
@@ -108,7 +116,7 @@ class ServedCell:
             work.wait(SETTLE)
         moved = time.monotonic()
         end = moved + SETTLE
-        while self.thread.is_alive() and (now := time.monotonic()) < min(moved + STILL, end):
+        while self.is_running and (now := time.monotonic()) < min(moved + STILL, end):
             moved = now if self.call(self._speed) > AT_REST else moved
             time.sleep(0.01)
         self.call(self.cell.now)
@@ -123,7 +131,8 @@ class ServedCell:
         self._stack.close()
         self.node.close()
         if self.thread.ident is not None:
-            self.thread.join(timeout=5.0)
+            self.over.wait(5.0)
+            self.thread.join(1.0)
 
     def __enter__(self) -> ServedCell:
         try:
