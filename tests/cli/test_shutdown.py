@@ -311,9 +311,6 @@ def real_cell(tmp_path):
     return cell_file(folder, text), host
 
 
-pytestmark_slow = pytest.mark.slow
-
-
 @pytest.mark.slow
 def test_run_while_the_arm_moves(tmp_path):
     with running("run", "panda_pick", "--time-scale", "1", "--runs", tmp_path) as command:
@@ -457,9 +454,6 @@ def test_pages_end_and_free_their_ports(tmp_path):
             for page in opened.values():
                 page.kill()
     assert not (tmp_path / "new").exists()
-
-
-QUICK = "robot: panda\nstart: {arm: home}\ntask: [{move: extended}]\nrandomize: {}\n"
 
 
 @pytest.mark.slow
