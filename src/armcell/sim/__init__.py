@@ -1,5 +1,12 @@
 """Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
 
+# isort: off
+from armcell._interrupts import unsignaled
+
+with unsignaled():  # glfw, which this imports, starts a process: Ctrl-C must not reach it
+    import mujoco as _mujoco  # noqa: F401
+# isort: on
+
 from armcell.collision.convex import convex_pieces
 from armcell.sim.build import build
 from armcell.sim.built import BuiltModel, GripperIndex
