@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.control.ungated import execute
 from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port
 from tests.control.ur.rig import MOVE, one_arm, swing, two_arms
 
 import armcell
 from armcell.cell import load
-from armcell.control import DriverOptions, drivers, execute
+from armcell.control import DriverOptions, drivers
 from armcell.control.drivers.ur.driver import UrDriver
 from armcell.core import ArmcellError, ErrorCode, InputError
 from armcell.model import load_robot
