@@ -127,13 +127,13 @@ def _watched(faults: list[str]) -> Iterator[None]:
     """Crashes are noted, and nothing is connected to but this run's own servers, whatever a damaged
     address says: other programs of this machine have nothing to do with it."""
     handler, log = _Faults(faults), logging.getLogger("armcell")
-    old_hook, connect, serve = threading.excepthook, socket.create_connection, socket.create_server
+    old_hook, connect, opens = threading.excepthook, socket.create_connection, socket.socket.listen
     own: set[int] = set()
 
-    def create_server(*args, **kwargs):
-        made = serve(*args, **kwargs)
-        own.add(made.getsockname()[1])
-        return made
+    def listen(sock, *args):
+        opens(sock, *args)
+        if sock.family == socket.AF_INET:
+            own.add(sock.getsockname()[1])
 
     def create_connection(address, *args, **kwargs):
         if address[0] not in ("127.0.0.1", "localhost") or address[1] not in own:
@@ -142,11 +142,11 @@ def _watched(faults: list[str]) -> Iterator[None]:
 
     log.addHandler(handler)
     threading.excepthook = lambda args: faults.append(f"{args.thread}: {args.exc_value!r}")
-    socket.create_server, socket.create_connection = create_server, create_connection
+    socket.socket.listen, socket.create_connection = listen, create_connection  # type: ignore[method-assign]
     try:
         yield
     finally:
-        socket.create_server, socket.create_connection = serve, connect
+        socket.socket.listen, socket.create_connection = opens, connect  # type: ignore[method-assign]
         threading.excepthook = old_hook
         log.removeHandler(handler)
 

@@ -325,6 +325,7 @@ def bands(path: Path) -> None:
 
 @cache
 def _json(kind: str) -> bytes:
+    from armcell.campaigns.gate import FORMAT as GATE_FORMAT
     from armcell.campaigns.spec import CampaignSpec
     from armcell.campaigns.store import FORMAT
     from armcell.campaigns.trial import Trial, failed
@@ -333,7 +334,7 @@ def _json(kind: str) -> bytes:
     if kind == "campaign":
         data: Any = {"format": FORMAT, "spec": CampaignSpec("cell.yaml").as_dict(), "hashes": {"cell": "0"}}
     elif kind == "gate":
-        data = {"format": 1, "hashes": {"cell": "0"}, "least": 0.95, "versions": {"armcell": "0"},
+        data = {"format": GATE_FORMAT, "hashes": {"cell": "0"}, "least": 0.95, "versions": {"armcell": "0"},
                 "campaign": {"interval": [0.96, 1.0]}, "signature": "00"}  # fmt: skip
     elif kind == "bands":
         one, each = ("lag", "current_lag", "load", "trip"), (

@@ -127,7 +127,7 @@ def resolve_uri(uri: str, base: Path) -> Path:
         InputError: no such file; lists where it was looked for.
     """
     if uri.startswith("package://"):
-        package, _, rest = uri[len("package://") :].partition("/")
+        package, _, rest = uri[len("package://") :].lstrip("/").partition("/")  # some write package:///
         for folder, _ in _package_folders(package, base):
             path = folder / rest
             if os.path.isfile(path):  # false for names that no file can have, where Path.is_file raises

@@ -291,8 +291,9 @@ class UrArm:
         self.armed = False
         self._streamed = 0.0
         self._link.send(commands.END)
-        self._halting = threading.Thread(target=self._make_sure, name=f"halt {self.name}", daemon=True)
-        self._halting.start()
+        halting = threading.Thread(target=self._make_sure, name=f"halt {self.name}", daemon=True)
+        halting.start()
+        self._halting = halting  # others join it: not before it has started
 
     def _make_sure(self) -> None:
         """A paused program cannot hear us: the dashboard ends it, so that nothing is left to go on."""
