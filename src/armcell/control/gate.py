@@ -196,7 +196,7 @@ class GuardedMotion(Executable):
         self._began: float | None = None  # [s] of the world's clock
         self._known: tuple[PlanningScene, int] | None = None  # the world and the version it was proven in
         self._poses: Mapping[str, SE3] = {}  # of measured objects that no hand held, when it was proven
-        self._next_look = 0.0  # [s]
+        self._poses_due = 0.0  # [s]
         self._objects: frozenset[str] = frozenset()  # of the world, when it was proven: no hand held them
         self.conflict: Conflict | None = None
         self._text = ""
@@ -265,9 +265,9 @@ class GuardedMotion(Executable):
     def _moved(self) -> list[str]:
         """Measured objects that are elsewhere than when the motion was proven."""
         now = self._world.clock()
-        if not self._poses or now < self._next_look:
+        if not self._poses or now < self._poses_due:
             return []
-        self._next_look = now + LOOK
+        self._poses_due = now + LOOK
         poses = self._world.object_poses()
         return [
             n for n, T in self._poses.items()
@@ -281,7 +281,7 @@ class GuardedMotion(Executable):
         self._objects = frozenset(scene.objects)
         measured = self._world.object_poses()
         self._poses = {n: o.T_world_object for n, o in scene.objects.items() if n in measured}
-        self._next_look = self._world.clock() + LOOK
+        self._poses_due = self._world.clock() + LOOK
         if names := set(names):
             scene = replace(scene, objects={n: o for n, o in scene.objects.items() if n in names})
         expected = dict.fromkeys(self._world.expected_contacts(), True)
