@@ -9,6 +9,7 @@ measured or moves along its own remaining trajectory.
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
@@ -116,11 +117,6 @@ class MotionGate:
                 return Conflict(motion.passed, None)
         return None
 
-    def running(self, joint_names: Iterable[str] = ()) -> list[GuardedMotion]:
-        """Motions under way, of other joints than these."""
-        mine = set(joint_names)
-        return [r for r in list(self._running) if not mine & set(r.joint_names)]
-
     def _begin(self, motion: GuardedMotion) -> None:
         self._running.append(motion)
 
@@ -130,7 +126,7 @@ class MotionGate:
             self.version += early
 
 
-class Executable(threading.Event):
+class Executable(threading.Event, ABC):
     """A trajectory that the executor accepts; set like an event, it makes the executor stop."""
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
@@ -140,17 +136,17 @@ class Executable(threading.Event):
     def is_set(self) -> bool:
         return super().is_set() or (self.cancel is not None and self.cancel.is_set())
 
+    @abstractmethod
     def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
         """Prove the motion; why it must not start, or None.
 
         Args:
             fade: what is added to the trajectory at its beginning: the motion of an arm that is not at rest.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def end(self, result: Result) -> Result:
         """The motion has ended with a result; returns the result with the reason that the gate knows."""
-        raise NotImplementedError
 
 
 def executable(motion: object) -> Executable:
