@@ -196,6 +196,25 @@ def unsignaled() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextlib.contextmanager
+def silent_helpers() -> Iterator[None]:
+    """Neither signal reaches a process that is started inside, and its errors are not printed: glfw's import
+    starts one that prints a traceback if this process ends first."""
+    import subprocess
+
+    class Silent(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *args: Any, **kwargs: Any):
+            super().__init__(*args, **{"stderr": subprocess.DEVNULL, **kwargs})
+
+    before = subprocess.Popen
+    subprocess.Popen = Silent  # type: ignore[misc]
+    try:
+        with unsignaled():
+            yield
+    finally:
+        subprocess.Popen = before  # type: ignore[misc]
+
+
 class SteadyLock:
     """A reentrant lock whose holder is not interrupted: what it guards is never left half done."""
 

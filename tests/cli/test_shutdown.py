@@ -482,6 +482,15 @@ def test_a_signal_to_the_whole_group_is_the_campaigns_alone(tmp_path):
         command.ended_by(INT)
 
 
+def test_the_process_that_glfw_s_import_starts_prints_nothing():
+    """It reads its standard input, and prints a traceback if that ends first."""
+    script = (
+        "import os, subprocess; subprocess.Popen.communicate = lambda *a: os._exit(7)\nimport armcell.sim"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60)
+    assert (done.returncode, done.stderr) == (7, b"")
+
+
 @pytest.mark.interop
 def test_a_campaign_on_ray_leaves_no_cluster(tmp_path, monkeypatch):
     pytest.importorskip("ray")

@@ -130,7 +130,8 @@ def resolve_uri(uri: str, base: Path) -> Path:
         package, _, rest = uri[len("package://") :].lstrip("/").partition("/")  # some write package:///
         for folder, _ in _package_folders(package, base):
             path = folder / rest
-            if os.path.isfile(path):  # false for names that no file can have, where Path.is_file raises
+            # unlike Path.is_file, os.path.isfile does not raise for names that no file can have
+            if rest and os.path.isfile(path):
                 return path
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",

@@ -1,9 +1,9 @@
 """Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
 
 # isort: off
-from armcell._interrupts import unsignaled
+from armcell._interrupts import silent_helpers
 
-with unsignaled():  # glfw, which this imports, starts a process: Ctrl-C must not reach it
+with silent_helpers():  # glfw, which this imports, starts a process that reads its input
     import mujoco as _mujoco  # noqa: F401
 # isort: on
 
