@@ -32,6 +32,7 @@ CHANGED = ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
 
 LOOK = 0.25  # [s] between two looks whether measured objects have moved
 MOVED = 0.005  # [m] from where an object was when a motion was proven
+SAME = 2e-5  # [m or rad] by which a measured pose or joint may differ from the plan's and count as the same
 NOT_STARTED = "not_started"  # in the evidence of a motion that the gate refused
 
 
@@ -186,7 +187,7 @@ class GuardedMotion(Executable):
     ):
         super().__init__(trajectory, cancel)
         self._gate, self._world = gate, gate.world
-        self._allowed = {} if planned_in is None else planned_in.allowed_pairs
+        self._planned_in = planned_in
         self._scene = gate.world.scene if scene is None else scene
         self._fade: JointTrajectory | None = None
         self._began: float | None = None  # [s] of the world's clock
@@ -281,7 +282,10 @@ class GuardedMotion(Executable):
         if names := set(names):
             scene = replace(scene, objects={n: o for n, o in scene.objects.items() if n in names})
         expected = dict.fromkeys(self._world.expected_contacts(), True)
-        scene = replace(scene, allowed_pairs={**expected, **self._allowed, **scene.allowed_pairs})
+        planned = {} if self._planned_in is None else self._planned_in.allowed_pairs
+        scene = replace(scene, allowed_pairs={**expected, **planned, **scene.allowed_pairs})
+        if self._planned_in is not None:
+            scene = as_planned(scene, self._planned_in, self.joint_names)
         motion = self.moving(scene)
         found = self._gate.conflict(motion, scene, self)
         if found is not None:
@@ -302,6 +306,41 @@ class GuardedMotion(Executable):
             if objects := [name for name in data["pair"] if name in self._objects]:
                 data["object"] = objects[0]
         return data
+
+
+def as_planned(scene: PlanningScene, planned: PlanningScene, moving: Iterable[str]) -> PlanningScene:
+    """The measured scene with the plan's values where the two differ by less than `SAME`.
+
+    Measurements repeat but for rounding. The collision kernel keeps what it worked out for a plan, and finds
+    it again only for equal values.
+
+    Args:
+        moving: joints that keep their measured positions.
+    """
+    if scene.model is not planned.model:
+        return scene
+    near = np.abs(planned.positions - scene.positions) < SAME
+    near[scene.model.columns(moving)] = False
+    objects, attached = dict(scene.objects), dict(scene.attached)
+    for name, measured in scene.objects.items():
+        known = planned.objects.get(name)
+        if (
+            known is not None
+            and measured.shapes is known.shapes
+            and _near(measured.T_world_object, known.T_world_object)
+        ):
+            objects[name] = known
+    for name, held in scene.attached.items():
+        known = planned.attached.get(name)
+        if known is not None and held.link == known.link and _near(held.T_link_object, known.T_link_object):
+            attached[name] = replace(held, T_link_object=known.T_link_object)
+    positions = np.where(near, planned.positions, scene.positions)
+    return replace(scene, positions=positions, objects=objects, attached=attached)
+
+
+def _near(a: SE3, b: SE3) -> bool:
+    turned = np.abs(a.rotation.matrix - b.rotation.matrix).max()
+    return max(turned, np.abs(a.translation - b.translation).max()) < SAME
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:

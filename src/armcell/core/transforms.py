@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,8 +44,8 @@ class SO3:
     matrix: Array  # (3, 3)
 
     def __post_init__(self) -> None:
-        m = self.matrix
-        if np.shape(m) != (3, 3) or not math.isfinite(np.sum(m)):
+        m = self.matrix if isinstance(self.matrix, np.ndarray) else np.array(self.matrix)
+        if np.shape(m) != (3, 3) or not math.isfinite(sum(chain(*m.tolist()))):  # quicker than np.sum
             raise InputError(f"a rotation needs a finite (3, 3) matrix, not {m!r}")
 
     @staticmethod
@@ -175,8 +176,8 @@ class SE3:
     translation: Array  # (3,)
 
     def __post_init__(self) -> None:
-        t = self.translation
-        if np.shape(t) != (3,) or not math.isfinite(t[0] + t[1] + t[2]):
+        t = self.translation if isinstance(self.translation, np.ndarray) else np.array(self.translation)
+        if np.shape(t) != (3,) or not math.isfinite(sum(t.tolist())):
             raise InputError(f"a pose needs three finite numbers [m] as its translation, not {t!r}")
 
     @staticmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.box_tree import box_tree
 from armcell.collision.kernel.cloud_part import join_clouds
+from armcell.collision.kernel.kept import Kept
 from armcell.collision.kernel.pieces import join_pieces
 from armcell.collision.kernel.robot_part import RobotPart
-from armcell.collision.kernel.world_part import object_part
+from armcell.collision.kernel.world_part import ObjectPart, object_part
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
@@ -88,44 +90,61 @@ class Names(NamedTuple):
 
 def pack(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
     """The kernel's view of a scene for the joints of one group; the other joints stay where they are."""
-    objects = [object_part(item) for item in scene.objects.values()]
+    objects = tuple(object_part(item) for item in scene.objects.values())
     names = tuple(scene.objects)
     margin = np.where(
         _ignored(scene, robot.bodies, names), np.float32(-1.0), robot.arrays["padding"][:, None]
     )
+    world = _worlds.get(objects, lambda: _world(objects))
+    pieces = join_pieces([robot.pieces, *(part.pieces for part in objects)])
+    arrays: dict[str, Any] = robot.arrays | world | pieces
+    return Pack(
+        **arrays,
+        margin=margin.astype(np.float32).reshape(len(robot.bodies), len(names)),
+        shape_pieces=_first_pieces(objects, len(robot.pieces.kind)),
+    ), Names(robot.bodies, names)
+
+
+_worlds: Kept[dict[str, NDArray]] = Kept(8)
+
+
+def _first_pieces(objects: Sequence[ObjectPart], first: int) -> I32:
+    """The first exact piece of each world shape, where the world's pieces begin at one."""
+    ends = [first]
+    for part in objects:
+        ends += (part.pieces_end + ends[-1]).tolist()
+    return np.array(ends, np.int32)
+
+
+def _world(objects: Sequence[ObjectPart]) -> dict[str, NDArray]:
+    """The pack's arrays that do not depend on the robot."""
     lows = [part.low for part in objects]
     boxes, child = box_tree(
         np.vstack(lows) if lows else np.zeros((0, 3)),
         np.vstack([part.high for part in objects]) if lows else np.zeros((0, 3)),
     )
-    first_plane, first_piece, planes, cloud, clouds = [0], [len(robot.pieces.kind)], 0, [], 0
-    pieces = first_piece[0]
+    first_plane, planes, cloud, clouds = [0], 0, [], 0
     for part in objects:
         first_plane += (part.planes_end + planes).tolist()
-        first_piece += (part.pieces_end + pieces).tolist()
-        planes, pieces = first_plane[-1], first_piece[-1]
+        planes = first_plane[-1]
         cloud += [k if k < 0 else k + clouds for k in part.cloud.tolist()]
         clouds += len(part.clouds)
 
     def joined(name: str, dtype: type, *shape: int) -> NDArray:
         return np.concatenate([np.zeros((0, *shape), dtype), *(getattr(part, name) for part in objects)])
 
-    arrays: dict[str, Any] = robot.arrays | join_pieces([robot.pieces, *(part.pieces for part in objects)])
-    return Pack(
-        **arrays,
-        margin=margin.astype(np.float32).reshape(len(robot.bodies), len(names)),
-        shape_kind=joined("kind", np.int32),
-        shape_object=np.repeat(np.arange(len(objects), dtype=np.int32), [len(part.kind) for part in objects]),
-        shape_pose=joined("pose", np.float32, 12),
-        shape_size=joined("size", np.float32, 3),
-        shape_planes=np.array(first_plane, np.int32),
-        planes=joined("planes", np.float32, 4),
-        boxes=boxes,
-        child=child,
-        shape_pieces=np.array(first_piece, np.int32),
-        shape_cloud=np.array(cloud, np.int32),
+    return {
+        "shape_kind": joined("kind", np.int32),
+        "shape_object": np.repeat(np.arange(len(objects), dtype=np.int32), [len(p.kind) for p in objects]),
+        "shape_pose": joined("pose", np.float32, 12),
+        "shape_size": joined("size", np.float32, 3),
+        "shape_planes": np.array(first_plane, np.int32),
+        "planes": joined("planes", np.float32, 4),
+        "boxes": boxes,
+        "child": child,
+        "shape_cloud": np.array(cloud, np.int32),
         **join_clouds([cloud for part in objects for cloud in part.clouds]),
-    ), Names(robot.bodies, names)
+    }
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:

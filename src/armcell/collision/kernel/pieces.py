@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.convex import convex_pieces
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.kept import Kept
 from armcell.collision.kernel.simd import L
 from armcell.collision.shapes import is_convex
 from armcell.core import Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
@@ -21,16 +22,23 @@ I32 = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
+class Corners:
+    """Corners of convex hulls: how many each piece has (e,), and all of them (n, 3)."""
+
+    count: I32
+    points: F64
+
+
+@dataclass(frozen=True, eq=False)
 class Pieces:
     """Convex solids in one frame: kinds (e,), sizes (e, 3), poses (e, 12) as rows of 3x4, bounding balls
-    (e, 4), and the corners of those that are hulls: how many each has (e,), and all of them (n, 3)."""
+    (e, 4), corners of those that are hulls."""
 
     kind: I32
     size: F64
     pose: F64
     ball: F64
-    count: I32
-    points: F64
+    corners: Corners
 
     def moved(self, T: F64) -> Pieces:
         """Placed in another frame by T (4, 4)."""
@@ -49,21 +57,46 @@ def pieces_of(shapes: Sequence[tuple[Shape, F64]]) -> Pieces:
         np.array([p[1] for p, _ in every], np.float64).reshape(-1, 3),
         np.array([T[:3].ravel() for _, T in every], np.float64).reshape(-1, 12),
         np.array([p[2] for p, _ in every], np.float64).reshape(-1, 4),
-        np.array([len(p[3]) for p, _ in every], np.int32),
-        np.concatenate([np.zeros((0, 3)), *(p[3] for p, _ in every)]),
+        Corners(
+            np.array([len(p[3]) for p, _ in every], np.int32),
+            np.concatenate([np.zeros((0, 3)), *(p[3] for p, _ in every)]),
+        ),
     )
 
 
 def concatenate(parts: Iterable[Pieces]) -> Pieces:
-    columns = zip(
-        *((p.kind, p.size, p.pose, p.ball, p.count, p.points) for p in (NO_PIECES, *parts)), strict=True
+    every = (NO_PIECES, *parts)
+    return Pieces(
+        np.concatenate([p.kind for p in every]),
+        np.concatenate([p.size for p in every]),
+        np.concatenate([p.pose for p in every]),
+        np.concatenate([p.ball for p in every]),
+        _concatenated([p.corners for p in every]),
     )
-    return Pieces(*(np.concatenate(c) for c in columns))
+
+
+def _concatenated(every: Sequence[Corners]) -> Corners:
+    return Corners(np.concatenate([c.count for c in every]), np.concatenate([c.points for c in every]))
+
+
+_joined: Kept[dict[str, NDArray]] = Kept(16)
 
 
 def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
     """All pieces one after another, as the pack names them."""
-    every = concatenate(parts)
+    every = (NO_PIECES, *parts)
+    corners = tuple(p.corners for p in every)
+    return {
+        "piece_kind": np.concatenate([p.kind for p in every]),
+        "piece_size": np.concatenate([p.size for p in every]),
+        "piece_pose": np.concatenate([p.pose for p in every]),
+        "piece_ball": np.concatenate([p.ball for p in every]),
+        **_joined.get(corners, lambda: _in_lanes(_concatenated(corners))),
+    }
+
+
+def _in_lanes(every: Corners) -> dict[str, NDArray]:
+    """Corners as the pack names them."""
     padded = -(-every.count // L) * L  # the kernel reads L points at a time
     first = np.concatenate([[0], np.cumsum(padded)[:-1]]) if len(padded) else np.zeros(0)
     begin = np.concatenate([[0], np.cumsum(every.count)[:-1]]) if len(padded) else np.zeros(0)
@@ -71,11 +104,7 @@ def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
     index = np.minimum(index, np.repeat(begin + every.count - 1, padded)).astype(np.int64)
     points = every.points[index]
     return {
-        "piece_kind": every.kind,
-        "piece_size": every.size,
-        "piece_pose": every.pose,
         "piece_points": np.column_stack([first, every.count]).astype(np.int32),
-        "piece_ball": every.ball,
         "points": points,
         "points32": points.reshape(-1, L, 3).transpose(0, 2, 1).astype(np.float32),
     }
@@ -130,6 +159,5 @@ NO_PIECES = Pieces(
     np.zeros((0, 3)),
     np.zeros((0, 12)),
     np.zeros((0, 4)),
-    np.zeros(0, np.int32),
-    np.zeros((0, 3)),
+    Corners(np.zeros(0, np.int32), np.zeros((0, 3))),
 )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -52,22 +53,57 @@ class _Body:
     sizes: list[int]
     pieces: Pieces
 
-    def moved(self, T: F64) -> _Body:
-        """Placed in another frame by T (4, 4)."""
+    def placed(self, T: F64) -> _Placed:
+        """The body in a frame of the group, where T (4, 4) is its pose."""
 
-        def at(spheres: F64) -> F64:
+        def at(spheres: F64) -> F32:
             out = spheres.copy()
             out[..., :3] = out[..., :3] @ T[:3, :3].T + T[:3, 3]
-            return out
+            return out.astype(np.float32)
 
-        return _Body(at(self.around), at(self.spheres), at(self.groups), self.sizes, self.pieces.moved(T))
+        around, group, sphere = at(self.around), at(self.groups), at(self.spheres)
+        group[:, 3] *= UP
+        around[3] *= UP
+        sphere[:, 3] = sphere[:, 3] * UP + np.float32(1e-6)
+        sphere[:, 4] = np.maximum(sphere[:, 4] * np.float32(1 - 1e-5) - np.float32(2e-6), 0)
+        return _Placed(around, sphere, group, self.pieces.moved(T))
 
 
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A body in a frame of the group, as the pack has it."""
+
+    around: F32
+    sphere: F32
+    group: F32
+    pieces: Pieces
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """The frames that the group's joints move, merged with everything that other joints hold in place.
+
+    Attributes:
+        above: the frames from the world's down to each.
+        arm: [m] from each frame's parent to its origin.
+        arrays: the frames as the pack has them.
+    """
+
+    above: list[list[int]]
+    arm: list[float]
+    arrays: dict[str, Any]
+
+
+UP = np.float32(1 + 1e-6)  # rounding to float32 may not shrink a cover
 _parts: Kept[RobotPart] = Kept(8)
+_chains: Kept[_Chain] = Kept(32)
 _bodies: Kept[_Body] = Kept(512)
-_placed: Kept[_Body] = Kept(512)  # the same in their frames
+_placed: Kept[_Placed] = Kept(512)
+_pieces_joined: Kept[Pieces] = Kept(32)
 _pairs_found: Kept[I32] = Kept(32)
 _near_found: Kept[tuple[I32, dict[str, I32]]] = Kept(32)
+_reaches: Kept[F64] = Kept(1024)
+_moving: Kept[NDArray[np.bool_]] = Kept(32)
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
@@ -99,24 +135,18 @@ class _Builder:
         self._frames()
         bodies, arrays, pieces = self._bodies()
         pairs, near_tables = self._near_pairs(bodies, arrays)
-        reach = self._reach(bodies, arrays["body_sphere"])
+        reach = self._reach(bodies)
         pair_reach = self._pair_reach(bodies, pairs, reach)
-        up = np.float32(1 + 1e-6)
         arrays |= {
             "dof": self.dof,
-            "parent": np.array(self.parent, np.int32),
-            "fixed": np.array(self.fixed, np.float32).reshape(-1, 12),
-            "kind": np.array(self.kind, np.int32),
-            "column": np.array(self.column, np.int32),
-            "multiplier": np.array(self.multiplier, np.float32),
-            "offset": np.array(self.offset, np.float32),
+            **self.chain.arrays,
             "pairs": pairs,
             "pair_margin": np.zeros(len(pairs), np.float32),
             **near_tables,
             "reach": reach,
             "pair_reach": pair_reach,
-            "rate": reach.astype(np.float32) * up,
-            "pair_rate": pair_reach.astype(np.float32) * up,
+            "rate": reach.astype(np.float32) * UP,
+            "pair_rate": pair_reach.astype(np.float32) * UP,
         }
         return RobotPart(tuple(b for b, _ in bodies), arrays, pieces)
 
@@ -133,6 +163,8 @@ class _Builder:
         relative = np.tile(np.eye(4), (len(tree.parent), 1, 1))
         relative[:, :3, :3] = turn @ rest[1:, :3, :3]
         relative[:, :3, 3:] = turn @ (rest[1:, :3, 3:] - rest[tree.parent, :3, 3:])
+        stiff = np.asarray(tree.kind) == 0  # without the rounding, which depends on where the arm is
+        relative[stiff] = tree.T_parent_joint[stiff]
         for j in range(len(tree.parent)):
             frame, T = self.of_link[int(tree.parent[j])]
             column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
@@ -149,10 +181,23 @@ class _Builder:
             self.multiplier.append(float(tree.multiplier[j]))
             self.offset.append(float(tree.offset[j]))
             self.of_link[j + 1] = (len(self.parent) - 1, A.T)
-        self.above: list[list[int]] = [[]]  # the frames from the world's down to each
+        fixed = np.array(self.fixed)
+        key = (self.model, self.joint_names, fixed.tobytes())
+        self.chain = _chains.get(key, lambda: self._chain(fixed))
+
+    def _chain(self, fixed: F64) -> _Chain:
+        above: list[list[int]] = [[]]
         for f in range(1, len(self.parent)):
-            self.above.append([*self.above[self.parent[f]], f])
-        self.arm = [math.hypot(*T[[3, 7, 11]]) for T in self.fixed]  # from each frame's parent to its origin
+            above.append([*above[self.parent[f]], f])
+        arrays = {
+            "parent": np.array(self.parent, np.int32),
+            "fixed": fixed.astype(np.float32).reshape(-1, 12),
+            "kind": np.array(self.kind, np.int32),
+            "column": np.array(self.column, np.int32),
+            "multiplier": np.array(self.multiplier, np.float32),
+            "offset": np.array(self.offset, np.float32),
+        }
+        return _Chain(above, [math.hypot(*T[[3, 7, 11]]) for T in self.fixed], arrays)
 
     # --- bodies ---
     def _bodies(self) -> tuple[list[tuple[str, int]], dict[str, Any], Pieces]:
@@ -184,38 +229,24 @@ class _Builder:
             placed.append((body, T @ held.T_link_object.matrix))
             padding.append(scene.link_padding.get(held.link, scene.padding))
             self.placed_for_good.append(False)
-        spheres, groups, sizes, pieces, body_sphere = [np.zeros((0, 5))], [np.zeros((0, 4))], [], [], []
-        body_groups, body_pieces = [0], [0]
-        for own, T in placed:
-            body = _placed.get((own, T.tobytes()), partial(own.moved, T))
-            groups.append(body.groups)
-            spheres.append(body.spheres)
-            sizes += body.sizes
-            body_sphere.append(body.around)
-            pieces.append(body.pieces)
-            body_groups.append(body_groups[-1] + len(body.groups))
-            body_pieces.append(body_pieces[-1] + len(body.pieces.kind))
-        up = np.float32(1 + 1e-6)  # rounding to float32 may not shrink a cover
-        group = np.vstack(groups).astype(np.float32)
-        around = np.array(body_sphere, np.float32).reshape(-1, 4)
-        sphere = np.vstack(spheres).astype(np.float32)
-        group[:, 3] *= up
-        around[:, 3] *= up
-        sphere[:, 3] = sphere[:, 3] * up + np.float32(1e-6)
-        sphere[:, 4] = np.maximum(sphere[:, 4] * np.float32(1 - 1e-5) - np.float32(2e-6), 0)
+        self.owns = tuple(own for own, _ in placed)
+        self.placed = [_placed.get((own, T.tobytes()), partial(own.placed, T)) for own, T in placed]
+        sizes = [size for own in self.owns for size in own.sizes]
+        joined = _pieces_joined.get(self.owns, lambda: concatenate(own.pieces for own in self.owns))
+        poses = [np.zeros((0, 12)), *(body.pieces.pose for body in self.placed)]
         return (
             bodies,
             {
                 "frame": np.array([f for _, f in bodies], np.int32),
-                "body_sphere": around,
-                "body_groups": np.array(body_groups, np.int32),
+                "body_sphere": np.array([body.around for body in self.placed], np.float32).reshape(-1, 4),
+                "body_groups": _ends(len(own.groups) for own in self.owns),
                 "padding": np.array(padding, np.float32),
-                "group_sphere": group,
-                "group_spheres": np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
-                "sphere": sphere,
-                "body_pieces": np.array(body_pieces, np.int32),
+                "group_sphere": np.vstack([np.zeros((0, 4), np.float32), *(b.group for b in self.placed)]),
+                "group_spheres": _ends(sizes),
+                "sphere": np.vstack([np.zeros((0, 5), np.float32), *(b.sphere for b in self.placed)]),
+                "body_pieces": _ends(len(own.pieces.kind) for own in self.owns),
             },
-            concatenate(pieces),
+            replace(joined, pose=np.concatenate(poses)),
         )
 
     def _pairs(self, bodies: list[tuple[str, int]]) -> I32:
@@ -238,17 +269,13 @@ class _Builder:
     ) -> tuple[I32, dict[str, I32]]:
         """Pairs that can meet, and their groups that can. Not looked for again where only bodies that are not
         placed for good are elsewhere."""
-        pairs, ends = self._pairs(bodies), arrays["group_spheres"][arrays["body_groups"]]
-        good = np.array(self.placed_for_good, bool)
+        pairs = self._pairs(bodies)
         key = (
-            self.model,
-            self.joint_names,
+            self.chain,
             pairs.tobytes(),
-            np.array(self.fixed).tobytes(),
-            *(arrays[name].tobytes() for name in ("frame", "body_groups", "group_spheres")),
-            arrays["group_sphere"][np.repeat(good, np.diff(arrays["body_groups"]))].tobytes(),
-            arrays["sphere"][np.repeat(good, np.diff(ends))].tobytes(),
-            good.tobytes(),
+            arrays["frame"].tobytes(),
+            self.owns,
+            tuple(b if good else None for b, good in zip(self.placed, self.placed_for_good, strict=True)),
         )
 
         def look() -> tuple[I32, dict[str, I32]]:
@@ -277,7 +304,7 @@ class _Builder:
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
         """The frames below the nearest common one, down to each of two frames."""
-        a, b = self.above[f], self.above[e]
+        a, b = self.chain.above[f], self.chain.above[e]
         common = 0
         while common < min(len(a), len(b)) and a[common] == b[common]:
             common += 1
@@ -320,24 +347,29 @@ class _Builder:
             else:
                 reach[:, c] += m
                 radius = radius + m * self._span(frame) + abs(self.offset[frame])
-            radius = radius + self.arm[frame]
+            radius = radius + self.chain.arm[frame]
         return reach
 
     # --- motion bounds ---
-    def _reach(self, bodies: list[tuple[str, int]], body_sphere: F32) -> F64:
-        """Joint by joint, the largest distance a body's point can be from the joint's axis."""
+    def _reach(self, bodies: list[tuple[str, int]]) -> F64:
+        """Joint by joint, the largest distance (bodies, dof) a body's point can be from the joint's axis."""
         reach = np.zeros((len(bodies), self.dof))
-        for k, (_, frame) in enumerate(bodies):
-            radius = float(np.linalg.norm(body_sphere[k, :3]) + body_sphere[k, 3])
-            while frame > 0:
-                m, c = abs(self.multiplier[frame]), self.column[frame]
-                if self.kind[frame] == REVOLUTE_KIND:
-                    reach[k, c] += m * radius
-                else:
-                    reach[k, c] += m
-                    radius += m * self._span(frame) + abs(self.offset[frame])
-                radius += self.arm[frame]
-                frame = self.parent[frame]
+        for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
+            reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
+        return reach
+
+    def _reach_of(self, frame: int, around: F32) -> F64:
+        reach = np.zeros(self.dof)
+        radius = float(np.linalg.norm(around[:3]) + around[3])
+        while frame > 0:
+            m, c = abs(self.multiplier[frame]), self.column[frame]
+            if self.kind[frame] == REVOLUTE_KIND:
+                reach[c] += m * radius
+            else:
+                reach[c] += m
+                radius += m * self._span(frame) + abs(self.offset[frame])
+            radius += self.chain.arm[frame]
+            frame = self.parent[frame]
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
@@ -347,14 +379,23 @@ class _Builder:
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
         """Only joints above exactly one of the two bodies move them against each other."""
-        above = np.zeros((len(bodies), len(self.parent)), bool)
-        for k, (_, frame) in enumerate(bodies):
-            above[k, self.above[frame]] = True
+        key = (self.chain, tuple(frame for _, frame in bodies), pairs.tobytes())
+        i, j = pairs.T
+        moves = _moving.get(key, lambda: self._moves([frame for _, frame in bodies], i, j))
+        return np.where(moves, reach[i] + reach[j], 0.0)
+
+    def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
+        """(pairs, dof) whether a joint moves two bodies against each other."""
+        above = np.zeros((len(frames), len(self.parent)), bool)
+        for k, frame in enumerate(frames):
+            above[k, self.chain.above[frame]] = True
         column = np.zeros((len(self.parent), self.dof))
         column[np.arange(1, len(self.parent)), self.column[1:]] = 1.0
-        i, j = pairs.T
-        moves = (above[i] ^ above[j]) @ column > 0
-        return np.where(moves, reach[i] + reach[j], 0.0)
+        return (above[i] ^ above[j]) @ column > 0
+
+
+def _ends(sizes: Iterable[int]) -> I32:
+    return np.cumsum([0, *sizes]).astype(np.int32)
 
 
 @lru_cache

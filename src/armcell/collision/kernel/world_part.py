@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +43,17 @@ class ObjectPart:
 
 
 _parts: Kept[ObjectPart] = Kept(512)
+_of_object: WeakKeyDictionary[CollisionObject, ObjectPart] = WeakKeyDictionary()
 
 
 def object_part(item: CollisionObject) -> ObjectPart:
     """Kept for all objects of the same shapes at the same place."""
-    shapes = tuple((shape, T.matrix.tobytes()) for shape, T in item.shapes)
-    return _parts.get((item.T_world_object.matrix.tobytes(), shapes), lambda: _object_part(item))
+    found = _of_object.get(item)
+    if found is None:
+        shapes = tuple((shape, T.matrix.tobytes()) for shape, T in item.shapes)
+        found = _parts.get((item.T_world_object.matrix.tobytes(), shapes), lambda: _object_part(item))
+        _of_object[item] = found
+    return found
 
 
 def _object_part(item: CollisionObject) -> ObjectPart:
