@@ -159,8 +159,8 @@ def contact_in_words(contact: Mapping[str, Any]) -> str:
 
 def complaints(result: Mapping[str, Any]) -> list[str]:
     """What makes a run fail whatever its task or script returned: unwanted contacts and lost objects."""
-    contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result["unwanted_contacts"]]
-    return contacts + [f"lost object: {row['how']}" for row in result["lost"]]
+    contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result.get("unwanted_contacts", ())]
+    return contacts + [f"lost object: {row['how']}" for row in result.get("lost", ())]
 
 
 def _failed_at(

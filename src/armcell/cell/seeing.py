@@ -11,7 +11,7 @@ import numpy as np
 from armcell.cell.rendering import CellRenderer, Give
 from armcell.control import Driver
 from armcell.core import ArmcellError, CameraImage, ErrorCode, Event, JointTrajectory, StateSample
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.perception import CameraMap, MapSettings, MapUpdate
 from armcell.scene import OCTOMAP, PlanningScene
 from armcell.sim import Camera, Decal, SimWorld, take_image
@@ -139,6 +139,7 @@ class LiveCamera:
 
 
 @dataclass
+@checked()
 class CameraWatch:
     """Keeps the octomap of a running cell's planning scene true to what a camera sees.
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.certificate import Certificate
 from armcell.core import Contact
+from armcell.core.checks import float_array
 from armcell.kinematics import KinematicTree
 from armcell.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
 from armcell.model import RobotModel
@@ -95,9 +96,10 @@ def certify_path(checker: Measures, waypoints: ArrayLike, slack: ArrayLike | Non
     Returns:
         A certificate; `at` counts along the waypoints, 0..1.
     """
-    points = np.asarray(waypoints, dtype=float)
+    n = len(checker.columns)
+    points = float_array(waypoints, (None, n), "waypoints")
     bound = bound or MotionBound(checker)
-    slack_bound = bound.along(np.zeros(points.shape[1]) if slack is None else np.asarray(slack, dtype=float))
+    slack_bound = bound.along(np.zeros(n) if slack is None else float_array(slack, (n,), "slack"))
     clearance, edges = np.inf, max(len(points) - 1, 1)
     if len(points) == 1:
         points = np.vstack([points, points])

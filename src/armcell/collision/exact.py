@@ -14,7 +14,8 @@ from armcell.collision.certificate import Certificate
 from armcell.collision.certify import certify_path
 from armcell.collision.many import distance_to_many, touches_many
 from armcell.collision.shapes import Solid, solid
-from armcell.core import SE3, Contact
+from armcell.core import SE3, Contact, InputError
+from armcell.core.checks import float_array
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, PlanningScene
 
@@ -119,7 +120,7 @@ class ExactChecker:
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:
         """All joints (dof,) with the group's at q."""
-        self._q[self.columns] = q
+        self._q[self.columns] = float_array(q, (len(self.columns),), "a configuration")
         return self._q
 
     def place(self, q: ArrayLike) -> None:
@@ -155,6 +156,8 @@ class ExactChecker:
 
     def pair_gaps(self, pairs: NDArray[np.int64]) -> Array:
         """Lower bounds of the distance of each pair (p, 2) [m]."""
+        if not isinstance(pairs, np.ndarray) or pairs.ndim != 2 or pairs.dtype != np.int64:
+            raise InputError(f"pairs must be whole numbers (p, 2), not {pairs!r}")
         gaps = np.empty(len(pairs))
         box_gaps(pairs, self._world_centre, self._world_half, gaps)
         return gaps

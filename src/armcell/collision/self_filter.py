@@ -23,6 +23,7 @@ from armcell.core import (
     Shape,
     Sphere,
 )
+from armcell.core.checks import float_array
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
@@ -37,7 +38,7 @@ def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
     """The points (n, 3) [m, world frame] that are neither the robot nor what it holds (see `robot_mask`)."""
-    cloud = np.asarray(points, dtype=float).reshape(-1, 3)
+    cloud = float_array(points, (None, 3), "points", finite=False)
     return cloud[~robot_mask(scene, cloud, padding, objects)]
 
 
@@ -65,7 +66,7 @@ def object_mask(
 def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding: float) -> NDArray[np.bool_]:
     if not np.isfinite(padding) or padding < 0:
         raise InputError(f"padding is {padding:g}, it must be a number of metres >= 0")
-    cloud = np.asarray(points, dtype=float).reshape(-1, 3)
+    cloud = float_array(points, (None, 3), "points", finite=False)
     mask = np.zeros(len(cloud), bool)
     columns = np.ascontiguousarray(cloud.T)
     for shape, T, scale in placed:

@@ -111,8 +111,10 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
 def convex_hull(vertices: Array) -> coal.CollisionGeometry:
     """The hull of points (v, 3); the box around them where they are flat."""
     try:
+        if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # qhull in coal may end the process
+            raise ValueError("flat")
         return coal.ConvexBase.convexHull(_points(vertices), True, "Qt")
-    except Exception:  # qhull on a flat mesh: the box around it is a convex outer shape as well
+    except Exception:  # a flat mesh: the box around it is a convex outer shape as well
         low, high = vertices.min(0), vertices.max(0)
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
         extents = np.maximum(high - low, 1e-6)

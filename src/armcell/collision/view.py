@@ -10,17 +10,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.shapes import convex_hull, solid
 from armcell.core import SE3
+from armcell.core.checks import float_array, is_number, require
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
+MAX_SIDES = 1000  # of a polygon
 
 
 def cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -> Array:
     """Corners (sides + 1, 3) [m] of a pyramid: from a point (3,) to a polygon on a disc about its z axis."""
+    require(
+        is_number(sides) and 3 <= sides <= MAX_SIDES, f"a polygon has 3 to {MAX_SIDES} sides, not {sides!r}"
+    )
+    require(is_number(radius), f"radius is {radius!r}, it must be a finite number")
     angles = 2 * np.pi * np.arange(sides) / sides
     rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(sides)])
-    return np.vstack([np.asarray(origin, dtype=float), T_world_disc.apply(rim)])
+    return np.vstack([float_array(origin, (3,), "the origin"), T_world_disc.apply(rim)])
 
 
 def links_apart(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
@@ -29,6 +35,8 @@ def links_apart(scene: PlanningScene, corners: Array, ignored: Iterable[str] = (
     Args:
         ignored: links to leave out. What is attached is not looked at, nor is padding.
     """
+    corners = float_array(corners, (None, 3), "corners")
+    require(len(corners) >= 4, f"the corners of a solid are at least 4, not {len(corners)}")
     hull, tree = convex_hull(corners), kinematic_tree(scene.model)
     Ts, here = tree.link_transforms(scene.positions), coal.Transform3s()
     request, result, found = coal.DistanceRequest(), coal.DistanceResult(), {}

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Playback, Registry
+from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -47,6 +48,7 @@ class WeldRecord:
 
 
 @dataclass(frozen=True)
+@checked()
 class DriverOptions:
     """What a cell gives every driver; each takes what it needs."""
 

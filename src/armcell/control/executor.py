@@ -13,12 +13,13 @@ from armcell.control.driver import Driver, Player, Rehearsing
 from armcell.control.following import Follower, Steps, Tolerances, followed
 from armcell.control.gate import Executable, executable
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.core.protocols import offers
 from armcell.planning import explain_start
 
 
 @dataclass(frozen=True)
+@checked()
 class ExecutionSettings:
     """Tolerances of a motion. 0.01 rad at the start is MoveIt's default."""
 

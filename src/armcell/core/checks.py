@@ -1,12 +1,15 @@
-"""Checking settings dataclasses: types against the defaults, numbers finite."""
+"""Checks of values: settings as files give them, fields of value types, arrays for compiled code."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from armcell.core.errors import InputError, UnknownNameError
 
@@ -37,7 +40,7 @@ def settings_from(cls: type[T], values: Any, what: str) -> T:
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return is_number(value) and not isinstance(value, bool)
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
@@ -63,6 +66,115 @@ def _like(default: Any, value: Any, what: str) -> Any:
     if not _number(value):
         raise InputError(f"{what} is {value!r}, a number is needed")
     return float(value)
+
+
+def is_number(value: Any, infinite: bool = False) -> bool:
+    """Whether a value is one real number, finite unless `infinite` (NaN never is)."""
+    if not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    try:
+        return math.isfinite(value) or (infinite and not math.isnan(value))
+    except OverflowError:  # an int that no float can hold
+        return False
+
+
+def float_array(
+    values: ArrayLike, shape: tuple[int | None, ...] | None, what: str, finite: bool = True
+) -> NDArray[np.float64]:
+    """The values as a float array of a shape, before compiled code receives them.
+
+    Args:
+        shape: the shape needed; None stands for any length, a leading -1 for any number of axes, and None
+            instead of a shape for any.
+        what: names the values in the message.
+        finite: reject NaN and infinity.
+    Raises:
+        InputError: another shape, not real numbers, or not finite.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype != np.float64:
+            array = array.astype(np.float64, casting="unsafe" if array.dtype == object else "same_kind")
+    except (TypeError, ValueError, OverflowError):  # ragged, or not real numbers
+        raise InputError(f"{what} must be an array of numbers, not {_short(values)}") from None
+    shape = array.shape if shape is None else shape
+    tail = shape[1:] if shape[:1] == (-1,) else shape
+    given = array.shape[-len(tail) :] if shape[:1] == (-1,) and tail else array.shape
+    if len(given) != len(tail) or any(n not in (None, m) for n, m in zip(tail, given, strict=True)):
+        need = ", ".join("..." if n == -1 else "n" if n is None else str(n) for n in shape)
+        raise InputError(f"{what} must have shape ({need}), not {array.shape}")
+    if finite and not np.isfinite(array).all():
+        raise InputError(f"{what} must be finite, not {_short(values)}")
+    return array
+
+
+def unit_vector(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """A direction (3,) scaled to length 1.
+
+    Raises:
+        InputError: not three finite numbers, or all of them zero.
+    """
+    vector = float_array(values, (3,), what)
+    length = float(np.linalg.norm(vector))
+    if not 0 < length < math.inf:
+        raise InputError(f"{what} must be a direction, not {_short(values)}")
+    return vector / length
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+_SCALAR = {"float": "a number", "int": "a whole number"}
+_TUPLE = {
+    "tuple[float, float]": 2, "tuple[float, float, float]": 3, "Color": 4, "tuple[float, ...]": 0,
+}  # fmt: skip
+
+
+def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
+    """Class decorator, below `@dataclass`: the constructor rejects NaN, infinity and other than numbers.
+
+    It checks fields that are annotated as float, int or a tuple of floats, also where None is allowed.
+
+    Args:
+        unbounded: fields that may be infinite. Fields whose default is infinite may, too.
+    Raises:
+        InputError: by the constructor.
+    """
+
+    def decorate(cls: type[T]) -> type[T]:
+        numbers = [
+            (name, text.removesuffix(" | None"), text.endswith(" | None"),
+             name in unbounded or getattr(cls, name, None) in (math.inf, -math.inf))
+            for name, text in inspect.get_annotations(cls).items()
+            if text.removesuffix(" | None") in (*_SCALAR, *_TUPLE)
+        ]  # fmt: skip
+        original: Callable[[Any], None] | None = getattr(cls, "__post_init__", None)
+
+        def __post_init__(self: Any) -> None:
+            for name, kind, optional, infinite in numbers:
+                value = getattr(self, name)
+                if not (optional and value is None) and not _fits(value, kind, infinite):
+                    need = _SCALAR.get(kind) or (f"{_TUPLE[kind]} numbers" if _TUPLE[kind] else "numbers")
+                    raise InputError(f"{type(self).__name__}: {name} is {_short(value)}, it must be {need}")
+            if original is not None:
+                original(self)
+
+        cls.__post_init__ = __post_init__  # type: ignore[attr-defined]
+        return cls
+
+    return decorate
+
+
+def _fits(value: Any, kind: str, infinite: bool) -> bool:
+    if kind == "float":
+        return is_number(value, infinite)
+    if kind == "int":
+        return is_number(value) and value == int(value)
+    if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str):
+        return False
+    return (not _TUPLE[kind] or len(value) == _TUPLE[kind]) and all(is_number(v, infinite) for v in value)
 
 
 def require(condition: bool, text: str) -> None:

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.core.checks import checked, float_array
 from armcell.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -21,12 +22,13 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 
     Depth cameras mark what they do not see by NaN.
     """
-    every = np.asarray(points, dtype=float).reshape(-1, 3)
+    every = float_array(points, (None, 3), "points", finite=False)
     kept = np.all(np.isfinite(every), axis=1)
     return every[kept], int(len(every) - kept.sum())
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class PointCloud:
     """Balls of one radius [m] around points (n, 3) [m] in the shape's frame.
 
@@ -66,7 +68,7 @@ class Octree:
 
     def __post_init__(self) -> None:
         centres = _rows("octree", "centres", self.centres)
-        sizes = np.ascontiguousarray(self.sizes, dtype=float)
+        sizes = np.ascontiguousarray(float_array(self.sizes, None, "sizes", finite=False))
         if sizes.shape != (len(centres),):
             raise InputError(f"octree has {len(centres)} centres but sizes of shape {sizes.shape}")
         bad = int(np.sum(~np.isfinite(sizes) | (sizes <= 0)))
@@ -83,7 +85,7 @@ class Octree:
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].
         """
-        left = np.asarray(occupied, dtype=bool)
+        left = float_array(occupied, None, "occupied", finite=False).astype(bool)
         if left.ndim != 3:
             raise InputError(f"an occupancy grid has three dimensions, this one {left.ndim}")
         centres, sizes, edge = [], [], float(size)
@@ -93,7 +95,7 @@ class Octree:
             full = left.reshape(i, 2, j, 2, k, 2).all(axis=(1, 3, 5))
             single = left & ~full.repeat(2, 0).repeat(2, 1).repeat(2, 2)
             cells = np.argwhere(single)
-            centres.append((cells + 0.5) * edge + np.asarray(origin, dtype=float))
+            centres.append((cells + 0.5) * edge + float_array(origin, (3,), "origin"))
             sizes.append(np.full(len(cells), edge))
             left, edge = full, edge * 2
         return Octree(np.vstack([np.zeros((0, 3)), *centres]), np.concatenate([np.zeros(0), *sizes]))
@@ -110,7 +112,7 @@ class Octree:
 
 
 def _rows(what: str, name: str, values: ArrayLike) -> Array:
-    rows = np.ascontiguousarray(values, dtype=float)
+    rows = np.ascontiguousarray(float_array(values, None, name, finite=False))
     if rows.size == 0:
         rows = rows.reshape(0, 3)
     if rows.ndim != 2 or rows.shape[1] != 3:

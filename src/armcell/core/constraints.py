@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from armcell.core.checks import checked
 from armcell.core.geometry import Shape
 from armcell.core.transforms import SE3, SO3
 
@@ -11,6 +12,7 @@ WORLD = "world"
 
 
 @dataclass(frozen=True)
+@checked()
 class JointConstraint:
     """One joint between position - tolerance_below and position + tolerance_above [rad or m]."""
 
@@ -21,6 +23,7 @@ class JointConstraint:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class PositionConstraint:
     """A point of a link in a region: inside any one of its shapes."""
 
@@ -31,6 +34,7 @@ class PositionConstraint:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class OrientationConstraint:
     """A link turned as wanted, up to a tolerance about each axis [rad]; pi or more leaves that axis free.
 
@@ -47,6 +51,7 @@ class OrientationConstraint:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class VisibilityConstraint:
     """A disc that a sensor sees: no link of the robot is in the cone from the sensor's origin to the disc.
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.core.checks import checked, float_array
 from armcell.core.clouds import Octree, PointCloud
 from armcell.core.errors import InputError
 
@@ -27,6 +28,7 @@ def _positive(what: str, **sizes: float) -> None:
 
 
 @dataclass(frozen=True)
+@checked()
 class Box:
     """Full edge lengths x, y, z [m]."""
 
@@ -43,6 +45,7 @@ class Box:
 
 
 @dataclass(frozen=True)
+@checked()
 class Sphere:
     radius: float
 
@@ -55,6 +58,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
+@checked()
 class Cylinder:
     radius: float
     length: float
@@ -68,6 +72,7 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
+@checked()
 class Capsule:
     """`length` is that of the cylindrical part; the whole is `length + 2 radius`."""
 
@@ -83,6 +88,7 @@ class Capsule:
 
 
 @dataclass(frozen=True)
+@checked()
 class Cone:
     """Base at -length/2, apex at +length/2."""
 
@@ -115,8 +121,8 @@ class Mesh:
     file: Path | None = None
 
     def __post_init__(self) -> None:
-        vertices = np.ascontiguousarray(self.vertices, dtype=float)
-        faces = np.ascontiguousarray(self.faces, dtype=np.int32)
+        vertices = np.ascontiguousarray(float_array(self.vertices, None, "a mesh's vertices", finite=False))
+        faces = np.ascontiguousarray(float_array(self.faces, None, "a mesh's faces"), dtype=np.int32)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
             raise InputError("a mesh needs vertices (v, 3) and faces (f, 3)", file=self.file)
         if len(faces) == 0 or not np.all(np.isfinite(vertices)):

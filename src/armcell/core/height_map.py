@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core.checks import checked, float_array
+from armcell.core.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class HeightMap:
     """Heights over a rectangle of the world's x and y.
 
@@ -22,13 +26,17 @@ class HeightMap:
 
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Middles (n, 3) [m, world] of the tops of cells (n, 2)."""
+        cells = float_array(cells, (None, 2), "cells").astype(np.int64)
+        if ((cells < 0) | (cells >= self.heights.shape)).any():
+            raise InputError(f"a cell is outside a map of {self.heights.shape} cells")
         found = np.empty((len(cells), 3))
         found[:, :2] = np.asarray(self.origin) + self.resolution * cells
         found[:, 2] = self.heights[cells[:, 0], cells[:, 1]]
         return found
 
-    def cells_within(self, low: tuple[float, float], high: tuple[float, float]) -> NDArray[np.bool_]:
+    def cells_within(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
         """(nx, ny) the cells with their middle in a rectangle of the world."""
+        low, high = float_array(low, (2,), "low"), float_array(high, (2,), "high")
         nx, ny = self.heights.shape
         x = self.origin[0] + self.resolution * np.arange(nx)
         y = self.origin[1] + self.resolution * np.arange(ny)

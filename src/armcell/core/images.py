@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.core.checks import checked, float_array
 from armcell.core.errors import InputError
 from armcell.core.transforms import SE3
 
@@ -16,6 +17,7 @@ MAX_PIXELS = 8192
 
 
 @dataclass(frozen=True)
+@checked()
 class Pinhole:
     """A pinhole camera's intrinsics. Pixels have whole numbers at their centres; x is right, y down.
 
@@ -64,12 +66,13 @@ class Pinhole:
 
     def project(self, points: ArrayLike) -> Array:
         """Pixels (n, 2) of points (n, 3) [m, camera frame], without distortion; NaN behind the camera."""
-        p = np.asarray(points, dtype=float).reshape(-1, 3)
+        p = float_array(points, (None, 3), "points", finite=False)
         z = np.where(p[:, 2] > 0, p[:, 2], np.nan)
         return np.column_stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy])
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class CameraImage:
     """One picture: colour (h, w, 3) uint8, depth (h, w) [m] along the optical axis, either or both.
 

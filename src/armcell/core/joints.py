@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.core.checks import float_array, is_number
 from armcell.core.errors import InputError, UnknownNameError
 
 Array = NDArray[np.float64]
@@ -198,6 +199,8 @@ class JointTrajectory:
         times, n = self.times, len(self.joint_names)
         if len(times) == 0:
             raise InputError("an empty trajectory has no position at any time")
+        if not is_number(t, infinite=True):
+            raise InputError(f"time is {t!r}, it must be a number")
         zero = np.zeros(n)
         if t <= times[0]:
             return self.positions[0].copy(), zero, zero.copy()
@@ -209,7 +212,7 @@ class JointTrajectory:
 
     def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
         """`sample` at many times (k,) [s], each (k, n): the same numbers, quicker than one by one."""
-        known, at = self.times, np.asarray(times, dtype=float)
+        known, at = self.times, float_array(times, (None,), "times")
         if len(known) == 0:
             raise InputError("an empty trajectory has no position at any time")
         q = np.where((at <= known[0])[:, None], self.positions[0], self.positions[-1])

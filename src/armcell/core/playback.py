@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.core.checks import float_array
 from armcell.core.errors import InputError
 from armcell.core.joints import JointTrajectory
 
@@ -64,7 +65,7 @@ class Playback:
 
     def at_times(self, times: ArrayLike) -> tuple[Array, Array]:
         """Positions and velocities (k, n) at times (k,) [s], held at both ends."""
-        t, known, n = np.asarray(times, dtype=float), self._knots, self._n
+        t, known, n = float_array(times, (None,), "times"), self._knots, self._n
         positions = np.where((t <= known[0])[:, None], self._first, self._last)
         velocities = np.zeros_like(positions)
         inside = ((known[0] < t) & (t < known[-1])).nonzero()[0]

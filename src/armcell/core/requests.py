@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from armcell.core.checks import checked
 from armcell.core.constraints import Constraints
 from armcell.core.joints import JointState
 from armcell.core.transforms import SE3
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class JointGoal:
     """Joint positions to reach; joints not named stay where they are.
 
@@ -25,6 +27,7 @@ class JointGoal:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class PoseGoal:
     """A pose of a link (the group's tip by default) in the world frame.
 
@@ -60,6 +63,7 @@ ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "va
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class PlanRequest:
     """A free-space motion of one group. Defaults are MoveIt's where it has one."""
 
@@ -86,6 +90,7 @@ class PlanRequest:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class CartesianRequest:
     """Straight lines of a link through poses, as compute_cartesian_path."""
 

@@ -14,6 +14,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armcell.core.checks import float_array
 from armcell.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -29,12 +30,7 @@ def skew(v: ArrayLike) -> Array:
 
 
 def _finite(values: ArrayLike, count: int, what: str) -> Array:
-    array = np.asarray(values, dtype=float)
-    if array.shape != (count,):
-        raise InputError(f"{what} needs {count} numbers, got shape {array.shape}")
-    if not np.all(np.isfinite(array)):
-        raise InputError(f"{what} has a value that is not finite: {array.tolist()}")
-    return array
+    return float_array(values, (count,), what)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +40,7 @@ class SO3:
     matrix: Array  # (3, 3)
 
     def __post_init__(self) -> None:
-        m = self.matrix if isinstance(self.matrix, np.ndarray) else np.array(self.matrix)
+        m = self.matrix if isinstance(self.matrix, np.ndarray) else np.array(self.matrix, dtype=object)
         if np.shape(m) != (3, 3) or not math.isfinite(sum(chain(*m.tolist()))):  # quicker than np.sum
             raise InputError(f"a rotation needs a finite (3, 3) matrix, not {m!r}")
 
@@ -110,7 +106,9 @@ class SO3:
     @staticmethod
     def between(a: ArrayLike, b: ArrayLike) -> SO3:
         """The shortest rotation that turns direction `a` into direction `b`."""
-        u, v = np.asarray(a, float), np.asarray(b, float)
+        u, v = _finite(a, 3, "a direction"), _finite(b, 3, "a direction")
+        if not (u.any() and v.any()):
+            raise InputError("a direction must not be zero")
         u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
         axis, cosine = np.cross(u, v), float(np.clip(u @ v, -1, 1))
         sine = float(np.linalg.norm(axis))
@@ -176,7 +174,8 @@ class SE3:
     translation: Array  # (3,)
 
     def __post_init__(self) -> None:
-        t = self.translation if isinstance(self.translation, np.ndarray) else np.array(self.translation)
+        t = self.translation
+        t = t if isinstance(t, np.ndarray) else np.array(t, dtype=object)
         if np.shape(t) != (3,) or not math.isfinite(sum(t.tolist())):
             raise InputError(f"a pose needs three finite numbers [m] as its translation, not {t!r}")
 
@@ -196,11 +195,7 @@ class SE3:
     @staticmethod
     def from_matrix(matrix: ArrayLike) -> SE3:
         """From a 4x4 homogeneous matrix."""
-        m = np.asarray(matrix, dtype=float)
-        if m.shape != (4, 4):
-            raise InputError(f"a homogeneous transform has shape (4, 4), got {m.shape}")
-        if not np.all(np.isfinite(m)):
-            raise InputError("a homogeneous transform has a value that is not finite")
+        m = float_array(matrix, (4, 4), "a homogeneous transform")
         R = m[:3, :3]
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
             raise InputError("the upper left of a homogeneous transform is no rotation")
@@ -270,11 +265,14 @@ class SE3:
 
     def apply(self, points: ArrayLike) -> Array:
         """Map points (..., 3) from the child frame to the parent frame."""
-        return np.asarray(points, float) @ self.rotation.matrix.T + self.translation
+        p = points if isinstance(points, np.ndarray) else float_array(points, None, "points", finite=False)
+        if p.shape[-1:] != (3,):
+            raise InputError(f"points must have shape (..., 3), not {p.shape}")
+        return p @ self.rotation.matrix.T + self.translation
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
         """The same orientation, moved in the parent frame [m]."""
-        return SE3(self.rotation, self.translation + np.array([x, y, z]))
+        return SE3(self.rotation, self.translation + _finite((x, y, z), 3, "a shift"))
 
     def distance_to(self, other: SE3) -> tuple[float, float]:
         """Distance in metres and in radians."""
@@ -291,6 +289,7 @@ class SE3:
 
     def interpolated(self, other: SE3, fractions: Iterable[float]) -> list[SE3]:
         """`interpolate` at many fractions, quicker than one by one."""
+        fractions = float_array(list(fractions), (None,), "fractions")
         rotvec = (self.rotation.inv() @ other.rotation).log()
         turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding
         return [

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
+from armcell.core.checks import checked
 from armcell.grasping import kernel
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
@@ -33,6 +34,7 @@ FAR_LEVER = 0.04  # [m] of the weight, at which a grasp is worth half
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Grasp:
     """A way to hold an object. The tcp's z axis is the approach direction, y the closing direction.
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.core.checks import float_array
+
 Array = NDArray[np.float64]
 
 
@@ -21,4 +23,5 @@ class PadContact:
     @staticmethod
     def of(row: Array) -> PadContact:
         """From a row (8,) of `kernel.fit`."""
+        row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, HeightMap, InputError
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.grasping import above_kernel
 from armcell.grasping.candidates import Grasp
 from armcell.grasping.hand import Hand
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+@checked()
 class AboveSettings:
     """Lengths in metres."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, InputError
+from armcell.core.checks import checked, float_array, is_number, require, unit_vector
 from armcell.core.geometry import extent
 from armcell.grasping.force import pair_friction
 from armcell.grasping.stability import Rest, margin_of, polygon, resting_now, rests
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Placement:
     """A pose to leave an object at; `T_world_object` is where it comes to rest.
 
@@ -80,8 +82,9 @@ def place_candidates(
         InputError: no flat surface, or one too steep; the object does not fit on it, or does not stand on any
             side.
     """
+    cx, cy = (0.0, 0.0) if at is None else float_array(at, (2,), "at").tolist()
+    require(is_number(step) and step > 0, f"step is {step!r}, it must be a positive number [m]")
     frame, size_x, size_y = surface_for(item, support)
-    cx, cy = at or (0.0, 0.0)
     if abs(cx) > size_x / 2 or abs(cy) > size_y / 2:
         raise InputError(
             f"place {at} m is beside {support.name!r}: {size_x:.2f} x {size_y:.2f} m from its centre on"
@@ -95,7 +98,7 @@ def place_candidates(
     if other_sides or up is not None:
         sides += [r for r in rests(item) if r is not now and r.margin >= STABILITY_MARGIN]
     if up is not None:
-        unit = np.asarray(up) / np.linalg.norm(up)
+        unit = unit_vector(up, "up")
         sides = [r for r in sides if r.up @ unit > UPRIGHT]
         if not sides:
             return []

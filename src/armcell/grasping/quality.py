@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
+from armcell.core.checks import checked, float_array
 from armcell.grasping import kernel
 from armcell.grasping.candidates import Grasp
 from armcell.grasping.contact import PadContact
@@ -37,6 +38,7 @@ class Quality:
 
 
 @dataclass(frozen=True)
+@checked()
 class Noise:
     """Standard deviations of what is not known exactly."""
 
@@ -94,6 +96,7 @@ def hull_quality(wrenches: Array) -> Quality:
     """Of the convex hull of wrenches (n, 6): does it hold the origin, how deep inside, how large is it."""
     from scipy.spatial import ConvexHull, QhullError
 
+    wrenches = float_array(wrenches, (None, 6), "wrenches")
     for options in ("Qt", "QJ"):  # many points on one circle may need to be shaken apart (QJ, 1e-10)
         try:
             hull = ConvexHull(wrenches, qhull_options=options)

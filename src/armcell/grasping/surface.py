@@ -23,6 +23,7 @@ from armcell.core import (
     Shape,
     Sphere,
 )
+from armcell.core.checks import float_array, require
 from armcell.scene import CollisionObject, solid_inertia
 
 Array = NDArray[np.float64]
@@ -77,7 +78,7 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
     """
     from scipy.spatial import KDTree
 
-    points = np.asarray(points, dtype=float)
+    points = float_array(points, (None, 3), "points")
     if len(points) <= NEIGHBOURS:
         raise InputError(f"a cloud of {len(points)} points is too thin to be gripped", cure="look closer")
     if len(points) > MOST:  # evenly: one point per cell, cells as large as it takes
@@ -85,6 +86,7 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
         while len(points) > MOST:
             _, first = np.unique(np.floor(points / edge).astype(np.int64), axis=0, return_index=True)
             points, edge = points[np.sort(first)], edge * 1.25
+        require(len(points) > NEIGHBOURS, "the cloud's points are all in one place")
     _, near = KDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.svd(around)[2][:, 2]

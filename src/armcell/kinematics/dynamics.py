@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, UnknownNameError
+from armcell.core.checks import float_array
 from armcell.kinematics.tree import FIXED, PRISMATIC, forward, kinematic_tree
 from armcell.model import Inertial, RobotModel
 
@@ -144,7 +145,7 @@ class InverseDynamics:
         self.columns = model.columns(self.joint_names)
         at = model.default_positions() if positions is None else model.check_positions(positions, margin=1e-3)
         self.positions = np.array(at, dtype=float)
-        self.gravity = np.array(gravity, dtype=float)
+        self.gravity = np.array(float_array(gravity, (3,), "gravity"))
         tree = self._tree = kinematic_tree(model)
         links = len(tree.link_names)
         self.mass, self.centre = np.zeros(links), np.zeros((links, 3))
@@ -192,7 +193,9 @@ class InverseDynamics:
 
     def _whole(self, values: ArrayLike, others: float | Array) -> Array:
         """Values (m, n) of these joints as (m, dof)."""
-        values = np.atleast_2d(np.asarray(values, dtype=float))
+        values = np.atleast_2d(float_array(values, None, "joint values"))
+        if values.shape[1:] != (len(self.columns),):
+            raise InputError(f"joint values must have shape (m, {len(self.columns)}), not {values.shape}")
         whole = np.zeros((len(values), self.model.dof)) + others
         whole[:, self.columns] = values
         return whole
@@ -210,7 +213,7 @@ class InverseDynamics:
         Returns:
             a, b, c: (m, 3, n).
         """
-        still = np.zeros_like(first)
+        still = np.zeros_like(float_array(first, None, "first"))
         c = self.torques(positions, still, still)
         a = self.torques(positions, still, first) - c
         b = self.torques(positions, first, second) - c

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, SO3, InputError, UnknownNameError
+from armcell.core.checks import float_array
 from armcell.core.joints import all_finite
 from armcell.model import RobotModel
 
@@ -122,7 +123,7 @@ class KinematicTree:
     def link_transforms(self, q: ArrayLike) -> Array:
         """T_root_link of every link in `link_names` order, (links, 4, 4), at positions q (dof,)."""
         out = np.empty((len(self.link_names), 4, 4))
-        q = np.ascontiguousarray(q, dtype=float)
+        q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
             self.parent,
             self.T_parent_joint,
@@ -138,7 +139,7 @@ class KinematicTree:
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:
         """Positions of all movable joints, mimic joints included, by name."""
-        q = np.asarray(q, dtype=float)
+        q = float_array(q, (self.model.dof,), "positions")
         return {
             name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])
             for name, i in self.joint_index.items()
@@ -190,7 +191,7 @@ class KinematicTree:
         Ts = self.link_transforms(q)
         T = Ts[self.link_index[link]]
         out = np.empty((6, len(names)))
-        at = T[:3, :3] @ np.asarray(point, dtype=float) + T[:3, 3]
+        at = T[:3, :3] @ float_array(point, (3,), "a point") + T[:3, 3]
         chain_jacobian(
             Ts, at, self.path_to(link), self.kind, self.axis, self.column, self.multiplier, group_column, out,
         )  # fmt: skip

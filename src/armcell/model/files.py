@@ -110,7 +110,7 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True
     )
     try:
-        root = etree.fromstring(text.encode(), parser, base_url=str(file))
+        root = etree.fromstring(text.encode(errors="replace"), parser, base_url=str(file))
     except etree.XMLSyntaxError as error:
         if "<!DOCTYPE" not in text:
             raise InputError(f"is not valid XML: {error.msg}", file=file, line=error.lineno) from None

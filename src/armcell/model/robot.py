@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, InputError, JointState, Shape, UnknownNameError
+from armcell.core.checks import checked, float_array
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Inertial:
     mass: float  # [kg]
     T_link_com: SE3  # origin at the centre of mass
@@ -48,6 +50,7 @@ class Link:
 
 
 @dataclass(frozen=True)
+@checked("lower", "upper", "velocity", "acceleration", "jerk", "effort")
 class JointLimits:
     """Position [rad or m], velocity, acceleration, jerk and effort [Nm or N] limits of one joint."""
 
@@ -60,6 +63,7 @@ class JointLimits:
 
 
 @dataclass(frozen=True)
+@checked()
 class Mimic:
     """`position = multiplier * position(joint) + offset`."""
 
@@ -69,6 +73,7 @@ class Mimic:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Joint:
     """One degree of freedom (or none): revolute, continuous, prismatic or fixed."""
 
@@ -114,6 +119,7 @@ class EndEffector:
 
 
 @dataclass(frozen=True)
+@checked()
 class Gripper:
     """A parallel gripper: two fingers that move symmetrically along the tcp frame's y axis.
 
@@ -272,7 +278,7 @@ class RobotModel:
             InputError: wrong length, not finite, or out of limits (names the joint, value and limit).
         """
         names = tuple(joint_names) if joint_names is not None else self.joint_names
-        values = np.asarray(q, dtype=float)
+        values = float_array(q, None, "positions", finite=False)
         if values.shape != (len(names),):
             raise InputError(f"{values.shape} positions given for {len(names)} joints of {self.name!r}")
         for name, value in zip(names, values, strict=True):
@@ -293,7 +299,7 @@ class RobotModel:
             InputError: wrong length, or not finite.
         """
         names = tuple(joint_names) if joint_names is not None else self.joint_names
-        values = np.array(q, dtype=float)
+        values = np.array(float_array(q, None, "positions", finite=False))
         if values.shape != (len(names),) or not np.all(np.isfinite(values)):
             raise InputError(f"{len(names)} finite positions are needed for {self.name!r}, not {q}")
         turns = np.array([self.joint(name).type == "continuous" for name in names], dtype=bool)
@@ -315,7 +321,8 @@ class RobotModel:
         Raises:
             InputError: tip is not below base.
         """
-        self.link(base), self.link(tip)
+        self.link(base)
+        self.link(tip)
         joints: list[Joint] = []
         link = tip
         while link != base:

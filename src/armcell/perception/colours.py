@@ -6,6 +6,9 @@ import colorsys
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core.checks import float_array
 
 HUES = {"red": 0, "orange": 30, "yellow": 58, "green": 120, "cyan": 180, "blue": 225, "purple": 285}
 """Where the named colours lie on the colour circle [degrees]."""
@@ -15,7 +18,7 @@ DARK, BRIGHT = 0.2, 0.75  # brightness of black and white
 
 def colour_name(rgb: Sequence[float]) -> str:
     """The nearest of `HUES`, or black, grey or white, of a colour with parts from 0 to 1."""
-    hue, saturation, value = colorsys.rgb_to_hsv(*rgb[:3])
+    hue, saturation, value = colorsys.rgb_to_hsv(*_rgb(rgb).tolist())
     if value < DARK:
         return "black"
     if saturation < PALE:
@@ -23,10 +26,14 @@ def colour_name(rgb: Sequence[float]) -> str:
     return min(HUES, key=lambda name: abs((360 * hue - HUES[name] + 180) % 360 - 180))
 
 
+def _rgb(color: Sequence[float]) -> NDArray[np.float64]:
+    return float_array(color, None, "a color").ravel()[:3]
+
+
 def colour_distance(a: Sequence[float], b: Sequence[float]) -> float:
     """How unlike two colours are, 0 to 1, with their brightness left out: that is the light's as well.
 
     Half the sum of what their shares of red, green and blue differ by.
     """
-    shares = [np.asarray(c[:3], float) / max(float(sum(c[:3])), 1e-6) for c in (a, b)]
+    shares = [c / max(float(sum(c)), 1e-6) for c in (_rgb(a), _rgb(b))]
     return float(np.abs(shares[0] - shares[1]).sum() / 2)

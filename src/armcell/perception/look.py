@@ -26,6 +26,7 @@ from armcell.core import (
     Shape,
     UnknownNameError,
 )
+from armcell.core.checks import checked
 from armcell.core.geometry import local_bounds
 from armcell.perception.cloud import organised
 from armcell.perception.colours import colour_distance
@@ -47,6 +48,7 @@ _RIVAL = 3.0  # nor one that costs so many times another of the same thing or ob
 
 
 @dataclass(frozen=True)
+@checked()
 class LookSettings:
     """Lengths in metres."""
 

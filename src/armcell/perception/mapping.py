@@ -11,12 +11,14 @@ from scipy import ndimage
 
 from armcell.collision import object_mask, robot_mask
 from armcell.core import CameraImage, ErrorCode, InputError, Outcome
+from armcell.core.checks import checked
 from armcell.perception.cloud import organised
 from armcell.perception.usable import unusable
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
 
 
 @dataclass(frozen=True)
+@checked()
 class MapSettings:
     """How a camera's pictures become obstacles. Lengths in metres."""
 

@@ -12,8 +12,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
+from armcell.core.checks import float_array, is_number, require
 
 F64 = NDArray[np.float64]
+MAX_TRIALS = 100_000
 _SUBSET = 1500  # points that the trials are judged by
 
 
@@ -26,12 +28,16 @@ class SupportPlane:
     inliers: int
     rms: float  # [m] of the inliers
 
+    def __post_init__(self) -> None:
+        float_array(self.normal, (3,), "a plane's normal")
+
     def heights(self, points: F64) -> F64:
         """Above the plane (...) [m] of points (..., 3)."""
-        return points @ self.normal - self.offset
+        return float_array(points, (-1, 3), "points", finite=False) @ self.normal - self.offset
 
     def frame(self, point: F64) -> SE3:
         """z along the normal, the origin on the plane below a point, x as near the world's as may be."""
+        point = float_array(point, (3,), "a point")
         R = SO3.between([0.0, 0.0, 1.0], self.normal)
         return SE3(R, point - (point @ self.normal - self.offset) * self.normal)
 
@@ -45,6 +51,10 @@ def find_plane(
         up: (3,) the normal is within `max_tilt` [rad] of it.
         thickness: [m] points nearer than this belong to the plane.
     """
+    points, up = float_array(points, (None, 3), "points"), float_array(up, (3,), "up")
+    for name, value in (("max_tilt", max_tilt), ("thickness", thickness), ("trials", trials)):
+        require(is_number(value), f"{name} is {value!r}, it must be a finite number")
+    require(0 < trials <= MAX_TRIALS, f"trials is {trials}, it must be 1 to {MAX_TRIALS}")
     if len(points) < 3:
         return None
     rng = np.random.default_rng(seed)

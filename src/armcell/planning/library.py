@@ -98,8 +98,8 @@ class PlanLibrary:
         self.statistics = LibraryStatistics()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot be a plan library's folder: {error.strerror}", file=folder) from None
+        except (OSError, ValueError) as error:
+            raise InputError(f"cannot be a plan library's folder: {error}", file=folder) from None
 
     def plan(
         self, scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, InputError
+from armcell.core.checks import float_array
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,8 @@ def depth_points(
         T_world_camera: of the optical frame: z forward, x right, y down.
         nearest: points nearer or farther than these [m] are left out.
     """
-    image, K = np.asarray(depth), np.asarray(intrinsics, dtype=float)
+    float_array(depth, None, "a depth image", finite=False)
+    image, K = np.asarray(depth), float_array(intrinsics, (3, 3), "intrinsics")
     if image.ndim != 2 or image.dtype.kind not in "fiu":
         raise InputError(f"a depth image has rows and columns of numbers, not shape {image.shape}")
     if K.shape != (3, 3) or not np.all(np.isfinite(K)) or K[0, 0] <= 0 or K[1, 1] <= 0:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from armcell.core import SE3, InputError, JointState, Octree, Shape, UnknownNameError
+from armcell.core.checks import checked
 from armcell.scene.objects import CollisionObject, Color, ObjectType
 from armcell.scene.scene import WORLD, PlanningScene
 
@@ -127,6 +128,7 @@ class RemoveAllObjects:
 
 
 @dataclass(frozen=True)
+@checked()
 class SetColor:
     """r, g, b, a of 0 to 1, of an object in the world or attached."""
 
@@ -199,6 +201,7 @@ class AllowByDefault:
 
 
 @dataclass(frozen=True)
+@checked()
 class SetPadding:
     """Padding of all links, and of some, and factors of size; links that are not named stay as they are."""
 

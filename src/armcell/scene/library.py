@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armcell.core import SE3, Box, Cylinder, InputError, Mesh, Registry, Shape
+from armcell.core.checks import checked
 from armcell.scene.objects import CollisionObject, Color, Material
 
 Solids = tuple[tuple[Shape, SE3], ...]
@@ -20,6 +21,7 @@ WALL_PIECES = 16  # of a mug's round wall
 
 
 @dataclass(frozen=True)
+@checked()
 class Kind:
     """A kind of object: its solids by size, what it is made of, how it looks."""
 

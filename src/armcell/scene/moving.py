@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, InputError
+from armcell.core.checks import float_array
 from armcell.core.geometry import local_bounds
 from armcell.scene.objects import CollisionObject
 
@@ -26,7 +27,7 @@ class MovingObject:
     poses: tuple[SE3, ...]  # T_world_object
 
     def __post_init__(self) -> None:
-        name, times = self.object.name, np.array(self.times, dtype=float)
+        name, times = self.object.name, np.array(float_array(self.times, None, "times", finite=False))
         object.__setattr__(self, "times", times)
         if times.ndim != 1 or len(times) == 0 or len(times) != len(self.poses):
             raise InputError(f"moving object {name!r} has {len(self.poses)} poses at {times.size} times")

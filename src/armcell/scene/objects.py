@@ -22,6 +22,7 @@ from armcell.core import (
     Shape,
     Sphere,
 )
+from armcell.core.checks import checked, float_array
 from armcell.core.geometry import extent, local_bounds
 
 Color = tuple[float, float, float, float]
@@ -35,6 +36,7 @@ USE_A_SOLID = "describe what moves by solids or a mesh"
 
 
 @dataclass(frozen=True)
+@checked()
 class Material:
     """Friction as MuJoCo and Coulomb mean it: one sliding coefficient (soft contacts have no separate
     static one), a torsional and a rolling one [m]. Defaults: painted wood on rubber.
@@ -60,6 +62,7 @@ class ObjectType:
 
 
 @dataclass(frozen=True)
+@checked()
 class Thread:
     """An object screwed into another: it turns about its own z axis and moves along it, nothing else.
 
@@ -81,6 +84,7 @@ class Thread:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class CollisionObject:
     """A named rigid object. `shapes` are placed in the object's own frame.
 
@@ -147,10 +151,10 @@ class CollisionObject:
 
     def extent(self, direction: NDArray[np.float64]) -> float:
         """Size [m] along a unit direction (3,) of the object's frame."""
-        ends = []
+        ends, direction = [], float_array(direction, (3,), "a direction")
         for shape, T in self.shapes:
-            low, high = extent(shape, T.rotation.matrix.T @ np.asarray(direction))
-            shift = float(T.translation @ np.asarray(direction))
+            low, high = extent(shape, T.rotation.matrix.T @ direction)
+            shift = float(T.translation @ direction)
             ends.append((low + shift, high + shift))
         return max(e[1] for e in ends) - min(e[0] for e in ends)
 

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, Octree, finite_points
+from armcell.core.checks import checked, float_array
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -27,6 +28,7 @@ MAX_CELLS = 1 << 28
 
 
 @dataclass(frozen=True)
+@checked()
 class SensorModel:
     """Probabilities; the defaults are OctoMap's."""
 
@@ -48,6 +50,7 @@ def log_odds(probability: float) -> np.float32:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class OccupancyMap:
     """Voxels that were seen, free or occupied: an immutable value; `updated` gives another one.
 
@@ -80,7 +83,7 @@ class OccupancyMap:
         Raises:
             InputError: a point or the origin is outside the map, or the cloud's box has too many voxels.
         """
-        eye = np.asarray(origin, dtype=float)
+        eye = float_array(origin, (3,), "the sensor's position", finite=False)
         if eye.shape != (3,) or not np.all(np.isfinite(eye)):
             raise InputError("the sensor's origin needs three finite numbers")
         if np.isnan(max_range) or max_range <= 0:
@@ -120,7 +123,9 @@ class OccupancyMap:
 
     def at(self, points: ArrayLike) -> F32:
         """Log-odds (n,) at points (n, 3); NaN where nothing is known."""
-        keys = np.floor(np.asarray(points, float).reshape(-1, 3) / self.resolution).astype(np.int64)
+        keys = np.floor(float_array(points, (None, 3), "points", finite=False) / self.resolution).astype(
+            np.int64
+        )
         out = np.full(len(keys), np.nan, np.float32)
         inside = np.flatnonzero(np.all((keys >= -HALF) & (keys < HALF), axis=1))
         codes = voxel_codes(keys[inside])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, InputError, JointState, UnknownNameError
+from armcell.core.checks import checked, float_array
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.scene.allowing import expanded, forgotten
@@ -34,6 +35,7 @@ class AttachedBody:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class PlanningScene:
     """Everything a planner may know. `with_*()` return a changed copy; nothing is changed in place.
 
@@ -52,7 +54,7 @@ class PlanningScene:
     fixed_frames: Mapping[str, SE3] = field(default_factory=dict)  # T_world_frame by name
 
     def __post_init__(self) -> None:
-        positions = np.array(self.positions, dtype=float)
+        positions = np.array(float_array(self.positions, None, "positions", finite=False))
         positions.setflags(write=False)
         object.__setattr__(self, "positions", positions)
 
@@ -61,7 +63,7 @@ class PlanningScene:
         model: RobotModel, positions: ArrayLike | None = None, objects: Iterable[CollisionObject] = ()
     ) -> PlanningScene:
         q = model.default_positions() if positions is None else model.check_positions(positions)
-        scene = PlanningScene(model, np.array(q, dtype=float))
+        scene = PlanningScene(model, np.array(q))
         for item in objects:
             scene = scene.with_object(item)
         return scene

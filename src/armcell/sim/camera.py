@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, SO3, InputError, Pinhole
+from armcell.core.checks import checked, float_array
 
 
 @dataclass(frozen=True)
+@checked()
 class DepthNoise:
     """What a real depth camera does to the truth. All zero: a perfect one.
 
@@ -75,6 +77,7 @@ def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Camera:
     """A pinhole camera. Its frame is optical: z forward, x right, y down.
 
@@ -132,7 +135,7 @@ class Camera:
 
 def look_at(eye: ArrayLike, target: ArrayLike) -> SE3:
     """The optical frame at `eye` (3,) that looks at `target` (3,), the frame's z axis up in the picture."""
-    eye, target = np.asarray(eye, float), np.asarray(target, float)
+    eye, target = float_array(eye, (3,), "eye"), float_array(target, (3,), "target")
     away = np.linalg.norm(target - eye)
     if not away > 1e-9:
         raise InputError("a camera's eye and target are the same point")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, InputError, UnknownNameError
+from armcell.core.checks import checked
 from armcell.scene import WORLD
 
 LIFT = 0.0005  # [m] off the surface it is stuck to, so that the two do not flicker
@@ -19,6 +20,7 @@ _REPEAT = 16  # each cell becomes so many texels: drivers blur between texels
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Decal:
     """A square picture (n, n) uint8 of grey on a frame. It is seen from the side its z axis points to.
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Shape
+from armcell.core.checks import checked
 from armcell.core.geometry import extent
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, hand_alone
@@ -39,6 +40,7 @@ CONTROL = sum(
 
 
 @dataclass(frozen=True)
+@checked()
 class TrialSettings:
     """One trial: close, settle, lift, shake, hold."""
 
@@ -54,6 +56,7 @@ class TrialSettings:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Trial:
     """One closing of the hand."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from armcell.core import InputError, UnknownNameError
+from armcell.core.checks import checked, float_array
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 CONES = ("pyramidal", "elliptic")
@@ -19,6 +20,7 @@ ARM_CONTROLS = ("pid", "position", "torque")
 
 
 @dataclass(frozen=True)
+@checked()
 class PhysicsSettings:
     """How the physics is solved and how joints, fingers and grips are driven. SI units.
 
@@ -90,7 +92,7 @@ class PhysicsSettings:
             value = getattr(self, field.name)
             if isinstance(value, str) or field.name == "gravity":
                 continue
-            if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0):
+            if np.any(float_array(value, None, f"physics setting {field.name}") < 0):
                 raise InputError(f"physics setting {field.name} is {value}, it must be a number >= 0")
         for name in ("timestep", "gripper_kp", "finger_speed", "grip_force_rate", "impratio"):
             if getattr(self, name) <= 0:

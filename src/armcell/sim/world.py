@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.core import SE3, ArmcellError, InputError, JointState, StateSample, UnknownNameError
+from armcell.core.checks import float_array
 from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
@@ -159,6 +160,8 @@ class SimWorld:
         Raises:
             ArmcellError: the state is no longer finite.
         """
+        if not (isinstance(n, int | np.integer) and n < 2**31):
+            raise InputError(f"the number of steps is {n!r}, it must be a whole number below 2^31")
         data, look = self._data, self.monitor.update
         with self.lock:
             if self._steps is not None and self._steps.possible:
@@ -257,8 +260,8 @@ class SimWorld:
         """
         names = tuple(joint_names)
         arm, controls, fingers, _ = self._split(names)
-        q = np.asarray(positions, dtype=float)
-        v = np.zeros(len(names)) if velocities is None else np.asarray(velocities, dtype=float)
+        q = float_array(positions, None, "positions", finite=False)
+        v = np.zeros(len(names)) if velocities is None else float_array(velocities, None, "velocities", False)
         if q.shape != (len(names),) or v.shape != q.shape:
             raise InputError(f"target of {len(names)} joints has shapes {q.shape} and {v.shape}")
         if not (all_finite(q) and all_finite(v)):
@@ -420,6 +423,8 @@ class SimWorld:
 
     def block(self, joint: str) -> None:
         """A joint that hardly moves any more, whatever its motor does. A reset of the same scene keeps it."""
+        if joint not in self.built.joint_dof:
+            raise UnknownNameError("joint", joint, self.built.joint_dof)
         self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
 
     def fix_in_hand(self, item: str, gripper: str) -> None:

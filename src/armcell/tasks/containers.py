@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from armcell.core import InputError
+from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.costs import Cost, duration
 from armcell.tasks.interfaces import Checked, serial, single
@@ -31,6 +32,7 @@ class Serial:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Alternatives:
     """Several ways to the same: all are planned, the cheapest comes first."""
 

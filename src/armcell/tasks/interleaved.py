@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armcell.core import Outcome
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
@@ -30,6 +30,7 @@ class Part:
 
 
 @dataclass(frozen=True)
+@checked()
 class AheadSettings:
     """When a plan that was made ahead still holds."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 
 from armcell.core import Outcome
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
@@ -30,6 +30,7 @@ class LaidDown:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class LayDown:
     """Pick an object, or take it as it is held, and lay it down so that another grasp takes it on to a goal,
     up to `most` times. Then it is free to be picked; that from there all the way to the goal can be done is
@@ -87,6 +88,7 @@ class LayDown:
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class PickAndPlace:
     """Pick an object and place it, with one grasp, or with lay-downs in between where no grasp does it."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from armcell.collision.arms import CLEARANCE, Arms, merged
 from armcell.core import InputError, JointState, JointTrajectory, UnknownNameError
+from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.interfaces import Checked, single
 from armcell.tasks.search import Draft, Planning, Stage
@@ -16,6 +17,7 @@ from armcell.tasks.steps import Grip, Motion, Step, Together
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Merger:
     """Stages that begin where it begins and are performed at once: two arms, or arms and grippers.
 

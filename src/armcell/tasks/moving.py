@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.control import execute
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.grasping import Grasp
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper
@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+@checked()
 class MovingSettings:
     """Of a pick from a belt."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from armcell.control import CHANGED
 from armcell.core import ErrorCode, InputError, Outcome
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
@@ -28,6 +28,7 @@ Look = Callable[[], Outcome]
 
 
 @dataclass(frozen=True)
+@checked()
 class RecoverySettings:
     """How long to go on."""
 

@@ -17,6 +17,7 @@ from itertools import chain, islice
 from typing import Any, Protocol
 
 from armcell.core import ErrorCode, Outcome
+from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Rejections
 from armcell.tasks.failures import Tally
@@ -227,6 +228,7 @@ def search(stages: Sequence[Stage], start: Draft, planning: Planning) -> Draft |
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Foresee:
     """Passes on only drafts from which later stages would find a way; nothing of that way is kept.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.control import ExecutionSettings
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.planning import find_planner
 
 _POSITIVE = (
@@ -21,6 +21,7 @@ _POSITIVE = (
 
 
 @dataclass(frozen=True)
+@checked()
 class Speed:
     """Shares of the joint limits, (0, 1]."""
 
@@ -34,6 +35,7 @@ class Speed:
 
 
 @dataclass(frozen=True)
+@checked()
 class TaskSettings:
     """Settings of pick and place."""
 

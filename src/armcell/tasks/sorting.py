@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armcell.core import ErrorCode, InputError, Outcome, UnknownNameError
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.grasping import support_surface
 from armcell.model import Gripper
 from armcell.perception import SeenObject, Sight, colour_name
@@ -30,6 +30,7 @@ SPOTS = 4  # of them that are tried
 
 
 @dataclass(frozen=True)
+@checked()
 class SortSettings:
     """How long to go on."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError
+from armcell.core.checks import float_array, is_number
 from armcell.timing import pieces
 
 Array = NDArray[np.float64]
@@ -32,11 +33,12 @@ class BlendedPath:
     """
 
     def __init__(self, waypoints: ArrayLike, max_deviation: float | ArrayLike = 0.05, smooth: bool = False):
-        points = np.array(waypoints, dtype=float)  # a copy: compiled code is made for writable arrays
-        if points.ndim != 2 or len(points) == 0:
+        # copies: compiled code is made for writable arrays
+        points = np.array(float_array(waypoints, (None, None), "waypoints"))
+        if points.size == 0:
             raise InputError(f"waypoints have shape {points.shape}, need (k, n), k >= 1")
-        if not np.isfinite(points).all():
-            raise InputError("a waypoint has a value that is not finite")
+        if not isinstance(smooth, bool | np.bool_):
+            raise InputError(f"smooth is {smooth!r}, it must be True or False")
         deviation = np.zeros(len(points))
         if np.ndim(max_deviation) > 0 and np.shape(max_deviation) != (max(len(points) - 2, 0),):
             raise InputError(
@@ -73,16 +75,22 @@ class BlendedPath:
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
         """Points and first and second derivatives (m, n) at s (m,) within the pieces (m,)."""
+        piece = np.array(float_array(piece, (None,), "piece"), dtype=np.int64)
+        s = np.array(float_array(s, (None,), "s"))
+        if piece.shape != s.shape or ((piece < 0) | (piece >= len(self.kind))).any():
+            raise InputError(f"piece must be {len(s)} numbers from 0 to {len(self.kind) - 1}")
         return pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
         """Points and first and second derivatives (m, n) at places s (m,) along the path."""
-        s = np.atleast_1d(np.asarray(s, dtype=float))
+        s = np.atleast_1d(float_array(s, None, "s"))
         piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.kind) - 1)
         return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))
 
     def polyline(self, sagitta: float = 1e-4) -> Array:
         """Points (m, n) whose chords stay within `sagitta` [rad] of the path."""
+        if not (is_number(sagitta) and sagitta > 0):
+            raise InputError(f"sagitta is {sagitta!r}, it must be a positive number [rad]")
         if self.length == 0.0:
             return self.points[:1]
-        return pieces.chords(*self.arrays, self.turn, sagitta)
+        return pieces.chords(*self.arrays, self.turn, float(sagitta))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
+from armcell.core.checks import checked
 from armcell.timing import sampling, topp
 from armcell.timing.blend import BlendedPath
 
@@ -23,6 +24,7 @@ TORQUE_SHARE = 0.985
 
 
 @dataclass(frozen=True)
+@checked()
 class TimingSettings:
     """Settings of the time parameterisation."""
 

@@ -21,14 +21,18 @@ def check_scaling(value: float, what: str) -> float:
     return float(value)
 
 
+MAX_FACTOR = 1e12
+MAX_DURATION = 1e12  # [s]
+
+
 def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
     """The same motion slowed by a factor >= 1.
 
     Raises:
         InputError: factor below 1 (limits might be broken) or not finite.
     """
-    if not np.isfinite(factor) or factor < 1.0:
-        raise InputError(f"stretch factor is {factor:g}, it must be at least 1")
+    if not 1.0 <= factor <= MAX_FACTOR:
+        raise InputError(f"stretch factor is {factor:g}, it must be from 1 to {MAX_FACTOR:g}")
     v, a = trajectory.velocities, trajectory.accelerations
     return replace(
         trajectory,
@@ -48,7 +52,7 @@ def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajector
         InputError: duration shorter than the motion, or not finite.
     """
     now = trajectory.duration
-    if not np.isfinite(duration) or duration < now * (1.0 - 1e-12):
+    if not np.isfinite(duration) or duration > MAX_DURATION or duration < now * (1.0 - 1e-12):
         raise InputError(
             f"duration is {duration:g} s, the motion needs {now:g} s", cure="motions are only slowed"
         )

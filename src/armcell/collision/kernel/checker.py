@@ -4,6 +4,7 @@
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -18,6 +19,7 @@ from armcell.collision.kernel.layout import PAIR_MARGIN, Flat, flatten
 from armcell.collision.kernel.motion import free_edge, prove_points, proven_clearance
 from armcell.collision.kernel.pack import Names, Pack, pack
 from armcell.collision.kernel.robot_part import robot_part
+from armcell.core.checks import float_array, require
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -110,11 +112,22 @@ class KernelChecker:
 
     def is_free(self, q: ArrayLike) -> bool:
         """Whether nothing that the group can move touches anything (padding included)."""
-        return not touches(self.handle, EXACT | PADDED, np.ascontiguousarray(q, dtype=float))
+        return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
         """Whether anything is in contact (padding left out)."""
-        return bool(touches(self.handle, EXACT, np.ascontiguousarray(q, dtype=float)))
+        return bool(touches(self.handle, EXACT, self._configuration(q)))
+
+    def _configuration(self, q: ArrayLike) -> Array:
+        """For the kernel, which reads past the end of a shorter one and takes NaN for free."""
+        if type(q) is not np.ndarray or q.shape != self.columns.shape or not math.isfinite(sum(q.tolist())):
+            q = float_array(q, self.columns.shape, "a configuration")
+        return np.ascontiguousarray(q, dtype=float)
+
+    def _path(self, waypoints: ArrayLike) -> Array:
+        points = float_array(waypoints, (None, len(self.columns)), "waypoints")
+        require(len(points) > 0, "a motion has at least one waypoint")
+        return np.ascontiguousarray(points if len(points) > 1 else np.vstack([points, points]))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
         """Distance [m] that a piecewise linear motion (k, n) is proven to keep from what it could touch.
@@ -125,14 +138,12 @@ class KernelChecker:
         """
         if self.without_room is not None:
             return self.without_room.clearance(waypoints, most, tolerance)
-        points = np.ascontiguousarray(waypoints, dtype=float)
-        if len(points) == 1:
-            points = np.vstack([points, points])
+        points = self._path(waypoints)
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
         """Whether a straight motion is free at samples at most `step` [rad] apart."""
-        return bool(free_edge(self.handle, np.array([a, b], dtype=float), step))
+        return bool(free_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 
     def certify(
         self,
@@ -148,10 +159,8 @@ class KernelChecker:
             slack: how far each joint (n,) may be off the edges [rad]. padded: keep the padding as well.
             evidence: where the proof fails, find out which pair it is (that takes milliseconds).
         """
-        points = np.ascontiguousarray(waypoints, dtype=float)
-        if len(points) == 1:
-            points = np.vstack([points, points])
-        room = np.zeros(len(self.joint_names)) if slack is None else np.ascontiguousarray(slack, dtype=float)
+        points, n = self._path(waypoints), len(self.columns)
+        room = np.zeros(n) if slack is None else np.ascontiguousarray(float_array(slack, (n,), "slack"))
         at = float(prove_points(self.handle, points, room, PADDED if padded else 0))
         if at < 0:
             return Certificate(True)

@@ -27,6 +27,7 @@ from armcell.control.ur_wire.models import UrModel, ur_model
 from armcell.control.ur_wire.primary import Kinematics
 from armcell.control.ur_wire.rtde import PORT as RTDE
 from armcell.core import InputError
+from armcell.core.checks import checked
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +39,7 @@ HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
 
 @dataclass(frozen=True)
+@checked()
 class ControllerSettings:
     """One emulated controller."""
 

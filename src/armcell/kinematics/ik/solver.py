@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, ErrorCode, IKResult, InputError
+from armcell.core.checks import checked
 from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
 from armcell.kinematics.ik.descent import descend
 from armcell.kinematics.ik.nullspace import lean
@@ -31,6 +32,7 @@ AT_LIMIT = 1e-3  # [rad or m] from a limit counts as at it
 
 
 @dataclass(frozen=True)
+@checked()
 class IKSettings:
     """Settings of the solvers. The analytic one needs none of them to find solutions."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -203,7 +204,7 @@ class _Reader:
         self.config = folder / "config"
 
     def read(self, urdf: Path | None) -> MoveItConfig:
-        if not self.folder.is_dir():
+        if not os.path.isdir(self.folder):
             raise InputError("no such folder", file=self.folder, cure="give a MoveIt configuration package")
         if not self.config.is_dir():
             raise InputError("has no folder config/", file=self.folder, cure="is this a MoveIt package?")

@@ -27,7 +27,7 @@ from armcell.core import (
     Outcome,
     PlanResult,
 )
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.grasping import grip_force, pre_opening
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.planning import plan_cartesian
@@ -46,6 +46,7 @@ DONE = Outcome(ErrorCode.SUCCESS)
 
 
 @dataclass(frozen=True)
+@checked()
 class CarrySettings:
     """Of carrying one object with two arms."""
 

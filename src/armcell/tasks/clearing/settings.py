@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.grasping import AboveSettings
 
 
 @dataclass(frozen=True)
+@checked()
 class ClearSettings:
     """Of clearing a bin by what a camera sees. Lengths in metres."""
 

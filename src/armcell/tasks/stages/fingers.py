@@ -9,6 +9,7 @@ import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import InputError, JointTrajectory
+from armcell.core.checks import checked
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.search import Draft, Planning
@@ -18,6 +19,7 @@ from armcell.timing.chords import chords
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class MoveGripper:
     """Drive a gripper to a width [m], the arm at rest (or moving: in a `Merger`)."""
 

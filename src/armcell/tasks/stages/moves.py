@@ -26,7 +26,7 @@ from armcell.core import (
     PlanResult,
     PoseGoal,
 )
-from armcell.core.checks import require
+from armcell.core.checks import checked, require
 from armcell.planning import plan, plan_cartesian
 from armcell.scene import PlanningScene
 from armcell.tasks.search import Draft, Planning
@@ -131,6 +131,7 @@ def _planned(
 
 
 @dataclass(frozen=True, eq=False)
+@checked()
 class Straight:
     """Move the tip in a straight line from where the draft is."""
 
