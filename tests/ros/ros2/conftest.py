@@ -37,8 +37,8 @@ POSITIONAL = {
 class PeerProcess:
     """Sends commands to a peer and gives its answers."""
 
-    def __init__(self, domain, tag):
-        config = f"{LOCALHOST},{tag}"
+    def __init__(self, domain, tag, range_config=LOCALHOST):
+        config = f"{range_config},{tag}"
         self.process = subprocess.Popen(
             [sys.executable, PEER, str(domain), config],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,

@@ -34,7 +34,8 @@ def test_only_this_machine_unless_asked():
         from_environment(environ={"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}),
     ):
         assert far.range == "SUBNET" and far.is_open
-        assert read(far).find(".//AllowMulticast") is None and not list(read(far).iter("Peer"))
+        assert read(far).find(".//AllowMulticast") is None
+        assert [p.get("address") for p in read(far).iter("Peer")] == ["localhost"]
     only = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "1"}
     assert from_environment(network=True, environ=only).range == "LOCALHOST"
     assert from_environment(network=True, environ={"ROS_LOCALHOST_ONLY": "0"}).range == "SUBNET"

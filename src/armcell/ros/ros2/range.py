@@ -43,7 +43,7 @@ class Reach:
         """The configuration of Cyclone DDS."""
         multicast = peers = tag = ""
         index = "auto"
-        if self.range == "LOCALHOST":
+        if self.range in ("LOCALHOST", "SUBNET"):  # SUBNET: nodes in range LOCALHOST hear no multicast
             peers = '<Peer address="localhost"/>'
         if self.range in ("LOCALHOST", "OFF"):
             multicast = "<AllowMulticast>false</AllowMulticast>"
@@ -55,6 +55,8 @@ class Reach:
             f"<ParticipantIndex>{index}</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS}</MaxAutoParticipantIndex>{tag}"
             f"<SPDPInterval>{ANNOUNCE}</SPDPInterval>"
+            # Cyclone 11 gives up addresses that stay silent for 30 s: later nodes would never be found
+            "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
             f"{f'<Peers>{peers}</Peers>' if peers else ''}"
         )
         if self.range == "SYSTEM_DEFAULT":

@@ -1,0 +1,45 @@
+"""Nodes that start long after armcell find it: Cyclone 11 gives up silent addresses after 30 s by default."""
+
+import time
+import uuid
+from contextlib import ExitStack
+
+import pytest
+from tests.ros.ros2.conftest import LOCALHOST, PeerProcess
+
+from armcell.ros import Bus, schema
+from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
+
+ALONE = 35.0  # [s]
+SUBNET = (
+    "<CycloneDDS><Domain><Discovery><ParticipantIndex>auto</ParticipantIndex></Discovery></Domain>"
+    "</CycloneDDS>"
+)
+TAG = "<CycloneDDS><Domain><Discovery><Tag>{}</Tag></Discovery></Domain></CycloneDDS>"
+PEERS = {"asks only 127.0.0.1": LOCALHOST, "uses only multicast": SUBNET}
+
+
+@pytest.mark.slow
+def test_nodes_that_start_after_half_a_minute_are_found_at_once():
+    pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
+    with ExitStack() as stack:
+        alone = {}
+        for k, name in enumerate(("LOCALHOST", "SUBNET")):
+            reach = Reach(140 + 2 * k, name, config=TAG.format(uuid.uuid4().hex))
+            bus = Bus(schema())
+            stack.enter_context(Ros2Bridge(bus, Ros2Settings(reach, distro="jazzy")))
+            bus.advertise("/late", "std_msgs/String")
+            alone[name] = reach
+        time.sleep(ALONE)
+        late = []
+        for name, reach in alone.items():
+            for peer, config in PEERS.items():
+                process = PeerProcess(reach.domain, reach.config, config)
+                stack.callback(process.close)
+                began = time.monotonic()
+                process.subscribe("rt/late", "String")
+                while process.matched("rt/late") != 1 and time.monotonic() < began + 6:
+                    time.sleep(0.02)
+                if (took := time.monotonic() - began) > 2.0:
+                    late.append(f"armcell in {name}, a node that {peer}: {took:.1f} s")
+        assert not late
