@@ -38,7 +38,7 @@ def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
     """The points (n, 3) [m, world frame] that are neither the robot nor what it holds (see `robot_mask`)."""
-    cloud = float_array(points, (None, 3), "points", finite=False)
+    cloud = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
     return cloud[~robot_mask(scene, cloud, padding, objects)]
 
 
@@ -66,7 +66,7 @@ def object_mask(
 def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding: float) -> NDArray[np.bool_]:
     if not np.isfinite(padding) or padding < 0:
         raise InputError(f"padding is {padding:g}, it must be a number of metres >= 0")
-    cloud = float_array(points, (None, 3), "points", finite=False)
+    cloud = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
     mask = np.zeros(len(cloud), bool)
     columns = np.ascontiguousarray(cloud.T)
     for shape, T, scale in placed:

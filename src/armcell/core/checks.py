@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core.errors import InputError, UnknownNameError
+from armcell.core.errors import ArmcellError, InputError, UnknownNameError
 
 T = TypeVar("T")
 
@@ -104,7 +104,7 @@ def float_array(
         need = ", ".join("..." if n == -1 else "n" if n is None else str(n) for n in shape)
         raise InputError(f"{what} must have shape ({need}), not {array.shape}")
     if finite and not np.isfinite(array).all():
-        raise InputError(f"{what} must be finite, not {_short(values)}")
+        raise InputError(f"{what} has a value that is not finite: {_short(values)}")
     return array
 
 
@@ -152,14 +152,23 @@ def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
         ]  # fmt: skip
         original: Callable[[Any], None] | None = getattr(cls, "__post_init__", None)
 
-        def __post_init__(self: Any) -> None:
+        def check(self: Any) -> None:
             for name, kind, optional, infinite in numbers:
                 value = getattr(self, name)
                 if not (optional and value is None) and not _fits(value, kind, infinite):
                     need = _SCALAR.get(kind) or (f"{_TUPLE[kind]} numbers" if _TUPLE[kind] else "numbers")
                     raise InputError(f"{type(self).__name__}: {name} is {_short(value)}, it must be {need}")
-            if original is not None:
-                original(self)
+
+        def __post_init__(self: Any) -> None:
+            try:
+                if original is not None:
+                    original(self)  # its messages say more
+            except ArmcellError:
+                raise
+            except Exception:
+                check(self)
+                raise
+            check(self)
 
         cls.__post_init__ = __post_init__  # type: ignore[attr-defined]
         return cls

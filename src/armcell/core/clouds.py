@@ -22,7 +22,7 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 
     Depth cameras mark what they do not see by NaN.
     """
-    every = float_array(points, (None, 3), "points", finite=False)
+    every = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
     kept = np.all(np.isfinite(every), axis=1)
     return every[kept], int(len(every) - kept.sum())
 

@@ -66,7 +66,7 @@ class Pinhole:
 
     def project(self, points: ArrayLike) -> Array:
         """Pixels (n, 2) of points (n, 3) [m, camera frame], without distortion; NaN behind the camera."""
-        p = float_array(points, (None, 3), "points", finite=False)
+        p = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
         z = np.where(p[:, 2] > 0, p[:, 2], np.nan)
         return np.column_stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy])
 

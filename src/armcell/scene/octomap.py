@@ -83,7 +83,7 @@ class OccupancyMap:
         Raises:
             InputError: a point or the origin is outside the map, or the cloud's box has too many voxels.
         """
-        eye = float_array(origin, (3,), "the sensor's position", finite=False)
+        eye = float_array(origin, (3,), "origin", finite=False)
         if eye.shape != (3,) or not np.all(np.isfinite(eye)):
             raise InputError("the sensor's origin needs three finite numbers")
         if np.isnan(max_range) or max_range <= 0:
@@ -123,9 +123,9 @@ class OccupancyMap:
 
     def at(self, points: ArrayLike) -> F32:
         """Log-odds (n,) at points (n, 3); NaN where nothing is known."""
-        keys = np.floor(float_array(points, (None, 3), "points", finite=False) / self.resolution).astype(
-            np.int64
-        )
+        keys = np.floor(
+            float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3) / self.resolution
+        ).astype(np.int64)
         out = np.full(len(keys), np.nan, np.float32)
         inside = np.flatnonzero(np.all((keys >= -HALF) & (keys < HALF), axis=1))
         codes = voxel_codes(keys[inside])
