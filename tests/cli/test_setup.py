@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from tests.cell.test_setup import small_arm
 from tests.cli.helpers import call
@@ -32,6 +34,31 @@ def test_a_cell_that_check_and_run_accept(capsys, tmp_path):
     assert call(capsys, "check", tmp_path / "cell").status == 0
     said = call(capsys, "run", tmp_path / "cell", "--mode", "fake", "--json", tmp_path / "run.json")
     assert said.status == 0, said.err
+
+
+@pytest.mark.parametrize("kind", ["one robot", "two robots", "a package", "a package without poses"])
+def test_the_commands_that_the_help_ends_with_work_on_a_fresh_cell(capsys, tmp_path, monkeypatch, kind):
+    lines = call(capsys, "setup", "--help").out.split("Then:")[-1].split("\n")
+    commands = [line.split()[1:] for line in lines if line.strip().startswith("armcell ")]
+    assert [command[0] for command in commands] == ["check", "run"]
+    monkeypatch.chdir(tmp_path)
+    file = small_arm(tmp_path)
+    two = ("--prefix", "a_", "--prefix", "b_")
+    assert (
+        call(
+            capsys, "setup", file, *([file, *two] if kind == "two robots" else []), "-o", "my_cell", *QUICK
+        ).status
+        == 0
+    )
+    if kind.startswith("a package"):
+        (tmp_path / "my_cell").rename(tmp_path / "package")
+        if "without" in kind:
+            for srdf in (tmp_path / "package" / "config").glob("*.srdf"):
+                srdf.write_text(re.sub(r"<group_state.*?</group_state>", "", srdf.read_text(), flags=re.S))
+        assert call(capsys, "setup", "package", "-o", "my_cell").status == 0
+    for command in commands:
+        said = call(capsys, *command)
+        assert said.status == 0, said.err
 
 
 def test_two_robots(capsys, tmp_path):

@@ -92,6 +92,23 @@ def test_cartesian_paths_and_the_argument_that_changed_its_meaning(arm, session)
     assert arm.compute_cartesian_path([through], 0.01, False)[1] == 1.0
 
 
+def test_a_line_that_ends_early_and_an_empty_plan_are_not_executed(arm, mc, session):
+    import copy
+
+    from moveit_msgs.msg import RobotTrajectory
+
+    before = arm.get_current_joint_values()
+    through = copy.deepcopy(arm.get_current_pose().pose)
+    through.position.z = -0.05  # into the table
+    plan, fraction = arm.compute_cartesian_path([through], 0.01)
+    assert 0 < fraction < 1 and arm.execute(plan) is False
+    assert any("[HINT]" in line and f"ends after {fraction:.0%}" in line for line in session.lines)
+    assert arm.execute(RobotTrajectory()) is False and arm.execute(RobotTrajectory(), wait=False) is False
+    assert any("[HINT]" in line and "the plan is empty" in line for line in session.lines)
+    assert arm.get_current_joint_values() == pytest.approx(before, abs=1e-4)
+    assert arm.execute(plan.joint_trajectory) is True  # on purpose, as far as it leads
+
+
 def test_retiming(arm):
     arm.set_named_target("extended")
     trajectory = arm.plan()[1]

@@ -13,7 +13,7 @@ from tests.planning.test_plan import beyond_panda
 
 from armcell.core import ErrorCode, UnknownNameError
 from armcell.planning import normalized_planner_id, pipelines, plan
-from armcell.planning.problem import INDUSTRIAL
+from armcell.planning.problem import INDUSTRIAL, RELATIVES, named_planner
 
 SEARCHING = {pipeline: table for pipeline, table in pipelines.items() if pipeline != INDUSTRIAL}  # a way
 ALL = [(pipeline, name) for pipeline, table in SEARCHING.items() for name in table]
@@ -107,3 +107,43 @@ def test_every_spelling_means_the_planner(name, form):
 
 def test_none_given_is_the_default():
     assert normalized_planner_id("") == "RRTConnect"
+
+
+@pytest.mark.parametrize(
+    ("asked", "name"),
+    [
+        ("RRTstar", "RRTstar"), ("PRMstarkConfigDefault", "PRMstar"), ("EST", "EST"),
+        ("panda_arm[KPIECE]", "KPIECE1"), ("geometric::EST", "EST"),
+        ("LIN", "LIN"), ("CHOMP", "CHOMP"), ("", "RRTConnect"),
+    ],
+)  # fmt: skip
+def test_without_a_pipeline_a_name_is_looked_up_in_all(asked, name):
+    assert named_planner("", asked)[0] == name
+    result = plan(panda_wall(), request(beyond_panda(), pipeline_id="", planner_id=asked, planning_time=4.0))
+    assert result.planner_id == name
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "name", "remedy"),
+    [
+        ("native", "RRTstar", "pipeline 'ompl' has it"),
+        ("ompl", "EST", "pipeline 'native' has it"),
+        ("ompl", "LIN", "pipeline 'pilz' has it"),
+        ("", "SBL", "nearest in kind: EST"),
+        ("", "rrtstar", "did you mean 'RRTstar'"),
+    ],
+)
+def test_the_message_names_the_pipeline_or_the_nearest_planners(pipeline, name, remedy):
+    with pytest.raises(UnknownNameError, match=re.escape(remedy)):
+        named_planner(pipeline, name)
+
+
+def test_relatives_of_missing_planners_exist_and_missing_ones_do_not():
+    every = {name for table in pipelines.values() for name in table}
+    assert not every & set(RELATIVES) and {n for near in RELATIVES.values() for n in near} <= every
+
+
+def test_est_takes_the_parameters_of_moveits_files():
+    given = request(beyond_panda(), planner_id="EST", parameters={"range": 0.0, "goal_bias": 0.1})
+    first, again = plan(panda_wall(), given), plan(panda_wall(), given)
+    assert first.ok and np.array_equal(first.trajectory.positions, again.trajectory.positions)

@@ -173,3 +173,16 @@ def test_without_a_simulator_every_action_ends_with_a_code_and_the_reason(monkey
         group.close()
         sim.cell.close()
     assert not [r for r in caplog.records if r.exc_info]
+
+
+def test_a_trajectory_of_the_fingers_alone_is_a_gripper_command():
+    """The simulator stops the fingers at the object, so the motion gate must not refuse their way there."""
+    with Simulator("panda_table") as sim:
+        commands = sim.bus.subscribe("/gripper_command", "std_msgs/Float64")
+        hand = sim.scene.model.gripper("hand")
+        names, q = (hand.joint_name,), sim.scene.state.reindexed((hand.joint_name,)).positions
+        closing = JointTrajectory(names, np.array([0.0, 1.0]), np.array([q, [0.01]]))
+        work = sim.cell.play(trajectory_message(S, sim.bus.header(), closing))
+        assert commands.get(2.0).data == pytest.approx(hand.width(0.01))
+        assert work.wait(10.0) and work.outcome().ok and work.outcome().evidence["stalled"]
+        assert sim.got.get(0.1) is None

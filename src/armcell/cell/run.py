@@ -79,10 +79,22 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
         look = partial(live.look, t.look) if t.look is not None else None
         return live.arm.transfer(t.object, t.on, t.at, t.up, look)
     if step.hold is not None:
-        return live.arm.hold(step.hold)
+        return (next(iter(live.arms.values()), None) or live.arm).hold(step.hold)
     if step.look is not None:
         return live.look(step.look)
-    return live.arm.move_to(step.move or "home")
+    return _move(live, step.move or "home")
+
+
+def _move(live: LiveCell, state: str) -> Outcome:
+    """Move to a named state; of several arms, each that has the state, one after the other."""
+    tables = live.model.named_states
+    arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
+    outcome = Outcome(ErrorCode.SUCCESS)
+    for arm in arms if len(live.arms) > 1 and arms else [live.arm]:
+        outcome = arm.move_to(state)
+        if not outcome.ok:
+            break
+    return outcome
 
 
 def result_of(

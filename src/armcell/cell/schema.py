@@ -241,7 +241,7 @@ class StepSpec(Strict):
     place: PlaceSpec | None = None
     transfer: TransferSpec | None = None  # pick and place, again until it lies there
     hold: float | None = Field(None, ge=0)  # [s]
-    move: str | None = None  # named state of the arm
+    move: str | None = None  # named state; of several arms, each that has it moves there in turn
     look: str | None = None  # camera
 
     @model_validator(mode="after")

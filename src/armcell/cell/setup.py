@@ -172,13 +172,20 @@ def _cell_yaml(model: RobotModel) -> str:
         "start": start,
         "padding": 0.005,
     }
-    if len(arms) == 1 and {"ready", "home"} <= set(model.named_states.get(arms[0], {})):
-        data["task"] = [{"move": "ready"}, {"move": "home"}]
+    data["task"] = _first_task(model, arms)
     return yaml_text(
         data,
         "Add what stands around the robot under 'objects' and what it is to do under 'task':",
         "examples/05_your_own_cell shows every key; armcell check tells what is wrong.",
     )
+
+
+def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
+    """A task that runs in a cell with nothing but the robot: poses that all arms have, else a rest."""
+    tables = [model.named_states.get(arm, {}) for arm in arms]
+    shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
+    names = [name for name in ("ready", "home") if name in shared] or shared[:2]
+    return [{"move": name} for name in names] or [{"hold": 1.0}]
 
 
 def _made_of_others(model: RobotModel, name: str) -> bool:

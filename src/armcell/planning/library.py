@@ -45,7 +45,7 @@ from armcell.planning.problem import (
     INDUSTRIAL,
     Problem,
     find_planner,
-    normalized_pipeline_id,
+    pipeline_for,
     sampling_bounds,
 )
 from armcell.planning.simplify import simplify
@@ -246,7 +246,7 @@ def _asks_more(request: PlanRequest) -> bool:
     """Whether a request asks what stored motions are not looked at for."""
     return (
         bool(request.path_constraints)
-        or normalized_pipeline_id(request.pipeline_id) == INDUSTRIAL
+        or pipeline_for(request.pipeline_id, request.planner_id) == INDUSTRIAL
         or any(isinstance(goal, ConstraintGoal) for goal in request.goals)
         or request.workspace is not None
         or request.max_cartesian_speed is not None

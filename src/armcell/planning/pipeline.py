@@ -39,7 +39,7 @@ from armcell.planning.native.warm_up import warm_up, warm_up_ik
 from armcell.planning.optimise.smoother import smoothed
 from armcell.planning.placed import Placed
 from armcell.planning.planners.optimisers import free
-from armcell.planning.problem import INDUSTRIAL, Answer, Problem, normalized_pipeline_id, sampling_bounds
+from armcell.planning.problem import INDUSTRIAL, Answer, Problem, pipeline_for, sampling_bounds
 from armcell.planning.question import Question, ask
 from armcell.planning.simplify import simplify
 from armcell.scene import PlanningScene
@@ -67,11 +67,13 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
         InputError: misuse: unknown group, planner, link, joint, parameter or adapter; scaling outside (0, 1].
     """
     warm_up()
+    if pipeline_for(request.pipeline_id, request.planner_id) == INDUSTRIAL:  # also where only LIN is named
+        request = replace(request, pipeline_id=INDUSTRIAL)
     if request.group in scene.model.groups:
         for link in _links(request):
             warm_up_ik(scene.model, request.group, Placed(scene, request.group, link).link)
     asked = ask(scene, request, cancel)
-    industrial = normalized_pipeline_id(request.pipeline_id) == INDUSTRIAL
+    industrial = request.pipeline_id == INDUSTRIAL
     if industrial:
         check_command(asked)
     elif request.path_constraints:

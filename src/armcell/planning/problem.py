@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import Registry, UnknownNameError
+from armcell.core import InputError, Registry, UnknownNameError
 from armcell.model import RobotModel
 from armcell.planning.parameters import MakeSettings, UnknownParameterError
 
@@ -112,27 +113,76 @@ def planner_defaults(pipeline_id: str, planner_id: str) -> dict[str, Any]:
 ALIASES = {"BKPIECE": "BKPIECE1", "KPIECE": "KPIECE1", "LBKPIECE": "LBKPIECE1"}
 """MoveIt's names for planners that OMPL calls otherwise."""
 
+RELATIVES = {
+    "ABITstar": ("BITstar",), "AITstar": ("BITstar",), "AnytimePathShortening": ("AORRTC",),
+    "BiEST": ("EST", "RRTConnect"), "BiTRRT": ("RRTConnect",), "CForest": ("RRTstar",),
+    "EITstar": ("BITstar",), "LBTRRT": ("RRTstar",), "LazyPRM": ("PRM",),
+    "LazyPRMstar": ("PRMstar",), "LazyRRT": ("RRT",), "PDST": ("KPIECE1",), "ProjEST": ("EST", "KPIECE1"),
+    "RRTXstatic": ("RRTstar",), "RRTsharp": ("RRTstar",),
+    "SBL": ("EST", "LBKPIECE1"), "SPARS": ("PRM",), "SPARStwo": ("PRM",), "SST": ("RRTstar",),
+    "STRIDE": ("EST",), "TRRT": ("RRT",),
+}  # fmt: skip
+"""OMPL's planners that its Python wheel lacks, and those here that search in the most similar manner."""
+
 
 def normalized_pipeline_id(pipeline_id: str) -> str:
     """Our name of a pipeline; an empty one is the default."""
     return PIPELINE_ALIASES.get(pipeline_id, pipeline_id)
 
 
+class UnknownPlannerError(UnknownNameError):
+    """A planner that a pipeline lacks; names the pipeline that has it, or the planners nearest to it."""
+
+    def __init__(self, pipeline_id: str, name: str):
+        self.kind, self.name = f"planner of pipeline {pipeline_id!r}" if pipeline_id else "planner", name
+        self.known = [n for p, table in pipelines.items() if pipeline_id in ("", p) for n in table]
+        having = [p for p in pipelines if _name_in(p, name) is not None]
+        every = sorted({planner for table in pipelines.values() for planner in table})
+        spelled = {planner.casefold(): planner for planner in every}
+        near = [spelled[k] for k in difflib.get_close_matches(name.casefold(), spelled, n=3, cutoff=0.6)]
+        if having:
+            cure = f"pipeline {having[0]!r} has it: set the pipeline to {having[0]!r}, or name none"
+        elif name in RELATIVES:
+            cure = f"OMPL's {name} is not offered; nearest in kind: {', '.join(RELATIVES[name])}"
+        else:
+            cure = f"did you mean {' or '.join(map(repr, near))}?" if near else None
+        if pipeline_id:
+            has = ", ".join(self.known)
+        else:
+            has = "; ".join(f"{p}: {', '.join(table)}" for p, table in pipelines.items())
+        InputError.__init__(self, f"unknown {self.kind} {name!r}; known: {has}", cure=cure)
+
+
+def _name_in(pipeline_id: str, name: str) -> str | None:
+    """The name under which a pipeline has a planner, if it has it."""
+    table = pipelines[pipeline_id]
+    return next((n for n in (name, ALIASES.get(name)) if n in table), None)
+
+
+def pipeline_for(pipeline_id: str, planner_id: str) -> str:
+    """Our name of the pipeline that a request means: without one, the first that has the planner."""
+    if pipeline_id:
+        return normalized_pipeline_id(pipeline_id)
+    name, default = normalized_planner_id(planner_id), normalized_pipeline_id("")
+    return next((p for p in pipelines if _name_in(p, name) is not None), default)
+
+
 def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
-    """The name and the planner that a request means; an empty pipeline is the default one.
+    """The name and the planner that a request means; without a pipeline, the first that has the planner.
 
     Raises:
         UnknownNameError: no such pipeline, or no such planner in it; never replaced by another.
     """
-    pipeline_id = normalized_pipeline_id(pipeline_id)
+    asked, pipeline_id = pipeline_id, pipeline_for(pipeline_id, planner_id)
     if pipeline_id not in pipelines:
         raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
     table, name = pipelines[pipeline_id], normalized_planner_id(planner_id)
     if not planner_id.strip() and len(table) == 1:
         name = next(iter(table))
-    if name not in table and ALIASES.get(name) in table:
-        name = ALIASES[name]
-    return name, table[name]
+    found = _name_in(pipeline_id, name)
+    if found is None:
+        raise UnknownPlannerError(asked and pipeline_id, name)
+    return found, table[found]
 
 
 def find_planner(pipeline_id: str, planner_id: str) -> Planner:

@@ -18,12 +18,13 @@ from armcell.cell import LiveCell
 from armcell.collision.motion_proof import Moving, first_conflict
 from armcell.control import CHANGED, NOT_STARTED, ExecutionSettings, GuardedMotion, playing
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
 from armcell.ros.nodes.conductor import Conductor, Steps, Work
-from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperNode, gripping
+from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperNode, finger_goals
 from armcell.ros.nodes.states import RATE, StatePublisher
 from armcell.scene import PlanningScene
 
@@ -43,9 +44,9 @@ class CellNode:
     Topics in: /planned_trajectory (trajectory_msgs/JointTrajectory; a newer one of the same joints takes
     over, an empty one stops), /gripper_command (std_msgs/Float64: 0 or more is a width [m], 0 grasps; below
     0 closes with that force [N per finger]); with several grippers /<gripper>/gripper_command. Actions:
-    /<group>_controller/follow_joint_trajectory for each arm, /<gripper>_controller/gripper_cmd for each
-    gripper. Topics out beside the states: /trajectory_status (std_msgs/String) and those of the cell's
-    cameras (`CameraPublisher`).
+    /<group>_controller/follow_joint_trajectory for each arm and gripper, /<gripper>_controller/gripper_cmd
+    for each gripper. Topics out beside the states: /trajectory_status (std_msgs/String) and those of the
+    cell's cameras (`CameraPublisher`).
 
     Motions of different arms run at the same time where they are proven not to meet; else one waits.
 
@@ -74,7 +75,7 @@ class CellNode:
         self.grippers = GripperNode(live, bus, self.conductor, self.say, auto_grip)
         self._actions = [
             ActionServer(bus, f"/{group}_controller/follow_joint_trajectory", ACTION, self._follow)
-            for group in live.arms
+            for group in (*live.arms, *live.model.grippers)
         ]
 
     # --- the driver's thread ---
@@ -144,9 +145,8 @@ class CellNode:
             raise
         if not len(trajectory.times):
             return self._halt(trajectory)
-        fingers = {g.joint_name: g for g in model.grippers.values()}
-        if set(trajectory.joint_names) <= set(fingers):
-            return self._close_or_open(trajectory, fingers)
+        if goals := finger_goals(model, trajectory):
+            return self._close_or_open(trajectory, goals)
 
         def steps(driver: Any, cancel: threading.Event) -> Steps:
             # Where it is now decides, not where it was when the message came.
@@ -167,15 +167,14 @@ class CellNode:
 
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
-    def _close_or_open(self, trajectory: JointTrajectory, fingers: dict[str, Any]) -> Work:
-        """Fingers that meet something before they are where they should be hold it: that is no failure."""
-        wanted = [(fingers[n], fingers[n].width(q)) for n, q in trajectory.end.as_dict().items()]
+    def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
+        """Drive fingers to their widths [m]; fingers that an object stops hold it, which is no failure."""
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
             result = ExecutionResult(ErrorCode.SUCCESS)
-            for gripper, width in wanted:
-                result = yield from gripping(driver, gripper, max(width, 0.0), gripper.max_force, cancel)
+            for gripper, width in goals:
+                result = yield from self.grippers.closing(driver, gripper, width, gripper.max_force, cancel)
             return result
 
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))

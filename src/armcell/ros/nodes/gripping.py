@@ -9,14 +9,15 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from armcell.cell import LiveCell
-from armcell.core import ErrorCode, ExecutionResult, InputError
+from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.grasping import grip_force
-from armcell.model import Gripper
+from armcell.model import Gripper, RobotModel
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.conductor import Conductor, Steps, Work
@@ -75,6 +76,29 @@ def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[Co
     return found
 
 
+def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
+    """Allow the fingers of a gripper's group to touch what is between them; other groups change nothing.
+
+    A goal of a gripper's group closes onto the object, so its end in contact is no collision.
+    """
+    pairs = {
+        frozenset((item.name, link)): True
+        for gripper in scene.model.grippers.values()
+        if gripper.group == group
+        for item in around_tcp(scene, gripper, NEAR)
+        for link in gripper.finger_links
+    }
+    return replace(scene, allowed_pairs={**pairs, **scene.allowed_pairs}) if pairs else scene
+
+
+def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[Gripper, float]]:
+    """Grippers and final widths [m] of a trajectory that moves only fingers; empty for any other."""
+    fingers = {g.joint_name: g for g in model.grippers.values()}
+    if not set(trajectory.joint_names) <= set(fingers):
+        return []
+    return [(fingers[n], max(fingers[n].width(q), 0.0)) for n, q in trajectory.end.as_dict().items()]
+
+
 class GripperNode:
     """Serves the grippers of a cell: /gripper_command (or /<gripper>/gripper_command where there are
     several) and /<gripper>_controller/gripper_cmd.
@@ -121,11 +145,17 @@ class GripperNode:
         joints = (gripper.joint_name,)
 
         def make(driver: Any, cancel: threading.Event) -> Steps:
-            if width < driver.gripper(gripper.name).width:
-                self._expect_contact(gripper)
-            return gripping(driver, gripper, width, force, cancel)
+            return self.closing(driver, gripper, width, force, cancel)
 
         return self._conductor.put(Work(f"gripper {gripper.name}", joints, make))
+
+    def closing(
+        self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
+    ) -> Steps:
+        """`gripping`, where physics and the motion gate know that closing fingers touch the object."""
+        if width < driver.gripper(gripper.name).width:
+            self._expect_contact(gripper)
+        return gripping(driver, gripper, width, force, cancel)
 
     def _commanded(self, gripper: Gripper) -> Callable[[Any], None]:
         def command(message: Any) -> None:
@@ -201,7 +231,7 @@ class GripperNode:
     def _expect_contact(self, gripper: Gripper) -> None:
         """Fingers that close around something are meant to touch it."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
-            self._live.driver.expect_contact(item.name, gripper.finger_links)
+            self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
@@ -214,5 +244,5 @@ class GripperNode:
                 continue
             near = {item.name for item in around_tcp(self._live.scene(), gripper, NEAR)}
             for name in expected - near - {driver.gripper(gripper.name).held}:
-                driver.expect_contact(name, gripper.finger_links, expected=False)
+                self._live.ctx.expect_contact(name, gripper.finger_links, expected=False)
                 expected.discard(name)

@@ -35,6 +35,7 @@ from armcell.ros.moveit_convert import (
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.nodes.access import CellAccess
 from armcell.ros.nodes.conductor import Work
+from armcell.ros.nodes.gripping import with_finger_contacts
 from armcell.ros.nodes.scene_node import SceneNode
 from armcell.scene import WORLD, PlanningScene, SceneDiff
 
@@ -108,6 +109,7 @@ class MoveGroupNode:
     def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
         """Plan a moveit_msgs/MotionPlanRequest in a scene; what is wrong with it is in the result."""
         try:
+            scene = with_finger_contacts(scene, request.group_name)
             wanted = plan_request_from_message(request, scene, self._parameters_of(request))
             result = plan(scene, wanted, cancel)
         except InputError as error:

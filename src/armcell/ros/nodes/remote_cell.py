@@ -27,7 +27,7 @@ from armcell.ros.moveit_convert.states import joint_state_from_message
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.conductor import Work
 from armcell.ros.nodes.gripping import TOPIC as GRIPPER
-from armcell.ros.nodes.gripping import around_tcp
+from armcell.ros.nodes.gripping import around_tcp, finger_goals
 from armcell.ros.units import check_near, unit_fault
 from armcell.scene import WORLD, PlanningScene
 
@@ -308,6 +308,8 @@ class RemoteCell:
         if not len(trajectory.times):
             joints = trajectory.joint_names or self.model.joint_names
             return self._begin(Work("stop", joints), lambda work: self._stopped(message))
+        if goals := finger_goals(self.model, trajectory):
+            return self._drive([(gripper, width, gripper.max_force) for gripper, width in goals])
 
         def follow(work: Work) -> ExecutionResult:
             self._check_start(trajectory, settings)
@@ -365,16 +367,23 @@ class RemoteCell:
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
         if not (np.isfinite(width) and np.isfinite(force)):
             raise InputError(f"gripper command of width {width} m and force {force} N")
-        width = float(np.clip(width, 0.0, gripper.max_width))
-        # One number on the topic: a width, or below zero the force to close with.
-        value = -min(force, gripper.max_force) if width <= 0 < force else width
+        return self._drive([(gripper, float(np.clip(width, 0.0, gripper.max_width)), force)])
+
+    def _drive(self, goals: list[tuple[Gripper, float, float]]) -> Work:
+        """Drive grippers one after the other to widths [m] with forces [N]; an object may stop them."""
 
         def follow(work: Work) -> ExecutionResult:
-            self._targets[gripper.name] = width
-            self._grippers[gripper.name].publish(self._bus.schema.new("std_msgs/Float64", value))
-            return self._follow_fingers(work, gripper, width)
+            result = ExecutionResult(ErrorCode.SUCCESS)
+            for gripper, width, force in goals:
+                # One number on the topic: a width, or below zero the force to close with.
+                value = -min(force, gripper.max_force) if width <= 0 < force else width
+                self._targets[gripper.name] = width
+                self._grippers[gripper.name].publish(self._bus.schema.new("std_msgs/Float64", value))
+                result = self._follow_fingers(work, gripper, width)
+            return result
 
-        return self._begin(Work(f"gripper {gripper.name}", (gripper.joint_name,)), follow)
+        names = ", ".join(gripper.name for gripper, _, _ in goals)
+        return self._begin(Work(f"gripper {names}", [gripper.joint_name for gripper, _, _ in goals]), follow)
 
     def _follow_fingers(self, work: Work, gripper: Gripper, wanted: float) -> ExecutionResult:
         began = still = time.monotonic()

@@ -55,6 +55,7 @@ class GroupInfo:
         self._joint_target: dict[str, float] = {}
         self._poses: dict[str, list[Any]] = {}  # PoseStamped by link
         self._remembered: dict[str, list[float]] = {}
+        self._partial: list[tuple[Any, float]] = []  # lines that end early, with their fractions
         self._start: Any = None
         self._joint_tolerance, self._position_tolerance, self._orientation_tolerance = 1e-4, 1e-4, 1e-3
         self._time, self._attempts, self._planner, self._pipeline = 5.0, 1, "", ""

@@ -128,6 +128,8 @@ class MoveGroupCommander(GroupSettings):
         if wanted is not None:
             request.path_constraints = self._session.messages.local(wanted)
         found = self._session.call(self._server("compute_cartesian_path"), request)
+        if found.fraction < 1.0:
+            self._partial.append((found.solution, found.fraction))
         return found.solution, found.fraction
 
     def execute(self, plan_msg: Any, wait: bool = True) -> bool:
@@ -148,10 +150,27 @@ class MoveGroupCommander(GroupSettings):
             plan_msg = self._new("RobotTrajectory", joint_trajectory=plan_msg)
         if kind_of(plan_msg) != "RobotTrajectory":
             raise MoveItCommanderException(f"execute wants a RobotTrajectory, not {type(plan_msg).__name__}")
+        if why := self._incomplete(plan_msg):
+            self._session.hint(f"incomplete {why}", f"execute: {why}; nothing is executed")
+            return False
         sent = self._send("execute_trajectory", self._new("ExecuteTrajectoryGoal", plan_msg))
         if not wait:
             return True
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
+
+    def _incomplete(self, plan: Any) -> str:
+        """Why a plan does not lead to its goal; empty where it may."""
+        fraction = next((f for p, f in self._partial if p is plan), 1.0)
+        if fraction <= 0:
+            return "the straight line could not begin, its fraction is 0; the reason is in the line above"
+        if fraction < 1:
+            return (
+                f"the straight line ends after {fraction:.0%} of its length; test the fraction, or call "
+                "execute(plan.joint_trajectory) to move as far as it leads"
+            )
+        if not plan.joint_trajectory.points and not plan.multi_dof_joint_trajectory.points:
+            return "the plan is empty: planning has failed, or there was nothing to plan"
+        return ""
 
     # --- objects ---
     def attach_object(self, object_name: str, link_name: str = "", touch_links: Any = ()) -> bool:
