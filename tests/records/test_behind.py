@@ -76,7 +76,7 @@ def test_a_disk_too_far_behind_ends_the_record_and_not_the_run(scene, tmp_path, 
     monkeypatch.setattr(behind, "MOST_WAITING", 1 << 20)
     recorder = RunRecorder(tmp_path, scene)
     hung = Hung(recorder._mcap._stream.fileno())
-    for k in range(3000):
+    for k in range(6000):
         recorder.on_state(sample(scene, k))
     assert caplog.text.count("ends here: the disk is") == 1
     hung.goes_on()
