@@ -306,13 +306,17 @@ MISUSE = {
     ),
     "no region": (Constraints(positions=(PositionConstraint(()),)), "has no region"),
     "surface": (Constraints(positions=(PositionConstraint(((mesh(), SE3.identity()),)),)), "Mesh cannot be"),
-    "two angles": (Constraints(orientations=(OrientationConstraint(DOWN, (1, 1)),)), "three angles"),
     "angles": (
         Constraints(orientations=(OrientationConstraint(DOWN, (1, 1, 1), parameterization="zyz"),)),
         "unknown parameterization 'zyz'; known: rotation_vector, xyz_euler",
     ),
     "nothing": (Constraints(), "asks nothing"),
 }  # fmt: skip
+
+
+def test_a_tolerance_of_two_angles_is_refused():
+    with pytest.raises(InputError, match="tolerance is .* 3 numbers"):
+        OrientationConstraint(DOWN, (1, 1))
 
 
 @pytest.mark.parametrize("name", MISUSE)
