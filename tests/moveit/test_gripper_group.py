@@ -94,3 +94,27 @@ assert not gripper.go([0.0])
     status, session = run_script(file, load("six_axis_table").connect("fake", time_scale=10.0), quiet=True)
     assert status == 0, session.lines
     assert any("post" in line for line in session.lines)
+
+
+LOGS = 'import rospy\nfrom moveit_commander import MoveGroupCommander\nrospy.init_node("s")\n'
+SAYS = 'rospy.loginfo("Close gripper now!")\n'
+
+
+@pytest.mark.parametrize(
+    ("closing", "hinted"),
+    [
+        ("", True),
+        ("g = MoveGroupCommander('hand')\ng.set_named_target('closed')\ng.go()\n", False),
+        (
+            "from std_msgs.msg import Float64\n"
+            "p = rospy.Publisher('/gripper_' + 'command', Float64, queue_size=1)\n"
+            "p.publish(0.0)\nrospy.sleep(0.5)\n",
+            False,
+        ),
+    ],
+)
+def test_a_script_that_says_it_closes_the_gripper(tmp_path, closing, hinted):
+    file = tmp_path / "says.py"
+    file.write_text(LOGS + SAYS + closing)
+    status, session = run_script(file, load("panda_table").connect("fake", time_scale=10.0), quiet=True)
+    assert status == 0 and ("auto-grip" in session.hints) is hinted

@@ -12,6 +12,7 @@ from armcell import _interrupts
 from armcell.cell import LiveCell
 from armcell.core import InputError
 from armcell.moveit.install import installed
+from armcell.moveit.lint import closes_gripper_itself
 from armcell.moveit.session import Session
 from armcell.ros import Ros1Settings
 
@@ -50,6 +51,8 @@ def run_script(
         try:
             with _interrupts.owned(session.interrupt):
                 status = _status(script, session)
+            if not closes_gripper_itself(script):
+                session.hint_at_gripper()
             session.served.rest()
             ended(status, session)
             return status, session

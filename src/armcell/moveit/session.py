@@ -48,6 +48,7 @@ class Session:
         self.shutting_down = threading.Event()
         self.on_shutdown: list[Any] = []
         self._hooks = threading.Lock()  # taken for good by who runs them
+        self.claims_to_close = False  # a log line of the script's says that the gripper closes
         self.lines: list[str] = []
         """What the script has logged, and the hints."""
         self.clients: dict[str, ActionClient] = {}  # of actions that were used
@@ -142,6 +143,15 @@ class Session:
     @property
     def hints(self) -> set[str]:
         return self._hints
+
+    def hint_at_gripper(self) -> None:
+        """Say at the end of a script that its log lines closed no gripper, if nothing else has closed one."""
+        grippers = self.served.node.grippers
+        if self.claims_to_close and not (grippers.closes_by_itself or grippers.has_closed):
+            self.hint(
+                "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
+                "/gripper_command, use the gripper's group, or run with --auto-grip",
+            )  # fmt: skip
 
     def finish(self) -> None:
         """Wait for the motions that the script has begun and not waited for."""

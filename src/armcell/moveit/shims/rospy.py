@@ -102,10 +102,8 @@ _CLOSE = re.compile(r"\bclose (the )?gripper\b", re.IGNORECASE)
 def _log(level: str, message: Any, args: tuple[Any, ...]) -> None:
     text = str(message) % args if args else str(message)
     current_session().say(level, text)
-    if _CLOSE.search(text) and not current_session().served.node.grippers.closes_by_itself:
-        current_session().hint(
-            "auto-grip", "nobody closes the gripper when a script only says so: run it with --auto-grip"
-        )
+    if _CLOSE.search(text):
+        current_session().claims_to_close = True
 
 
 def logdebug(msg: Any, *args: Any, **kwargs: Any) -> None:

@@ -117,6 +117,8 @@ class GripperNode:
         self._moved: dict[str, bool] = dict.fromkeys(live.model.grippers, False)
         grippers = list(live.model.grippers.values())
         self._expected: dict[str, set[str]] = {g: set() for g in live.model.grippers}
+        self.has_closed = False
+        """Whether a gripper has been commanded to close."""
         self._members: list[Any] = []
         for gripper in grippers:
             topic = TOPIC if len(grippers) == 1 else f"/{gripper.name}{TOPIC}"
@@ -154,6 +156,7 @@ class GripperNode:
     ) -> Steps:
         """`gripping`, where physics and the motion gate know that closing fingers touch the object."""
         if width < driver.gripper(gripper.name).width:
+            self.has_closed = True
             self._expect_contact(gripper)
         return gripping(driver, gripper, width, force, cancel)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import JointState
+from armcell.core import ArmcellError, ErrorCode, JointState
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper
 from armcell.moveit.calls import (
@@ -16,12 +16,18 @@ from armcell.moveit.calls import (
     send,
 )
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
-from armcell.moveit.shims.moveit_commander.group_info import TIMING, kind_of
+from armcell.moveit.shims.moveit_commander.group_info import POSE, TIMING, kind_of
 from armcell.moveit.shims.moveit_commander.group_settings import GroupSettings
+from armcell.moveit.target_hints import closed_on_nothing, unreached_pose
 from armcell.ros.moveit_convert import robot_state_from_message, robot_trajectory_message
 from armcell.ros.moveit_convert.objects import REMOVE
 from armcell.scene import WORLD
 from armcell.timing import BlendedPath, parameterize
+
+UNREACHED = {
+    ErrorCode.FAILURE, ErrorCode.PLANNING_FAILED, ErrorCode.TIMED_OUT, ErrorCode.NO_IK_SOLUTION,
+    ErrorCode.GOAL_IN_COLLISION, ErrorCode.GOAL_STATE_INVALID, ErrorCode.INVALID_GOAL_CONSTRAINTS,
+}  # fmt: skip
 
 
 class MoveGroupCommander(GroupSettings):
@@ -78,13 +84,39 @@ class MoveGroupCommander(GroupSettings):
         sent = self._send("move_group", self._goal(plan_only=False))
         if not wait:
             return True
-        return bool(finished(self._session, sent).error_code.val == SUCCESS)
+        code = finished(self._session, sent).error_code.val
+        self._hint_at_target(code)
+        for gripper in self._grippers():
+            if code == SUCCESS and gripper.group == self._name:
+                self._hint_at_grip(gripper)
+        return bool(code == SUCCESS)
+
+    def _hint_at_target(self, code: int) -> None:
+        """Say why a pose cannot be reached, where the tool's direction or the tip link is the cause."""
+        if code not in UNREACHED or self._active != POSE:
+            return
+        scene = measured_scene()
+        for link, poses in self._poses.items():
+            try:
+                why = unreached_pose(scene, self._name, link or self._eef, self._in_world(scene, poses[0]))
+            except ArmcellError:
+                continue
+            if why:
+                self._session.hint(f"target {why.split(':')[0]}", why)
+
+    def _hint_at_grip(self, gripper: Gripper) -> None:
+        """Say why a gripper that has just closed holds nothing."""
+        scene, cell = measured_scene(), self._session.served.cell
+        closed = gripper.width(scene.state[gripper.joint_name]) < 0.5 * gripper.max_width
+        if closed and cell.held(gripper) is None and (why := closed_on_nothing(scene, gripper)):
+            self._session.hint(f"nothing in {gripper.name}", why)
 
     def plan(self, joints: Any = None) -> tuple[bool, Any, float, Any]:
         """(success, RobotTrajectory, planning time [s], MoveItErrorCodes)."""
         self._take_target(joints)
         result = finished(self._session, self._send("move_group", self._goal(plan_only=True)))
         code = result.error_code
+        self._hint_at_target(code.val)
         return code.val == SUCCESS, result.planned_trajectory, result.planning_time, code
 
     def compute_cartesian_path(
