@@ -3,17 +3,22 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop test-realtime lint format clean FORCE
+.PHONY: help demo test check prepare fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop test-realtime lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
 PY   := $(BIN)/python
-JOBS ?= 2
+# Processes that run tests: two per core, since half of a test's time is waiting for an arm or a program.
+JOBS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))))
+# Workers take neighboring tests, which share fixtures, and steal from each other at the end.
+PYTEST := $(PY) -m pytest -n $(JOBS) --dist worksteal
 # PYTHON= names the interpreter to use; without it the first usable one of these is taken.
 CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
 
 # A sourced ROS workspace puts packages of another Python on the path: keep them out.
 unexport PYTHONPATH PYTHONHOME
+# Without bytecode files each of the hundreds of programs that tests start compiles 400 sources (0.3 s).
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help: ## list the targets
@@ -27,8 +32,12 @@ ROS := python3-rospy python3-rosmaster python3-rostopic python3-rosservice pytho
 ROS_THERE := /usr/bin/python3 -c 'import rospy, rosmaster, rostopic, rosservice, rosnode, rosmsg, actionlib, tf2_ros, \
                std_srvs.srv, sensor_msgs.msg, trajectory_msgs.msg, shape_msgs.msg, visualization_msgs.msg' \
              && test -x /usr/bin/rviz -a -x /usr/bin/Xvfb
+FASTDDS := libfastrtps-dev g++
+FASTDDS_THERE := test -e /usr/include/fastdds/dds/domain/DomainParticipant.hpp && command -v g++
 MONO := mono-mcs mono-runtime
 MONO_THERE := command -v mcs && command -v mono
+SDFORMAT := g++ pkg-config libsdformat-dev
+SDFORMAT_THERE := command -v g++ && pkg-config --exists sdformat12
 CHROMIUM := chromium
 CHROMIUM_THERE := command -v chromium || command -v chromium-browser || command -v google-chrome || command -v google-chrome-stable
 
@@ -40,11 +49,15 @@ debian = { $($(2)_THERE); } >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
 
-test: lint ## set up, then lint and run all tests but the interop ones
-	$(PY) -m pytest -n $(JOBS) --durations=25 -m "not interop and not realtime"
+test: $(VENV)/.stamp ## set up, then lint and run all tests but the interop and real-time ones
+	@$(MAKE) --no-print-directory -j2 lint prepare
+	$(PYTEST) --durations=25 -m "not interop and not realtime"
 
-check: $(VENV)/.stamp ## set up, then run the quick tests
-	$(PY) -m pytest -n $(JOBS) -m "not slow and not interop and not realtime"
+check: prepare ## set up, then run the quick tests
+	$(PYTEST) -m "not slow and not interop and not realtime"
+
+prepare: $(VENV)/.stamp ## set up, then compile the kernels and fit the covers that tests use
+	$(PY) -m tests.prepare
 
 fuzz: $(VENV)/.stamp ## set up, then throw damaged input at every parser and a million damaged frames at the wires (INPUTS=, FRAMES=, SEED=)
 	$(PY) -m tests.fuzz $(if $(INPUTS),--inputs $(INPUTS)) $(if $(FRAMES),--frames $(FRAMES)) $(if $(SEED),--seed $(SEED))
@@ -52,9 +65,11 @@ fuzz: $(VENV)/.stamp ## set up, then throw damaged input at every parser and a m
 bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (13 minutes; SECONDS_=600)
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),600)
 
-test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Mono, Chromium (from Debian, installed where that can be) and Ray
+test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono, libsdformat, Chromium (from Debian, installed where possible) and Ray
 	@$(call debian,Debian's ROS 1,ROS)
+	@$(call debian,Fast DDS,FASTDDS)
 	@$(call debian,Mono,MONO)
+	@$(call debian,Gazebo's SDF parser,SDFORMAT)
 	@$(call debian,Chromium,CHROMIUM)
 	$(PY) -m pytest -m interop -rs
 

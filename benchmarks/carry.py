@@ -22,11 +22,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import armcell
-from armcell.collision import ExactChecker, neighbours
+from armcell.collision import ExactChecker, neighbors
 from armcell.core import SE3, SO3, Box, Cylinder, JointState, JointTrajectory, PlanResult
 from armcell.kinematics import kinematic_tree
-from armcell.planning.arms.carried import Carried, Hands
-from armcell.planning.arms.carry import plan_carry
+from armcell.planning.multi_arm.carry import plan_carry
+from armcell.planning.multi_arm.closed_chain import CarriedObject, ClosedChainIK
 from armcell.scene import CollisionObject, PlanningScene
 
 ENDS = {"left_arm": "front_end", "right_arm": "back_end"}
@@ -42,7 +42,7 @@ class Carry:
 
     kind: str
     scene: PlanningScene  # the rod attached, and allowed to touch the hands and what it rests on
-    carried: Carried
+    carried: CarriedObject
     start: SE3
     goal: SE3
     rests_on: tuple[str, ...]
@@ -61,7 +61,7 @@ def cell() -> armcell.Cell:
 
 def held(
     start: SE3, obstacles: list[CollisionObject]
-) -> tuple[PlanningScene, Carried, tuple[str, ...]] | None:
+) -> tuple[PlanningScene, CarriedObject, tuple[str, ...]] | None:
     """The rod at a pose in both hands among obstacles, and what it rests on; None where nothing is free."""
     scene = cell().scene().with_object_pose("rod", start)
     for item in obstacles:
@@ -72,14 +72,14 @@ def held(
         fingers = JointState((gripper.joint_name,), np.array([gripper.joint_position(0.03)]))
         scene = scene.with_state(fingers)
     first, second = grippers.values()
-    supports = tuple(n for n in neighbours(scene, "rod") if n in RESTS)  # never an obstacle
+    supports = tuple(n for n in neighbors(scene, "rod") if n in RESTS)  # never an obstacle
     for turns in ((0.0, 0.0), (0.0, np.pi), (np.pi, 0.0), (np.pi, np.pi)):
         grasps = {
             g: rod.subframes[end] @ SE3(SO3.exp((0.0, 0.0, turn)), np.zeros(3))
             for (g, end), turn in zip(ENDS.items(), turns, strict=True)
         }
-        carried = Carried("rod", grasps, {g: grippers[g].tcp_link for g in ENDS})
-        postures = Hands(scene, carried).postures(start, scene.positions)
+        carried = CarriedObject("rod", grasps, {g: grippers[g].tcp_link for g in ENDS})
+        postures = ClosedChainIK(scene, carried).postures(start, scene.positions)
         for q in postures if isinstance(postures, list) else ():
             at = scene.with_state(JointState(model.joint_names, q))
             at = at.with_attached("rod", first.tcp_link, first.hand_links)
@@ -148,7 +148,7 @@ def draw(rng: np.random.Generator, kind: str) -> Carry | None:
 
 def _at_goal(problem: Carry) -> np.ndarray | None:
     """Joints that hold the rod at the goal free of contact, as the straight way leads there; or None."""
-    hands, q = Hands(problem.scene, problem.carried), problem.scene.positions
+    hands, q = ClosedChainIK(problem.scene, problem.carried), problem.scene.positions
     for pose in problem.start.interpolated(problem.goal, np.linspace(0, 1, 80)):
         q = hands.at(pose, q)
         if not isinstance(q, np.ndarray):
@@ -198,7 +198,7 @@ def look_at(problem: Carry, trajectory: JointTrajectory, step: float = 1e-3) -> 
 def measured(count: int, recheck: int, seconds: float) -> dict:
     """`count` scenes, a quarter of each kind."""
     found: dict = {"scenes": 0, "solved": 0, "failures": []}
-    spent, longer, looked_at = [], [], []
+    spent, longer, poses_tried = [], [], []
     kinds: Counter[str] = Counter()
     seen: list[Seen] = []
     seed = 0
@@ -221,19 +221,20 @@ def measured(count: int, recheck: int, seconds: float) -> dict:
         spent.append(cpu)
         metres = problem.start.distance_to(problem.goal)[0]
         longer.append(_length(problem, result.trajectory) / metres)
-        looked_at.append(result.evidence["poses_looked_at"])
+        poses_tried.append(result.evidence["poses_looked_at"])
         if len(seen) < recheck:
             seen.append(look_at(problem, result.trajectory))
         words = f", {seen[-1]}" if len(seen) == found["solved"] else ""
         print(
-            f"  {seed - 1} {kind}: {cpu:.2f} s, {looked_at[-1]} poses, {result.trajectory.duration:.1f} s of "
+            f"  {seed - 1} {kind}: {cpu:.2f} s, {poses_tried[-1]} poses, "
+            f"{result.trajectory.duration:.1f} s of "
             f"motion, {longer[-1]:.1f} times the straight way{words}",
             flush=True,
         )
     found |= {
         "by_kind": dict(kinds), "cpu_s": {k: float(np.quantile(spent, s)) for k, s in
                                           (("median", 0.5), ("p95", 0.95), ("most", 1.0))},
-        "times_the_straight_way": float(np.median(longer)), "poses_looked_at": float(np.median(looked_at)),
+        "times_the_straight_way": float(np.median(longer)), "poses_looked_at": float(np.median(poses_tried)),
         "rechecked": len(seen), "contacts": sum(s.contacts for s in seen),
         "off_m": max((s.off_m for s in seen), default=0.0),
         "turn_rad": max((s.turn_rad for s in seen), default=0.0),

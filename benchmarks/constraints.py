@@ -32,12 +32,12 @@ from armcell.core import (
 from armcell.kinematics import ik_solver
 from armcell.model import load_robot
 from armcell.planning import plan
-from armcell.planning.constraints.description import Manifold
+from armcell.planning.constraints.manifold import ConstraintManifold
 from armcell.planning.constraints.planner import ConstrainedPlanner
-from armcell.planning.goals import joint_goals
-from armcell.planning.planners.native import planner_of
-from armcell.planning.problem import sampling_bounds
-from armcell.planning.question import ask
+from armcell.planning.goals.joint_goals import find_joint_goals
+from armcell.planning.planners.problem import sampling_bounds
+from armcell.planning.planners.rrt_connect import planner_of
+from armcell.planning.request import validate_request
 from armcell.scene import CollisionObject, PlanningScene
 
 AHEAD = SO3(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))  # tip's z ahead, its x down
@@ -138,8 +138,8 @@ def by_rejection(cell: Cell, seconds: float, seed: int = 0) -> tuple[float, bool
     request, scene = cell.request(seed), cell.scene
     checker = KernelChecker(scene, scene.model.group("arm").joint_names)
     start = scene.positions[checker.columns]
-    goals, _ = joint_goals(ask(scene, request), checker, np.random.default_rng(seed))
-    manifold = Manifold(scene, "arm", cell.constraints)
+    goals, _ = find_joint_goals(validate_request(scene, request), checker, np.random.default_rng(seed))
+    manifold = ConstraintManifold(scene, "arm", cell.constraints)
     goals = [q for q in goals if not manifold.violations(q)]
     lower, upper = sampling_bounds(scene.model, checker.joint_names, start, goals)
     planner = ConstrainedPlanner(planner_of(checker), manifold, rejection=True)

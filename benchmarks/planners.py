@@ -17,7 +17,7 @@ import numpy as np
 from armcell.core import SE3, SO3, Box, Goal, JointGoal, JointState, PlanRequest, PoseGoal
 from armcell.model import load_robot
 from armcell.planning import pipelines, plan
-from armcell.planning.problem import INDUSTRIAL
+from armcell.planning.planners.registry import PILZ
 from armcell.scene import CollisionObject, PlanningScene
 
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks_planners.md"
@@ -126,15 +126,17 @@ def measure(case: Case, pipeline: str, planner: str, seeds: int, seconds: float)
     return Measured(tuple(cpu), tuple(lengths), seeds, failure)
 
 
-HEAD = """# Planners beside each other
+HEAD = """# Comparison of all planners
 
-Every planner of every pipeline on four problems, from a request to a proven and timed motion.
-A cell holds the successes, and of these the median CPU time (all threads of the process) and path length.
-Written by `make bench-planners`; {seeds} seeds, {seconds:g} s of planning time each, {machine}.
+The table compares every planner of every pipeline on four problems, from a request to a proven and timed
+motion. Each cell contains the number of solved runs, their median CPU time (all threads of the process) and
+their median path length.
+`make bench-planners` writes this page; {seeds} seeds, {seconds:g} s of planning time each, {machine}.
 
-Planners that use all the time they get stop after 1 s (OMPL's AORRTC, BIT*, PRM*, RRT* and kin), if they
-have found something, or at its end (the native AORRTC). A native PRM keeps its roadmap between seeds.
-OMPL's planners run on the same collision kernel, called from Python; one code shortens all paths.
+Anytime planners use all of their planning time. OMPL's AORRTC, BIT*, PRM*, RRT* and similar planners stop
+after 1 s if they have a solution; the native AORRTC stops at the end of the planning time.
+A native PRM keeps its roadmap between seeds.
+OMPL's planners call the same collision kernel from Python, and the same code shortens all paths.
 
 """
 
@@ -147,10 +149,7 @@ def main() -> None:
     asked = parser.parse_args()
     problems = list(cases())
     names = [
-        (pipeline, planner)
-        for pipeline, table in pipelines.items()
-        if pipeline != INDUSTRIAL
-        for planner in table
+        (pipeline, planner) for pipeline, table in pipelines.items() if pipeline != PILZ for planner in table
     ]
     for case in problems:  # compiles and fits what is kept after the first use
         for planner in pipelines["native"]:

@@ -8,7 +8,7 @@ import numpy as np
 import armcell
 from armcell.collision import without_arm
 from armcell.core import SE3, PlanRequest, PoseGoal
-from armcell.planning import RunningMotion, plan, plan_beside, plan_together
+from armcell.planning import RunningMotion, plan, plan_around_moving_arm, plan_synchronized
 
 scene = armcell.load("dual_ur10").scene()
 speed = {"velocity_scaling": 0.6, "acceleration_scaling": 0.25}
@@ -20,14 +20,14 @@ def down_at(x, y, z=1.05):
 
 
 # Both start and arrive together; that the timed pair keeps 20 mm apart is proven.
-both = plan_together(
+both = plan_synchronized(
     scene, {"left_arm": down_at(-0.1, -0.1), "right_arm": down_at(0.25, 0.1)},
     template=PlanRequest("left_arm", (), **speed),
 )  # fmt: skip
 print(f"together: {both.how}, {both.trajectory.duration:.2f} s, proven in {1000 * both.recheck_time:.1f} ms")
 
 # Two tips to one point: refused, with the pair that would touch.
-print("refused:", plan_together(scene, {"left_arm": down_at(0, 0), "right_arm": down_at(0, 0)}).message)
+print("refused:", plan_synchronized(scene, {"left_arm": down_at(0, 0), "right_arm": down_at(0, 0)}).message)
 
 # They change places while the right one is on its way: its motion is an obstacle in space and time.
 there = {"left_arm": (0.3, -0.1), "right_arm": (-0.3, 0.1)}
@@ -36,6 +36,7 @@ for group, other in (("left_arm", "right_arm"), ("right_arm", "left_arm")):
     scene = scene.with_state(first.trajectory.end)
 right = PlanRequest("right_arm", (down_at(0.3, 0.1),), velocity_scaling=0.3, acceleration_scaling=0.1)
 running = RunningMotion(plan(without_arm(scene, "left_arm"), right).trajectory, start=0.0)
-left = plan_beside(scene, PlanRequest("left_arm", (down_at(-0.3, -0.1),), **speed), "right_arm", running)
+request = PlanRequest("left_arm", (down_at(-0.3, -0.1),), **speed)
+left = plan_around_moving_arm(scene, request, "right_arm", running)
 print(f"beside: {left.evidence['beside']}, {left.trajectory.duration:.2f} s", end=" ")
 print(f"while the other takes {running.end:.2f} s")

@@ -33,6 +33,4 @@ with armcell.load("dual_ur10").connect("sim", seed=1) as cell:
     touched = cell.driver.unwanted_contacts()
 print(f"{'done' if result else result.message} in {result.makespan:.1f} s, {len(touched)} contacts")
 print("in the middle:", ", ".join(log))
-print(
-    f"made way {sum(result.made_way.values())} times, went another way {sum(result.searched.values())} times"
-)
+print(f"yielded {sum(result.yielded.values())} times, took a detour {sum(result.searched.values())} times")

@@ -9,10 +9,10 @@ from armcell.planning import warm_up
 from armcell.tasks import (
     Alternatives,
     Connect,
-    Draft,
     Fallbacks,
     Merger,
     MoveGripper,
+    PartialSolution,
     Planning,
     Serial,
     Straight,
@@ -22,7 +22,7 @@ from armcell.tasks import (
     duration,
     path_length,
     perform_all,
-    perform_parts,
+    perform_pipelined,
     pick_stages,
     picking,
     place_stages,
@@ -38,38 +38,40 @@ with cell.connect(seed=1) as live:
     hand, scene = live.model.gripper(), live.scene()
     arm, tip = hand.arm_group, hand.tcp_link
 
-    # 1. One task of two parts. What a stage lacks is said before anything is planned.
+    # 1. One task of two parts. armcell checks the stages' inputs before it plans.
     pick = Serial("pick", tuple(pick_stages(scene, "cube", hand, s)))
     place = Serial("place", tuple(place_stages("cube", "tray", hand, s)))
     try:
-        Task("the wrong way round", (place, pick)).plan(Draft(scene), Planning(s))
+        Task("the wrong way round", (place, pick)).plan(PartialSolution(scene), Planning(s))
     except TaskError as error:
         print("checked:", error.problems[0])
 
-    # 2. Several plans, the cheapest first. Any function of a draft is a cost.
+    # 2. Several plans, cheapest first. Any function of a solution can be the cost.
     for name, cost in (("duration", duration), ("path_length", path_length),
                        ("both", weighted((1.0, duration), (0.05, clearance)))):  # fmt: skip
-        plan = Task("pick and place", (pick, place), cost).plan(Draft(scene), Planning(s), count=4)
+        plan = Task("pick and place", (pick, place), cost).plan(PartialSolution(scene), Planning(s), count=4)
         print(f"by {name}:", ", ".join(f"{c:.2f}" for c in plan.costs))
 
-    # 3. Ways out: back home with the fingers closing meanwhile, if that is proven; else one after the other.
+    # 3. Alternatives: go home and close the fingers at the same time if certified, otherwise in sequence.
     home = Connect("home", arm, s.free, goal=NamedGoal("home"))
     narrow = MoveGripper("narrow", hand, 0.03)
     leave = Fallbacks("leave", (Merger("at once", (home, narrow)), Serial("in turn", (home, narrow))))
-    plan = Task("all of it", (pick, place, leave)).plan(Draft(scene), Planning(s))
+    plan = Task("all of it", (pick, place, leave)).plan(PartialSolution(scene), Planning(s))
     last = type(plan.best.steps[-1]).__name__
     print("performed:", perform_all(live.ctx, plan.best.steps).code.name, "- the last step:", last)
 
-    # 4. Where it fails: which stage, how often, what came nearest and why.
+    # 4. The failure table: stages, counts, nearest miss and reason.
     ways = [Straight(f"{x:g} m", arm, tip, s.near, (x, 0.0, 0.0)) for x in (2.0, 3.0)]
-    plan = Task("too far", (Alternatives("ahead", tuple(ways)), leave)).plan(Draft(live.scene()), Planning(s))
+    plan = Task("too far", (Alternatives("ahead", tuple(ways)), leave)).plan(
+        PartialSolution(live.scene()), Planning(s)
+    )
     print(plan.code.name)
     print(plan.table())
 
-    # 5. There and back: each part is planned while the one before it is performed.
+    # 5. There and back: armcell plans each task while the previous one runs.
     parts = [picking("cube", hand), placing("cube", "table", hand, at=(0.0, -0.2)),
              picking("cube", hand), placing("cube", "tray", hand)]  # fmt: skip
-    outcome = perform_parts(live.ctx, parts)
+    outcome = perform_pipelined(live.ctx, parts)
     told = outcome.evidence
     print(
         outcome.code.name,

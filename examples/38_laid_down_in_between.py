@@ -17,12 +17,16 @@ over = {"on": "tray", "up": (0.0, 0.0, -1.0)}  # what is down now shall be up
 with cell.connect(scene=scene) as live:
     # 1. With one grasp it is refused, and nothing moves:
     # the fingers cannot be under it before, nor beneath it afterwards.
-    single = live.arm.transfer("brick", **over, settings=RecoverySettings(tries=1, lay_downs=0))
+    single = live.arm.transfer("brick", **over, settings=RecoverySettings(tries=1, intermediate_placements=0))
     print("with one grasp:", single.code.name)
 
     # 2. All that may be needed. Nothing moves before a whole way has been planned.
     outcome = live.arm.transfer("brick", **over)
-    print(outcome.code.name, "laid down in between on:", ", ".join(outcome.evidence["laid_down"]))
+    print(
+        outcome.code.name,
+        "intermediate placements on:",
+        ", ".join(outcome.evidence["intermediate_placements"]),
+    )
     T = live.driver.object_poses()["brick"]
     print(f"its z axis now points {'down' if T.rotation.matrix[2, 2] < -0.999 else 'elsewhere'}")
     print(f"{outcome.evidence['error_m'] * 1000:.1f} mm from where it should lie")

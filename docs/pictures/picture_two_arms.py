@@ -11,7 +11,8 @@ from PIL import Image
 import armcell
 from armcell.records.plots import response_plot
 from armcell.sim import render_rgb
-from armcell.sim.step_response import step_responses, with_gains
+from armcell.sim.gain_files import with_gains
+from armcell.sim.step_response import step_responses
 
 HERE = Path(__file__).parent
 SHOTS = {"dual_ur10_rod": "move and turn", "dual_ur10_sort": "lower", "dual_ur10_screw": "screw"}
@@ -55,12 +56,12 @@ def steps() -> None:
     joints = cell.model.group("left_arm").joint_names[:3]
     parts = []
     for gains in ("the cell's own", "tutorial"):
-        settings = cell.physics if gains != "tutorial" else with_gains(cell.physics, gains)
+        settings = cell.physics if gains != "tutorial" else with_gains(cell.physics, gains, cell.model)
         found = step_responses(cell.scene(), joints, settings, np.deg2rad(5), 2.0)
-        curves = {r.joint: np.degrees(r.positions * np.sign(r.size)) for r in found}
+        curves = {r.joint: r.positions / r.size for r in found}
         title = f"{gains}: kp {settings.arm_kp:g}, ki {settings.arm_ki:g}, kv {settings.arm_kv:g}"
         file = HERE / "steps.tmp.png"
-        file.write_bytes(response_plot(found[0].times, curves, 5.0, title))
+        file.write_bytes(response_plot(found[0].times, curves, title))
         parts.append(np.asarray(Image.open(file).convert("RGB")))
         file.unlink()
     Image.fromarray(np.vstack(parts)).resize(

@@ -28,6 +28,17 @@ BAD = {
     "unknown shape key": (thing("shapes: [{sphere: 1, posse: 1}]"), "objects/a/shapes/0", "mean 'pose'"),
     "unknown task key": (HEAD + CUBE + "task: [{pik: cube}]\n", "task/0", "did you mean 'pick'"),
     "unknown randomize key": (HEAD + CUBE + "randomize: {cube: {dz: [0, 1]}}\n", "randomize/cube", "'dz'"),
+    "dynamic friction above static": (
+        HEAD + "objects: {a: {sphere: 0.1, friction: {static: 0.4, dynamic: 0.6}}}\n",
+        "objects/a/friction", "dynamic (0.6) is above static (0.4)",
+    ),
+    "unknown friction": (
+        HEAD + "objects: {a: {sphere: 0.1, friction: {statc: 0.4, dynamic: 0.3}}}\n",
+        "objects/a/friction", "did you mean 'static'",
+    ),
+    "friction of words": (
+        HEAD + "objects: {a: {sphere: 0.1, friction: rough}}\n", "objects/a/friction", "valid number",
+    ),
     "unknown setting": (HEAD + "settings: {atempts: 3}\n", "settings", "did you mean 'attempts'"),
     "unknown speed": (HEAD + "settings: {free: {speed: 1}}\n", "settings/free", "'speed'"),
     "unknown physics": (HEAD + "physics: {gravitiy: [0, 0, 0]}\n", "physics", "did you mean 'gravity'"),

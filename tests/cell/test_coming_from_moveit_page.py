@@ -29,7 +29,7 @@ def test_the_code_blocks_run_one_after_the_other(capsys):
 
 def test_the_commands_exist():
     told = set(re.findall(r"`armcell ([a-z-]+)", PAGE))
-    known = {command.name for command in app.registered_commands}
+    known = {command.name for command in (*app.registered_commands, *app.registered_groups)}
     assert {"setup", "plan", "ik", "doctor", "explain"} <= told <= known
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.control.ur.emulated import emulator, free_hosts, free_port
 
 from armcell.cell import load
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.cell.health import LAYERS, Health
 from armcell.cli.main import main
 from armcell.core import InputError

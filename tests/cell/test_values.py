@@ -82,6 +82,15 @@ def test_what_has_a_name_or_a_default_may_be_changed_in_part():
         with_values(seeing, {"cameras.abov.noise.floor": 0.003})
 
 
+def test_a_drawn_friction_keeps_the_ratio_of_both():
+    cell = with_values(load("panda_pick"), {"objects.cube.friction": {"static": 0.8, "dynamic": 0.6}})
+    for seed in (None, 3):
+        material = cell.scene(seed).objects["cube"].material
+        assert material.sliding / material.friction == pytest.approx(0.75)
+    one = with_values(cell, {"objects.cube.friction.dynamic": 0.4})
+    assert one.scene().objects["cube"].material.sliding == 0.4
+
+
 def test_a_part_of_a_setting_leaves_the_rest_at_its_default(cell):
     other = with_values(
         cell,

@@ -92,12 +92,17 @@ class Written:
         frames = [self.frame[link] for link in links]
         reach = balls[at[:, 0], 3] + balls[at[:, 1], 3]
         counts = dict.fromkeys(pairs, 0)
+        known: dict[int, tuple[np.ndarray, bool]] = {}  # of links that do not move relative to each other
         for i in range(samples):
             self.sample(rng)
             centres = np.array([self.data.oMf[f].act(b[:3]) for f, b in zip(frames, balls, strict=True)])
             apart = np.linalg.norm(centres[at[:, 0]] - centres[at[:, 1]], axis=1)
             for k in np.flatnonzero(apart <= reach):
-                counts[pairs[k]] += self.touch(*pairs[k], i < SURE)
+                a, b = pairs[k]
+                T = self.data.oMf[self.frame[a]].actInv(self.data.oMf[self.frame[b]]).homogeneous
+                if i < SURE or k not in known or np.abs(known[k][0] - T).max() > 1e-12:
+                    known[k] = T, self.touch(a, b, i < SURE)
+                counts[a, b] += known[k][1]
         return counts
 
 

@@ -182,7 +182,7 @@ def test_a_controller_that_does_not_run_yet_refuses():
     (host,) = free_hosts(1)
     rack = Rack([ControllerSettings("UR10", host)])
     ports = [e.port for e in rack.controllers[0].network.endpoints]
-    assert sorted(ports) == [29999, 30001, 30002, 30003, 30004, 63352]
+    assert sorted(ports) == [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013, 63352]
     for port in ports:
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection((host, port), timeout=1)

@@ -124,10 +124,13 @@ def test_a_script_and_its_cell_in_a_graph(master, tmp_path):
 
 def test_what_is_wrong_is_said(master, capsys):
     assert "nothing to serve" in call(capsys, "serve", "panda_pick").err
-    assert "goes with --ros1" in call(capsys, "serve", "panda_pick", "a:=b", "--unity", "--port", "0").err
+    unity = ("serve", "panda_pick", "--unity", "--port", "0")
+    assert "add --ros1" in call(capsys, *unity, "__name:=b").err
+    assert "goes with --ros1" in call(capsys, *unity, "--own-master").err
+    assert "'a' is not a remapping (write FROM:=TO)" in call(capsys, *unity, "--remap", "a").err
     assert "either --connect HOST:PORT" in call(capsys, "sim", "panda_pick").err
     said = call(capsys, "serve", "panda_pick", "--ros1", "--no-own-master")
     assert said.status == 1 and "no ROS master" in said.err and "start roscore" in said.err
-    assert "is no remapping" in call(capsys, "serve", "panda_pick", "nonsense", "--ros1").err
+    assert "is not a remapping" in call(capsys, "serve", "panda_pick", "nonsense", "--ros1").err
     assert call(capsys, "run", "panda_pick", "--ros1").status == 2
     assert "no ROS master" in call(capsys, "topic", "list", "--ros1").err

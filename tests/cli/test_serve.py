@@ -144,3 +144,18 @@ def test_a_port_in_use_is_said_before_anything_is_loaded(capsys, monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as other:
         said = call(capsys, "serve", "panda_pick", "--unity", "--port", other.getsockname()[1])
     assert said.status == 1 and "Address already in use" in said.err
+
+
+def test_a_namespace_and_a_remapping_of_the_command_line(port, capsys):
+    names = ("--ns", "arm_left", "--remap", "trajectory_status:=/words", "--remap", "nothing:=/x")
+    server = start("serve", "panda_pick", "--unity", "--port", port, "--mode", "fake", *names)
+    try:
+        wait_for_port(port, server)
+        listed = call(capsys, "topic", "list", "--connect", f"127.0.0.1:{port}").out
+        for line in ("/arm_left/joint_states  ", "/words  std_msgs/String", "/arm_left/robot_description  "):
+            assert line in listed
+        assert "\n/joint_states" not in listed and "\n/tf  " in listed
+    finally:
+        server.send_signal(signal.SIGINT)
+        _, errors = server.communicate(timeout=20)
+    assert "the cell has no topic, service or action /nothing" in errors and "Traceback" not in errors

@@ -27,7 +27,8 @@ def test_help_teaches(capsys):
         assert word in said.out
 
 
-def test_a_cell_that_check_and_run_accept(capsys, tmp_path):
+def test_a_cell_that_check_and_run_accept(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     said = call(capsys, "setup", small_arm(tmp_path), "-o", tmp_path / "cell", *QUICK)
     assert said.status == 0, said.err
     assert "3 driven joints" in said.words and "500 states" in said.words and "armcell check" in said.words

@@ -18,7 +18,7 @@ import pytest
 from tests.cli.helpers import Said, cell_file, finished, start
 from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port
 
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.records import read_record
 from armcell.ros.ros1.rpc import ask
 

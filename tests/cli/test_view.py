@@ -12,7 +12,7 @@ from tests.cli.helpers import call, start
 from tests.control.ur.emulated import emulator, free_hosts, free_port
 from tests.viewer.client import change, login, refusal, wait_for, websocket, widgets
 
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.records import read_record
 
 WRONG = {

@@ -14,7 +14,7 @@ from tests.model.helpers import PinRobot, random_positions
 from tests.scene.helpers import box, floating, mesh_of, open_bin, panda, ur10
 
 from armcell.collision import ExactChecker
-from armcell.collision.exact import neighbours
+from armcell.collision.exact import neighbors
 from armcell.collision.kernel.box_tree import box_tree
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.cloud_part import cloud_of
@@ -327,7 +327,7 @@ def test_what_is_proven_is_free(kind):
             refused += 1
 
 
-def test_a_proof_up_to_the_last_millimetre():
+def test_a_proof_up_to_the_last_millimeter():
     wall = scatter(500, np.random.default_rng(0), (0.0, 1.0, 1.0))
     for shape in (PointCloud(wall, 0.01), Octree(wall, np.full(500, 0.02))):
         kernel = KernelChecker(floating(obstacle(shape, SE3.from_xyz(1.0, 0, 0))))
@@ -378,5 +378,5 @@ def test_a_tree_holds_what_is_in_it():
 def test_what_stands_on_a_cloud():
     floor = PointCloud(scatter(2000, np.random.default_rng(0), (1.0, 1.0, 0.0)), 0.01)
     scene = panda(obstacle(floor), box("part", (0.1, 0.1, 0.1), (0.2, 0.2, 0.0605)))
-    assert neighbours(scene, "part") == ["cloud"]
-    assert neighbours(scene, "cloud") == ["part"]
+    assert neighbors(scene, "part") == ["cloud"]
+    assert neighbors(scene, "cloud") == ["part"]

@@ -142,7 +142,7 @@ def test_it_is_never_below_the_measured_motion(name):
 
 
 def test_it_is_not_far_above_either():
-    """A bound of metres for millimetres would prove nothing; 4 times the largest motion seen is fine."""
+    """A bound of meters for millimeters would prove nothing; 4 times the largest motion seen is fine."""
     scene, _ = scene_of("ur10_gripper")
     checker = ExactChecker(scene)
     bound, rng = MotionBound(checker), np.random.default_rng(1)

@@ -28,7 +28,7 @@ def free(scene: PlanningScene, x: float) -> list[bool]:
     ],
 )  # fmt: skip
 def test_against_objects(change, reach):
-    """A diff sets them, and both checkers keep to them to the tenth of a millimetre."""
+    """A diff sets them, and both checkers keep to them to the tenth of a millimeter."""
     scene = floating(WALL).apply(SceneDiff.of(change))
     assert free(scene, 0.9 - reach - 2e-4) == [True, True]
     assert free(scene, 0.9 - reach + 2e-4) == [False, False]

@@ -119,6 +119,28 @@ def objects(path: Path) -> None:
     load_objects(path)
 
 
+def gains(path: Path) -> None:
+    from armcell.model import load_robot
+    from armcell.sim import PhysicsSettings
+    from armcell.sim.gain_files import with_gains
+
+    with_gains(PhysicsSettings(), path, load_robot(path.parent))
+
+
+def sdf(path: Path) -> None:
+    from armcell.cell.importing import import_world, write_imported
+
+    world = import_world(path)
+    if world.objects:
+        write_imported(world.objects, path.parent / "imported.yaml", None, force=True)
+
+
+def sdf_included(path: Path) -> None:
+    from armcell.scene.sdf import load_sdf
+
+    load_sdf(path.parents[2] / "cell.world")
+
+
 # --- geometry ---
 def mesh(path: Path) -> None:
     from armcell.core import SE3
@@ -382,7 +404,7 @@ def _controller(frozen: bool = False) -> Any:
                 theirs, _ = listening.accept()
             link = Link(theirs, self.network)
             if hasattr(server, "_begin"):
-                server._begin(link, False) if server is self.script else server._begin(link)
+                server._begin(link, 30001, False) if server is self.script else server._begin(link)
             link.received += data
             server._data(link)
             for _ in range(steps):
@@ -473,7 +495,7 @@ def _rtde(side: str) -> bytes:
 
 @cache
 def _primary() -> bytes:
-    from armcell.control.ur_wire import primary
+    from armcell.control.ur_wire import primary, robot_messages
     from armcell.control.ur_wire.models import ur_model
 
     model = ur_model("UR10e")
@@ -482,7 +504,7 @@ def _primary() -> bytes:
     mode = primary.mode_package(10**6, True, False, False, True, False, 7, 1.0, 1.0)
     kinematics = struct.pack(">6I", *range(6)) + struct.pack(">24d", *[0.1] * 24) + struct.pack(">I", 1)
     package = struct.pack(">iB", 5 + len(kinematics), primary.KINEMATICS) + kinematics
-    return primary.version_message(0, "URControl", (5, 9, 4), 0) + primary.robot_state(
+    return robot_messages.version(0, "URControl", (5, 9, 4), 0) + primary.robot_state(
         [mode, configuration, package]
     )
 
@@ -523,6 +545,10 @@ def targets() -> dict[str, Target]:
         Target("robot", "robot.yaml", (seed("robot.yaml"),), robot),
         Target("cell", "cell.yaml", (seed("cell.yaml"),), cell),
         Target("objects", "objects.yaml", (seed("objects.yaml"),), objects),
+        Target("sdf", "cell.world", (seed("cell.world"), seed("models/crate/model.sdf")), sdf),
+        Target("sdf-included", "models/crate/model.sdf", (seed("models/crate/model.sdf"),), sdf_included),
+        Target("sdf-config", "models/crate/model.config", (seed("models/crate/model.config"),), sdf_included),
+        Target("gains", "gains.yaml", (seed("controllers.yaml"), seed("gains.yaml")), gains),
         *(
             Target(f"mesh-{kind}", f"part.{kind}", seeds, mesh)
             for kind, seeds in {

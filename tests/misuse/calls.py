@@ -13,20 +13,23 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from tests.misuse.samples import HUGE, LONG, by_type, is_array, misuses, sample
 
 from armcell.core import ArmcellError
 from armcell.planning import prepare, solve_ik
-from armcell.planning.native.warm_up import warm_up_ik
+from armcell.planning.warm_up import warm_up_ik
 from armcell.timing import BlendedPath
 
 PACKAGES = ("core", "model", "kinematics", "timing", "scene", "collision", "planning", "grasping",
             "perception", "sim", "control", "tasks", "cell", "campaigns")  # fmt: skip
+ROOT = Path(__file__).parents[2]
 LONGEST = 2.0  # [s] of processor time of a call: other processes may take the machine
 WAITING = 20.0  # [s] of a call that waits
 SLOW = ("collision.disabled_collision_pairs",)  # valid calls take longer
@@ -142,10 +145,18 @@ def fault(call: Callable[[], Any], shaped: bool) -> str | None:
 
 def findings(shard: int, shards: int) -> Iterator[dict[str, Any]]:
     """Make a shard's calls in other processes; a finding each, then the number of calls."""
+    with tempfile.TemporaryDirectory() as folder:  # some of the calls write files
+        yield from _findings(shard, shards, folder)
+
+
+def _findings(shard: int, shards: int, folder: str) -> Iterator[dict[str, Any]]:
     first, calls = 0, 0
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     while True:
         command = [sys.executable, "-m", "tests.misuse.calls", str(shard), str(shards), str(first)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=600, check=False, cwd=folder, env=environment
+        )
         lines = [json.loads(line) for line in done.stdout.splitlines()]
         yield from (line for line in lines if "fault" in line)
         calls += sum(line.get("calls", 0) for line in lines)

@@ -14,7 +14,7 @@ from armcell.model import Part, RobotModel, compose, load_robot, load_urdf, pars
 from armcell.model.assets import installed_share, resolve_uri
 from armcell.model.loader import LIBRARY
 
-MBM = Path(__file__).parents[3] / "shared" / "data" / "mbm" / "robots"
+MBM = Path(__file__).parents[3].joinpath("shared", "data", "mbm", "robots").resolve()  # may be a link
 EXAMPLES = next((s / "example-robot-data" / "robots" for s in installed_share()), Path("/nowhere"))
 LIMIT = '<limit lower="-1" upper="1" velocity="2" effort="3"/>'
 

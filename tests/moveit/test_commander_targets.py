@@ -23,7 +23,7 @@ def test_joint_targets_in_all_their_forms(arm, mc):
         JointState(name=names, position=values),
     ):
         arm.set_joint_value_target(list(HOME))
-        assert arm.set_joint_value_target(target) is None
+        assert arm.set_joint_value_target(target)
         assert np.allclose(arm.get_joint_value_target(), values)
     arm.set_joint_value_target("panda_joint1", 0.5)
     assert arm.get_joint_value_target()[0] == 0.5

@@ -111,6 +111,27 @@ SAYS = 'rospy.loginfo("Close gripper now!")\n'
             "p.publish(0.0)\nrospy.sleep(0.5)\n",
             False,
         ),
+        (
+            "from actionlib import SimpleActionClient\n"
+            "from control_msgs.msg import GripperCommandAction, GripperCommandGoal\n"
+            "c = SimpleActionClient('/hand' + '_controller/gripper' + '_cmd', GripperCommandAction)\n"
+            "c.wait_for_server()\nc.send_goal_and_wait(GripperCommandGoal())\n",
+            False,
+        ),
+        (
+            "from actionlib import SimpleActionClient\n"
+            "from control_msgs.msg import FollowJointTrajectoryAction, FollowJointTrajectoryGoal\n"
+            "from trajectory_msgs.msg import JointTrajectoryPoint\n"
+            "c = SimpleActionClient('/hand' + '_controller/follow_joint_trajectory', "
+            "FollowJointTrajectoryAction)\n"
+            "g = FollowJointTrajectoryGoal()\ng.trajectory.joint_names = ['panda_finger_joint1']\n"
+            "p = JointTrajectoryPoint(positions=[0.0], time_from_start=rospy.Duration(1))\n"
+            "g.trajectory.points = [p]\n"
+            "c.wait_for_server()\nc.send_goal_and_wait(g)\n",
+            False,
+        ),
+        ("MoveGroupCommander('panda_arm').pick('cube')\n", False),
+        ("g = MoveGroupCommander('hand')\ng.set_named_target('open')\ng.go()\n", True),
     ],
 )
 def test_a_script_that_says_it_closes_the_gripper(tmp_path, closing, hinted):

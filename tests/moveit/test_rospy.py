@@ -29,8 +29,13 @@ def test_packages_of_messages_and_services(session):
     assert isinstance(GetPositionIK.Request(), GetPositionIKRequest) and Trigger._type == "std_srvs/Trigger"
     assert Grasp().grasp_pose.pose.orientation.w == 0.0  # as genpy: nothing is made up
     assert geometry_msgs.msg.Point(1, 2, 3).y == 2
+    from moveit_msgs.msg import GetPlanningScene  # as tutorials import it: a service, with a hint
+    from moveit_msgs.srv import GetPlanningScene as Right
+
+    assert GetPlanningScene._request_class is Right._request_class
+    assert "moveit_msgs/GetPlanningScene" in session.hints
     with pytest.raises(ImportError):
-        from moveit_msgs.msg import GetPlanningScene  # noqa: F401  (it is a service)
+        from moveit_msgs.msg import GetPlanningScenes  # noqa: F401
 
 
 def test_messages_are_lists_and_texts_as_scripts_use_them(session):

@@ -12,7 +12,7 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, Box, ErrorCode, InputError, JointGoal, JointState, PoseGoal
 from armcell.model import load_robot
 from armcell.planning import plan
-from armcell.planning.finish import finish, torque_model
+from armcell.planning.certify import certify_and_time, torque_model
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.timing import BlendedPath, jerk_limited
 
@@ -100,4 +100,4 @@ def test_a_robot_without_jerk_limits_says_so():
     scene = ur10_wall()
     checker = KernelChecker(scene, scene.model.group("gripper").joint_names)
     with pytest.raises(InputError, match="has no jerk limit"):
-        finish(checker, [[0.01], [0.02]], 1.0, 1.0, jerk_limits=True)
+        certify_and_time(checker, [[0.01], [0.02]], 1.0, 1.0, jerk_limits=True)

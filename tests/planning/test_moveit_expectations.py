@@ -80,7 +80,7 @@ def test_targets_of_the_other_kinds():
         ([0.1] * 9, InputError, "panda_joint1, panda_joint2"),
         ([[0.1] * 7], InputError, r"\(1, 7\)"),
         ([0.1] * 6 + [np.nan], InputError, "panda_joint7 is not finite"),
-        (["a"] * 7, InputError, "a list is no target"),
+        (["a"] * 7, InputError, "a list is not a valid target"),
         (None, InputError, "no target|joint values"),
         ("raedy", UnknownNameError, "extended"),
         ({"panda_joint": 0.1}, UnknownNameError, "panda_joint1"),

@@ -49,8 +49,8 @@ def test_a_plan_is_what_it_says(name):
     np.testing.assert_array_equal(result.path.waypoints[[0, -1]], result.trajectory.positions[[0, -1]])
     if isinstance(goal, PoseGoal):
         tip = ends_at(scene, result).frame_pose(goal.link or scene.model.group("arm").tip_link)
-        metres, radians = tip.distance_to(goal.T_world_link)
-        assert metres <= goal.position_tolerance and radians <= goal.orientation_tolerance
+        meters, radians = tip.distance_to(goal.T_world_link)
+        assert meters <= goal.position_tolerance and radians <= goal.orientation_tolerance
     else:
         state = goal.state if isinstance(goal, JointGoal) else scene.model.named_state("arm", goal.name)
         for joint in state.joint_names:

@@ -256,7 +256,7 @@ def test_a_start_in_contact_is_repaired_only_when_asked():
     assert free
 
 
-def way_out(checker: KernelChecker, start: np.ndarray, free: np.ndarray) -> bool:
+def least_freeing_shift(checker: KernelChecker, start: np.ndarray, free: np.ndarray) -> bool:
     return certify_from_rest(checker, [start, free], deepest=np.inf).free
 
 
@@ -270,12 +270,12 @@ def test_a_way_out_may_not_lead_deeper_or_into_another_contact():
         ik.descend(full, scene.frame_pose("panda_hand_tcp").shifted(z=dz))
         return full[:7]
 
-    assert way_out(checker, start, tip_at(0.03))
-    assert not way_out(checker, start, tip_at(-0.01))  # into the plate
-    assert not way_out(checker, start, tip_at(-0.25))  # through it, free again below
+    assert least_freeing_shift(checker, start, tip_at(0.03))
+    assert not least_freeing_shift(checker, start, tip_at(-0.01))  # into the plate
+    assert not least_freeing_shift(checker, start, tip_at(-0.25))  # through it, free again below
     tip = scene.frame_pose("panda_hand_tcp").translation
     above = scene.with_object(box("above", (0.3, 0.3, 0.02), tip + np.array([0, 0, 0.25])))
-    assert not way_out(KernelChecker(above, names), start, tip_at(0.08))
+    assert not least_freeing_shift(KernelChecker(above, names), start, tip_at(0.08))
 
 
 def test_a_start_that_cannot_be_repaired_is_refused_in_time():

@@ -2,12 +2,14 @@
 
 import threading
 import time
+from itertools import pairwise
 
 import pytest
 
 from armcell.core import InputError, UnknownNameError
 from armcell.ros import ActionClient, ActionServer, Bus, Done, State, schema
 
+S = schema()
 TYPE = "control_msgs/GripperCommand"
 RESULT = schema().message(f"{TYPE}Result")
 
@@ -59,6 +61,61 @@ def test_status_is_told_at_five_hertz_and_names_the_goal():
             message = status.get(timeout=2)
             assert message.status_list[0].goal_id.id == sent.id.id
         assert 0.7 < time.monotonic() - start < 20.0
+
+
+# What may follow in the status of one goal: wiki.ros.org/actionlib/DetailedDescription, server states.
+FOLLOWS = {
+    None: {State.PENDING, State.ACTIVE},
+    State.PENDING: {State.ACTIVE, State.REJECTED, State.RECALLING, State.RECALLED},
+    State.RECALLING: {State.PREEMPTING, State.REJECTED, State.RECALLED},
+    State.ACTIVE: {State.PREEMPTING, State.SUCCEEDED, State.ABORTED, State.PREEMPTED},
+    State.PREEMPTING: {State.PREEMPTED, State.SUCCEEDED, State.ABORTED},
+}
+
+
+def states_of(status, sent):
+    """The different states of a goal on its status topic, in order, until it is over."""
+    states = [None]
+    while states[-1] is None or not states[-1].is_over:
+        message = status.get(timeout=5)
+        assert message is not None, states
+        now = [State(s.status) for s in message.status_list if s.goal_id.id == sent.id.id]
+        states += [s for s in now if s is not states[-1]]
+    assert all(after in FOLLOWS[before] for before, after in pairwise(states)), states
+    return states[1:]
+
+
+@pytest.mark.parametrize("accepts", [True, False])
+@pytest.mark.parametrize("cancelled", [True, False])
+@pytest.mark.parametrize("explicit", [True, False])
+@pytest.mark.parametrize(
+    "end", [State.SUCCEEDED, State.ABORTED, State.REJECTED, State.PREEMPTED, State.RECALLED]
+)
+def test_every_end_of_a_goal_is_a_transition_of_actionlib(accepts, cancelled, explicit, end):
+    bus, begun = Bus(), threading.Event()
+
+    def execute(g):
+        begun.set()
+        if explicit:
+            g.accept()
+        if cancelled:
+            assert g.cancel.wait(5)
+        return Done(end, RESULT(), "why")
+
+    server = ActionServer(bus, "a", TYPE, execute, accepts=accepts)
+    status = bus.subscribe("a/status", "actionlib_msgs/GoalStatusArray", queue_size=100)
+    with server, ActionClient(bus, "a", TYPE) as client:
+        sent = client.send(goal())
+        if cancelled:
+            assert begun.wait(5)
+            sent.cancel()
+        assert sent.wait(5) and sent.text.endswith("why")
+        states = states_of(status, sent)
+        assert sent.state is states[-1]
+        if end is State.REJECTED and not (accepts or explicit):
+            assert State.ACTIVE not in states and states[-1] is State.REJECTED
+        if end is State.REJECTED and (accepts or explicit):
+            assert states[-1] is State.ABORTED
 
 
 @pytest.mark.parametrize("how", ["id", "all", "time", "other time"])
@@ -185,3 +242,30 @@ def test_a_flood_of_goals_is_rejected_beyond_a_bound():
         assert threading.active_count() < 60
         client.cancel_all()
         assert all(s.wait(5) for s in sent)
+
+
+def test_a_goal_that_fails_has_no_result_that_reads_as_a_success(bus):
+    """Whatever the server's function left empty, and where it raises."""
+    follow, place = "control_msgs/FollowJointTrajectory", "moveit_msgs/Place"
+
+    def end(action, execute):
+        with ActionServer(bus, "/ends", action, execute), ActionClient(bus, "/ends", action) as client:
+            assert client.wait_for_server(5)
+            sent = client.send(S.new(f"{action}Goal"))
+            assert sent.wait(5)
+            return sent.result
+
+    def raise_(goal):
+        raise InputError("no such arm")
+
+    result = end(follow, lambda goal: Done(State.ABORTED, S.new(f"{follow}Result"), "it fell"))
+    assert (result.error_code, result.error_string) == (-1, "it fell")
+    result = end(follow, raise_)
+    assert (result.error_code, result.error_string) == (-1, "no such arm")
+    code = end(place, raise_).error_code
+    assert (code.val, code.message, code.source) == (99999, "no such arm", "armcell")
+    code = end(place, lambda goal: Done(State.PREEMPTED, S.new(f"{place}Result"), "")).error_code
+    assert code.val == -7
+    own = S.new(f"{place}Result", S.new("moveit_msgs/MoveItErrorCodes", -19, "no cup", "shelf"))
+    code = end(place, lambda goal: Done(State.ABORTED, own, "")).error_code
+    assert (code.val, code.message, code.source) == (-19, "no cup", "shelf")

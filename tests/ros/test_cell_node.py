@@ -8,11 +8,12 @@ import pytest
 from tests.ros.unity_like import UnityLike
 
 from armcell.cell import load
-from armcell.core import SE3
+from armcell.core import SE3, InputError
 from armcell.kinematics import kinematic_tree
 from armcell.ros import ActionClient, Bus, State, schema
 from armcell.ros.codec import ros1
 from armcell.ros.nodes import CellNode
+from armcell.ros.nodes.arm_status import ArmStatusPublisher
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 TRAJECTORY = "trajectory_msgs/JointTrajectory"
@@ -76,7 +77,8 @@ def test_states_come_at_thirty_hertz_of_the_cells_clock(served):
     assert np.all(np.diff(stamps) > 0)
     assert 29.5 < 90 / (stamps[-1] - stamps[0]) < 30.5
     assert clock.get(5).clock.to_sec() in stamps
-    assert tuple(states.get(5).name) == node.live.model.joint_names
+    mimics = ("panda_finger_joint2",)  # last, where it disturbs nobody
+    assert tuple(states.get(5).name) == (*node.live.model.joint_names, *mimics)
 
 
 @pytest.mark.slow
@@ -90,9 +92,9 @@ def test_each_of_several_arms_has_its_own_joint_states():
         at = dict(zip(whole.name, whole.position))
         for arm in ("left", "right"):
             mine = bus.subscribe(f"/{arm}_arm/joint_states", "sensor_msgs/JointState", queue_size=1).get(5)
-            assert len(mine.name) == 7 and all(name.startswith(f"{arm}_") for name in mine.name)
+            assert len(mine.name) == 8 and all(name.startswith(f"{arm}_") for name in mine.name)
             assert [at[name] for name in mine.name] == pytest.approx(list(mine.position), abs=1e-6)
-            assert len(mine.velocity) == 7
+            assert len(mine.velocity) == 8
     finally:
         node.close()
         thread.join(10)
@@ -204,6 +206,37 @@ def test_follow_joint_trajectory(served):
         assert sent.wait(10) and sent.state is State.REJECTED and sent.result.error_code == -2
 
 
+@pytest.mark.parametrize("fault", ["joint", "start", "numbers", "gripper"])
+def test_a_refused_goal_goes_from_pending_to_rejected(served, fault):
+    bus, node = served
+    name, kind = "/arm_controller/follow_joint_trajectory", "FollowJointTrajectory"
+    if fault == "gripper":
+        gripper = next(iter(node.live.model.grippers))
+        name, kind = f"/{gripper}_controller/gripper_cmd", "GripperCommand"
+    goal = schema().new(f"control_msgs/{kind}Goal")
+    if fault == "gripper":
+        goal.command.position = float("nan")
+    else:
+        goal.trajectory, _ = trajectory(node, float("nan") if fault == "numbers" else 0.1, 1.0)
+    if fault == "joint":
+        goal.trajectory.joint_names[0] = "elbow"
+    if fault == "start":
+        for point in goal.trajectory.points:
+            point.positions = point.positions + 0.2
+    status = bus.subscribe(f"{name}/status", "actionlib_msgs/GoalStatusArray", queue_size=50)
+    with ActionClient(bus, name, f"control_msgs/{kind}") as client:
+        sent = client.send(goal)
+        assert sent.wait(10) and sent.state is State.REJECTED and sent.text
+        if fault != "gripper":
+            code = -2 if fault == "joint" else -1
+            assert (sent.result.error_code, sent.result.error_string) == (code, sent.text)
+        states = []
+        while State.REJECTED not in states:
+            for one in status.get(timeout=5).status_list:
+                states += [State(one.status)] if one.goal_id.id == sent.id.id else []
+        assert set(states) == {State.PENDING, State.REJECTED}
+
+
 def test_gripper_commands(served):
     bus, node = served
     publisher = bus.advertise("/gripper_command", "std_msgs/Float64")
@@ -299,3 +332,58 @@ def test_unity_moves_the_arm_in_physics_over_tcp():
     finally:
         node.close()
         thread.join(5)
+
+
+@pytest.mark.parametrize("mode, highest", [("fake", 100), ("sim", 250)])
+def test_a_rate_above_the_driver_s_is_refused_with_the_highest(mode, highest):
+    live = load("panda_pick").connect(mode, 0)
+    with pytest.raises(InputError, match=f"{highest * 2} Hz.*--rate {highest} or less"):
+        CellNode(live, Bus(), rate=highest * 2.0)
+    CellNode(live, Bus(), rate=float(highest))
+
+
+def test_both_fingers_are_in_the_joint_states(served):
+    bus, _ = served
+    bus.advertise("/gripper_command", "std_msgs/Float64").publish(schema().new("std_msgs/Float64", 0.03))
+    states = bus.subscribe("/joint_states", "sensor_msgs/JointState", queue_size=1)
+    end = time.monotonic() + 5
+    while time.monotonic() < end:
+        message = states.get(5)
+        by_name = dict(zip(message.name, message.position))
+        assert by_name["panda_finger_joint1"] == by_name["panda_finger_joint2"]
+        if abs(by_name["panda_finger_joint2"] - 0.015) < 1e-3:
+            break
+    assert abs(by_name["panda_finger_joint2"] - 0.015) < 1e-3
+    assert len(message.velocity) in (0, len(message.name))
+
+
+def test_late_subscribers_get_the_modes_and_a_wrench_follows(served):
+    bus, _ = served
+    robot = bus.subscribe("/robot_mode", "ur_dashboard_msgs/RobotMode").get(5)
+    safety = bus.subscribe("/safety_mode", "ur_dashboard_msgs/SafetyMode").get(5)
+    assert (robot.mode, safety.mode) == (robot.RUNNING, safety.NORMAL)
+    wrench = bus.subscribe("/wrench", "geometry_msgs/WrenchStamped").get(5)
+    assert wrench.header.frame_id == "panda_hand_tcp"
+
+
+@pytest.mark.slow
+def test_the_wrench_is_the_load_on_the_hand():
+    """A held object of mass m pulls with m g, downward: along the tool's z axis, which points down."""
+    live = load("panda_pick").connect("sim", 1)
+    bus = Bus()
+    with live:
+        assert live.arm.pick("cube").ok
+        status = ArmStatusPublisher(bus, live.model)
+        got = bus.subscribe("/wrench", "geometry_msgs/WrenchStamped", queue_size=200)
+        for _ in range(100):
+            live.driver.advance(live.driver.period)
+            status.publish(live.driver)
+        forces = np.array([[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for m in _drain(got)])
+        mass = live.scene().attached["cube"].object.mass
+        R = live.scene().frame_pose("panda_hand_tcp").rotation.matrix
+        assert np.allclose(R @ forces.mean(axis=0), (0, 0, -9.81 * mass), atol=0.05 * 9.81 * mass)
+
+
+def _drain(subscription):
+    while (message := subscription.get(0)) is not None:
+        yield message

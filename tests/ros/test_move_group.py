@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
 import pytest
 
 from armcell.cell import load
-from armcell.core import SE3
+from armcell.core import SE3, SO3
 from armcell.ros import ActionClient, Bus, State, schema
 from armcell.ros.convert import pose_from_message, pose_message
 from armcell.ros.nodes import ServedCell
@@ -201,7 +202,7 @@ def test_plan_and_execute_with_feedback(bus, served):
     [
         ([], {}, -16),  # INVALID_GOAL_CONSTRAINTS
         ([new("Constraints")], {}, -16),
-        ([joint_goal({"panda_joint1": 0.1})], {"group": "leg"}, 99999),
+        ([joint_goal({"panda_joint1": 0.1})], {"group": "leg"}, -15),
         ([joint_goal({"elbow": 0.1})], {}, 99999),
         ([joint_goal({"panda_joint1": 0.1})], {"pipeline_id": "magic"}, 99999),
         ([joint_goal({"panda_joint1": 0.1})], {"planner_id": "RRTSprint"}, 99999),  # ours does not fall back
@@ -308,6 +309,67 @@ def test_a_cancelled_goal_is_preempted(bus):
     assert state is State.PREEMPTED and result.error_code.val == -7
 
 
+def test_a_goal_that_a_newer_one_replaces_says_so(bus):
+    """Running or still waiting: its result never reads as a success."""
+    with ActionClient(bus, "/move_group", "moveit_msgs/MoveGroup") as client:
+        slow = request(joint_goal({"panda_joint1": 1.5}), max_velocity_scaling_factor=0.02)
+        goals = [new("MoveGroupGoal", slow) for _ in range(3)]
+        for goal in goals:
+            goal.planning_options.planning_scene_diff.is_diff = True
+        begun = threading.Event()
+        first = client.send(goals[0], lambda feedback: begun.set())
+        assert begun.wait(20)
+        second, third = client.send(goals[1]), client.send(goals[2])
+        for sent, state in ((first, State.PREEMPTED), (second, State.RECALLED)):
+            assert sent.wait(20) and sent.state is state
+            assert sent.result.error_code.val == -7
+            assert "preempted by a newer goal" in sent.result.error_code.message
+            assert sent.text == sent.result.error_code.message
+        third.cancel()
+        assert third.wait(20) and third.result.error_code.val == -7
+        assert "canceled by a client" in third.result.error_code.message
+
+
+def test_reasons_are_in_the_error_code(bus):
+    """Every service and action that answers with MoveIt's error codes."""
+
+    def reason(code, *words):
+        assert code.source == "armcell" and all(word in code.message for word in words), code
+
+    state, result, _ = move(bus, joint_goal({"panda_joint1": 0.1}), group="leg")
+    assert state is State.ABORTED and result.error_code.val == -15
+    reason(result.error_code, "planning group 'leg'", "arm")
+    reason(move(bus, joint_goal({"panda_joint1": 9.0}))[1].error_code, "panda_joint1")
+    planned = bus.call(
+        "/plan_kinematic_path", new("GetMotionPlanRequest", request(joint_goal({"elbow": 0.1})))
+    )
+    reason(planned.motion_plan_response.error_code, "elbow")
+    line = bus.call(
+        "/compute_cartesian_path", new("GetCartesianPathRequest", group_name="leg", max_step=0.01)
+    )
+    assert line.error_code.val == -15
+    reason(line.error_code, "leg")
+    asked = new("GetPositionIKRequest", new("PositionIKRequest", "leg"))
+    reason(bus.call("/compute_ik", asked).error_code, "leg")
+    asked.ik_request.group_name = "arm"
+    asked.ik_request.pose_stamped.pose.position.x = 9.0
+    asked.ik_request.pose_stamped.pose.orientation.w = 1.0
+    far = bus.call("/compute_ik", asked).error_code
+    assert far.val == -31
+    reason(far)
+    link = bus.call("/compute_fk", new("GetPositionFKRequest", fk_link_names=["panda_tail"])).error_code
+    assert link.val == -18
+    reason(link, "panda_tail")
+    trajectory = slow_plan(bus)
+    trajectory.joint_trajectory.points[0].positions = [1.0] * 7
+    with ActionClient(bus, "/execute_trajectory", "moveit_msgs/ExecuteTrajectory") as client:
+        sent = client.send(new("ExecuteTrajectoryGoal", trajectory))
+        assert sent.wait(20) and sent.state is State.ABORTED
+        reason(sent.result.error_code, "panda_joint4", "limits")
+        assert sent.text == sent.result.error_code.message
+    assert move(bus, joint_goal({"panda_joint1": 0.1}))[1].error_code == new("MoveItErrorCodes", 1)
+
+
 # --- the scene ---
 def get_scene(bus, components=0):
     asked = new("GetPlanningSceneRequest", new("PlanningSceneComponents", components))
@@ -404,3 +466,29 @@ def test_planners_and_their_parameters(bus):
     assert state is State.ABORTED and "rnge" in text
     bus.call("/set_planner_params", new("SetPlannerParamsRequest", **key, group="arm", replace=True))
     assert not bus.call("/get_planner_params", new("GetPlannerParamsRequest", "magic", "x", "")).params.keys
+
+
+# --- pickup ---
+def test_grasps_of_another_link_than_the_tip_are_reported(served, bus):
+    scene = served.cell.scene()
+    over = SE3(SO3.from_rpy((np.pi, 0.0, 0.0)), scene.object("cube").T_world_object.translation)
+    poses = {
+        "panda_hand_tcp": over,
+        "panda_link8": over @ scene.transform("panda_hand_tcp", "panda_link8"),
+    }
+    ends = {}
+    for link, T in poses.items():
+        grasp = new("Grasp")
+        grasp.grasp_pose.header.frame_id = "world"
+        grasp.grasp_pose.pose = pose_message(S, T)
+        goal = new("PickupGoal", target_name="cube", group_name="arm", possible_grasps=[grasp])
+        goal.planning_options.plan_only = True
+        with ActionClient(bus, "/pickup", "moveit_msgs/Pickup") as client:
+            sent = client.send(goal)
+            assert sent.wait(60)
+        ends[link] = sent
+    assert ends["panda_hand_tcp"].state is State.SUCCEEDED, ends["panda_hand_tcp"].text
+    sent = ends["panda_link8"]
+    assert sent.state is State.ABORTED and sent.result.error_code.val != 1
+    assert "poses of panda_link8, but the tip of group 'arm' is panda_hand_tcp, 103 mm away" in sent.text
+    assert "give grasp_pose for panda_hand_tcp" in sent.text

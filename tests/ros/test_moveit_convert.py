@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from armcell.cell import load
 from armcell.core import (
@@ -127,8 +128,39 @@ def test_one_shape_without_an_object_pose_gives_the_object_its_own():
     assert item.T_world_object.isclose(T1, 1e-9, 1e-9) and item.shapes[0][1].isclose(SE3.identity())
 
 
+def polygon(*corners):
+    return S.new("geometry_msgs/Polygon", [S.new("geometry_msgs/Point32", *c, 7.0) for c in corners])
+
+
+L_SHAPE = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 3), (0, 3))
+
+
+@pytest.mark.parametrize("corners", [L_SHAPE, L_SHAPE[::-1], ((0, 0), (1, 0), (1, 1), (0, 1))])
+def test_a_prism_of_ros2_is_a_closed_mesh(corners):
+    """Extruded by half its height to both sides; either order of the corners."""
+    message = new("CollisionObject", id="x", primitives=[S.new("shape_msgs/SolidPrimitive", 5, [0.5])])
+    message.primitives[0].polygon = polygon(*corners)
+    shape = object_from_message(message).shapes[0][0]
+    solid_ = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+    assert solid_.is_watertight and solid_.is_winding_consistent
+    assert solid_.volume == pytest.approx(0.5 * (4.0 if len(corners) == 6 else 1.0))
+    assert solid_.bounds[:, 2] == pytest.approx([-0.25, 0.25])
+    for back in over_the_wires(object_message(S, header(), object_from_message(message))):
+        assert len(object_from_message(back).shapes[0][0].faces) == len(shape.faces)
+
+
 @pytest.mark.parametrize(
-    "kind, sizes", [(0, [1.0]), (9, [1.0]), (1, [1.0, 1.0]), (2, [0.0]), (3, [1.0, -1.0]), (2, [np.nan])]
+    "corners", [(), ((0, 0), (1, 0)), ((0, 0), (1, 0), (2, 0)), ((0, 0), (2, 2), (2, 0), (0, 2), (1, 5))]
+)
+def test_impossible_prisms_are_refused(corners):
+    message = S.new("shape_msgs/SolidPrimitive", 5, [0.5], polygon(*corners))
+    with pytest.raises(InputError, match="prism"):
+        object_from_message(new("CollisionObject", id="x", primitives=[message]))
+
+
+@pytest.mark.parametrize(
+    "kind, sizes",
+    [(0, [1.0]), (9, [1.0]), (5, [1.0]), (1, [1.0, 1.0]), (2, [0.0]), (3, [1.0, -1.0]), (2, [np.nan])],
 )
 def test_impossible_primitives_are_refused(kind, sizes):
     with pytest.raises(InputError):
@@ -260,6 +292,25 @@ def test_workspaces_of_scripts_count_and_those_of_rviz_do_not(scene):
     assert plan_request_from_message(asked, scene).workspace == ((-1, -1, 0), (1, 1, 1))
     asked.workspace_parameters.header.frame_id = "world"
     assert plan_request_from_message(asked, scene).workspace is None
+
+
+def test_scalings_of_a_cartesian_request_which_only_ros2_has(scene):
+    asked = new("GetCartesianPathRequest", group_name="arm", max_step=0.01)
+    asked.waypoints = [pose_message(S, SE3.identity())]
+    made = cartesian_request_from_message(asked, scene)
+    assert (made.velocity_scaling, made.acceleration_scaling) == (1.0, 1.0)
+    asked.max_velocity_scaling_factor, asked.max_acceleration_scaling_factor = 0.25, 0.5
+    made = cartesian_request_from_message(asked, scene)
+    assert (made.velocity_scaling, made.acceleration_scaling) == (0.25, 0.5)
+
+
+def test_the_speed_link_has_another_name_in_humble(scene):
+    asked = new("MotionPlanRequest", group_name="arm", max_cartesian_speed=0.1)
+    asked.goal_constraints = [new("Constraints", joint_constraints=[new("JointConstraint", "panda_joint1")])]
+    asked.cartesian_speed_end_effector_link = "panda_hand"
+    assert plan_request_from_message(asked, scene).speed_link == "panda_hand"
+    asked.cartesian_speed_limited_link = "panda_link8"
+    assert plan_request_from_message(asked, scene).speed_link == "panda_link8"
 
 
 def test_a_cartesian_request(scene):

@@ -42,13 +42,14 @@ class Grasping:
         mass: float = 0.1,
         friction: float = 0.8,
         settings: PhysicsSettings | None = None,
+        material: Material | None = None,
     ):
         self.model = load_robot(robot)
         self.gripper = self.model.gripper()
         self.arm = self.model.group(self.gripper.arm_group).joint_names
         x, y = PLACES[robot]
         tcp = self.gripper.tcp_link
-        material = Material(friction=friction)
+        material = material or Material(friction=friction)
         table = CollisionObject.single("table", Box(1.0, 1.0, 0.1), SE3.from_xyz(0.8, 0.0, -0.05))
         cube = CollisionObject.single(
             "cube",

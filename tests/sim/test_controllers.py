@@ -9,7 +9,8 @@ from tests.cli.helpers import call, read_json
 import armcell
 from armcell.core import InputError, UnknownNameError
 from armcell.sim import PhysicsSettings, SimWorld
-from armcell.sim.step_response import sag, step_responses, with_gains
+from armcell.sim.gain_files import with_gains
+from armcell.sim.step_response import sag, step_responses
 
 STEP = 0.1
 
@@ -30,14 +31,14 @@ def ramp_lag(scene, settings, speed=0.3, seconds=1.0):
 
 
 def test_a_position_servo_lags_by_its_gains_ratio_and_pid_does_not(scene):
-    lag = ramp_lag(scene, with_gains(PhysicsSettings(), "position"))
+    lag = ramp_lag(scene, with_gains(PhysicsSettings(), "position", scene.model))
     assert lag == pytest.approx(0.3 * 501 / 5000, rel=0.02)  # kv / kp times the speed, joint damping 1 added
     assert abs(ramp_lag(scene, PhysicsSettings())) < 1e-3
-    assert abs(ramp_lag(scene, with_gains(PhysicsSettings(), "firm"))) < 6e-3
+    assert abs(ramp_lag(scene, with_gains(PhysicsSettings(), "firm", scene.model))) < 6e-3
 
 
 def test_torque_is_the_pid_law(scene):
-    settings = with_gains(PhysicsSettings(), "firm")
+    settings = with_gains(PhysicsSettings(), "firm", scene.model)
     world, name = SimWorld(scene, settings), "right_elbow_joint"
     start = scene.state[name]
     integral = 0.0
@@ -67,12 +68,12 @@ def test_the_integral_takes_away_what_gravity_leaves(scene):
 
 @pytest.mark.parametrize("gains", [None, "firm", "position", "tutorial"])
 def test_no_sag_at_the_start(scene, gains):
-    settings = PhysicsSettings() if gains is None else with_gains(PhysicsSettings(), gains)
+    settings = PhysicsSettings() if gains is None else with_gains(PhysicsSettings(), gains, scene.model)
     assert max(sag(scene, settings, 0.5).values()) < 1e-4
 
 
 def test_without_compensation_soft_gains_sag(scene):
-    soft = with_gains(PhysicsSettings(gravity_compensation=0.0), "tutorial")
+    soft = with_gains(PhysicsSettings(gravity_compensation=0.0), "tutorial", scene.model)
     assert max(sag(scene, soft, 1.0).values()) > 0.1
 
 
@@ -80,7 +81,9 @@ def test_good_gains_settle_and_the_tutorial_s_do_not(scene):
     joints = ("left_shoulder_lift_joint", "left_wrist_3_joint")
     for r in step_responses(scene, joints, PhysicsSettings(), STEP, 1.5):
         assert r.settling_time < 1.0 and r.overshoot < 0.05 and r.final_error < 1e-3
-    bad = step_responses(scene, joints[:1], with_gains(PhysicsSettings(), "tutorial"), STEP, 1.5)[0]
+    bad = step_responses(
+        scene, joints[:1], with_gains(PhysicsSettings(), "tutorial", scene.model), STEP, 1.5
+    )[0]
     assert bad.overshoot > 0.3 and not np.isfinite(bad.settling_time)
 
 
@@ -95,7 +98,7 @@ def test_measures_of_a_known_curve():
 
 
 def test_a_snapshot_brings_the_integral_back(scene):
-    settings = with_gains(PhysicsSettings(), "firm")
+    settings = with_gains(PhysicsSettings(), "firm", scene.model)
     world = SimWorld(scene, settings)
     world.set_arm_target(("left_elbow_joint",), [scene.state["left_elbow_joint"] + 0.05])
     world.step(50)
@@ -117,18 +120,18 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("text", "error", "words"), WRONG.values(), ids=WRONG)
-def test_wrong_gains(tmp_path, text, error, words):
+def test_wrong_gains(tmp_path, scene, text, error, words):
     gains = text
     if ":" in text:
         gains = tmp_path / "g.yaml"
         gains.write_text(text + "\n")
     with pytest.raises(error, match=words):
-        with_gains(PhysicsSettings(), gains)
+        with_gains(PhysicsSettings(), gains, scene.model)
 
 
 def test_the_command(capsys, tmp_path):
     png, numbers = tmp_path / "r.png", tmp_path / "r.json"
     assert call(capsys, "step-response", "dual_ur10", "--plot", png, "--json", numbers).status == 0
-    assert png.read_bytes().startswith(b"\x89PNG") and len(read_json(numbers)) == 6
+    assert png.read_bytes().startswith(b"\x89PNG") and len(read_json(numbers)) == 12
     said = call(capsys, "step-response", "dual_ur10", "--gains", "tutorial", "--group", "right_arm")
-    assert said.status == 1 and "never" in said.out
+    assert said.status == 1 and "never" in said.out and "left_" not in said.out

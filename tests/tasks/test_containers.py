@@ -14,10 +14,10 @@ from armcell.core import InputError, JointTrajectory, NamedGoal
 from armcell.planning import warm_up
 from armcell.tasks import (
     Alternatives,
-    Draft,
     Fallbacks,
-    Foresee,
+    Lookahead,
     Motion,
+    PartialSolution,
     Planning,
     Serial,
     Task,
@@ -35,23 +35,23 @@ from armcell.tasks import (
     weighted,
 )
 from armcell.tasks.costs import motions
-from armcell.tasks.stages import Connect, Planned, Straight
+from armcell.tasks.stages import AppendPlannedMotion, Connect, Straight
 
 
 class Options:
     """A stage that offers options by name and logs what it is asked; `bad` ones are rejected."""
 
-    def __init__(self, name, options, log=None, bad=(), needs=(), gives=(), takes=()):
+    def __init__(self, name, options, log=None, bad=(), requires=(), provides=(), consumes=()):
         self.name, self._options, self._log, self._bad = name, options, [] if log is None else log, bad
-        self.needs, self.gives, self.takes = needs, gives, takes
+        self.requires, self.provides, self.consumes = requires, provides, consumes
 
-    def drafts(self, draft, planning):
+    def propose(self, solution, planning):
         for option in self._options:
             self._log.append(option)
             if option in self._bad:
                 planning.reject(self.name, option, "does not fit: here")
                 continue
-            yield draft.then(option)
+            yield solution.then(option)
 
 
 @pytest.fixture
@@ -59,16 +59,16 @@ def planning():
     return Planning(TaskSettings())
 
 
-def start() -> Draft:
-    return Draft(scene=nominal())
+def start() -> PartialSolution:
+    return PartialSolution(scene=nominal())
 
 
 def steps(found):
-    return ["".join(draft.steps) for draft in found]
+    return ["".join(solution.steps) for solution in found]
 
 
-def length_of_name(draft) -> float:
-    return float(len("".join(draft.steps)))
+def length_of_name(solution) -> float:
+    return float(len("".join(solution.steps)))
 
 
 def test_a_serial_container_is_its_stages_under_one_name(planning):
@@ -90,23 +90,23 @@ def test_solutions_are_worked_out_when_they_are_asked_for(planning):
 def test_alternatives_come_cheapest_first(planning):
     ways = Alternatives("way", (Options("long", ["lll"]), Options("short", ["s"]), Options("mid", ["mm"])),
                         cost=length_of_name)  # fmt: skip
-    assert steps(ways.drafts(start().then("begun before, and no part of the cost"), planning)) == [
+    assert steps(ways.propose(start().then("begun before, and no part of the cost"), planning)) == [
         "begun before, and no part of the costs",
         "begun before, and no part of the costmm",
         "begun before, and no part of the costlll",
     ]
     first, then = Options("a", ["a1", "a2", "a3"]), Options("z", ["z"])
     two = Alternatives("two each", (first, then), cost=length_of_name, most=2)
-    assert steps(two.drafts(start(), planning)) == ["z", "a1", "a2"]
+    assert steps(two.propose(start(), planning)) == ["z", "a1", "a2"]
 
 
 def test_the_cheapest_alternative_that_leads_on_is_taken(planning):
     class OnlyAfter:
         name = "after"
 
-        def drafts(self, draft, planning):
-            if draft.steps == ("mm",):
-                yield draft
+        def propose(self, solution, planning):
+            if solution.steps == ("mm",):
+                yield solution
 
     ways = Alternatives("way", (Options("short", ["s"]), Options("mid", ["mm"])), cost=length_of_name)
     assert search([ways, OnlyAfter()], start(), planning).steps == ("mm",)
@@ -119,13 +119,13 @@ def test_fallbacks_ask_the_next_only_where_there_was_nothing(planning):
         Options("y", ["y1", "y2"], log),
         Options("z", "z", log),
     )
-    assert steps(Fallbacks("way", (none, one, other)).drafts(start(), planning)) == ["y1", "y2"]
+    assert steps(Fallbacks("way", (none, one, other)).propose(start(), planning)) == ["y1", "y2"]
     assert log == ["x", "y1", "y2"]
 
 
 @pytest.mark.parametrize("kind", [Alternatives, Fallbacks])
 def test_a_container_of_ways_needs_one(kind):
-    with pytest.raises(InputError, match="'?way'?: a container without stages"):
+    with pytest.raises(InputError, match="'?way'?: a container needs at least one stage"):
         kind("way", ())
 
 
@@ -142,13 +142,13 @@ def moving(to, seconds, near=None) -> Motion:
 
 
 def test_cost_terms_of_known_motions():
-    draft = start().then(moving(1.0, 2.0, near=0.1), moving(-2.0, 3.0, near=0.05))
-    assert duration(draft) == pytest.approx(5.0)
-    assert path_length(draft) == pytest.approx(1.5 + 3.0)
-    assert clearance(draft) == pytest.approx(20.0)
-    assert costs["planning_time"](draft) == pytest.approx(0.02)
+    solution = start().then(moving(1.0, 2.0, near=0.1), moving(-2.0, 3.0, near=0.05))
+    assert duration(solution) == pytest.approx(5.0)
+    assert path_length(solution) == pytest.approx(1.5 + 3.0)
+    assert clearance(solution) == pytest.approx(20.0)
+    assert costs["planning_time"](solution) == pytest.approx(0.02)
     assert clearance(start()) == 0.0
-    assert weighted((2.0, duration), (0.5, lambda d: len(d.steps)))(draft) == pytest.approx(11.0)
+    assert weighted((2.0, duration), (0.5, lambda d: len(d.steps)))(solution) == pytest.approx(11.0)
     with pytest.raises(InputError, match="unknown cost term 'lenght'.*path_length"):
         costs["lenght"]
 
@@ -163,54 +163,54 @@ def test_solutions_are_ranked_and_no_more_are_looked_at_than_asked_for(planning)
 
 
 # --- validation ---
-def test_every_stage_that_lacks_something_is_named_before_any_is_asked(planning):
+def test_every_stage_that_requires_something_is_named_before_any_is_asked(planning):
     log = []
     stages = (
-        Options("a", "a", log, gives=("here",)),
-        Options("b", "b", log, needs=("here", "nowhere")),
-        Options("c", "c", log, needs=("late",)),
-        Options("d", "d", log, gives=("late",)),
+        Options("a", "a", log, provides=("here",)),
+        Options("b", "b", log, requires=("here", "nowhere")),
+        Options("c", "c", log, requires=("late",)),
+        Options("d", "d", log, provides=("late",)),
         Connect("go", "arn", TaskSettings().free, target="spot"),
     )
     with pytest.raises(TaskError, match="task 'mine'") as raised:
         Task("mine", stages).plan(start(), planning)
     assert log == []
     assert raised.value.problems == (
-        "stage 'b' (Options) lacks 'nowhere'",
-        "stage 'c' (Options) lacks 'late', which 'd' gives only after it",
-        "stage 'go' (Connect) lacks 'spot'",
+        "stage 'b' (Options) requires 'nowhere'",
+        "stage 'c' (Options) requires 'late', which 'd' provides only later",
+        "stage 'go' (Connect) requires 'spot'",
         "stage 'go' (Connect): no planning group 'arn' (did you mean 'arm'?)",
     )
 
 
 def test_what_containers_give():
-    gives_x, gives_both = Options("x", "x", gives=("x",)), Options("xy", "y", gives=("x", "y"))
-    needs_x, needs_y = Options("use x", "u", needs=("x",)), Options("use y", "v", needs=("y",))
+    gives_x, gives_both = Options("x", "x", provides=("x",)), Options("xy", "y", provides=("x", "y"))
+    needs_x, needs_y = Options("use x", "u", requires=("x",)), Options("use y", "v", requires=("y",))
     for kind in (Alternatives, Fallbacks):  # only what each of the ways gives
         ways = kind("ways", (gives_x, gives_both))
         check_task([ways, needs_x], start())
-        with pytest.raises(TaskError, match="'use y'.*lacks 'y'"):
+        with pytest.raises(TaskError, match="'use y'.*requires 'y'"):
             check_task([ways, needs_y], start())
     check_task([Serial("s", (gives_both, needs_y)), needs_x], start())
-    with pytest.raises(TaskError, match="in 's': stage 'use y'.*lacks 'y'"):
+    with pytest.raises(TaskError, match="in 's': stage 'use y'.*requires 'y'"):
         check_task([Serial("s", (gives_x, needs_y))], start())
-    with pytest.raises(TaskError, match="lacks 'x'"):
-        check_task([gives_x, Options("end of it", "e", takes=("x",)), needs_x], start())
+    with pytest.raises(TaskError, match="requires 'x'"):
+        check_task([gives_x, Options("end of it", "e", consumes=("x",)), needs_x], start())
 
 
 def test_the_recipes_stages_fit_together_and_not_in_another_order():
     """By their own interfaces: a place needs a pick, and the object is in no hand after it."""
     scene, s, hand = nominal(), panda_pick().settings, nominal().model.gripper()
     pick, place = pick_stages(scene, "cube", hand, s), place_stages("cube", "tray", hand, s)
-    check_task([*pick, *place, *pick], Draft(scene))
-    with pytest.raises(TaskError, match="'placement'.*lacks 'cube in a hand'"):
-        check_task(place, Draft(scene))
-    with pytest.raises(TaskError, match="'placement'.*lacks 'cube in a hand'"):
-        check_task([*pick, *place, *place], Draft(scene))
+    check_task([*pick, *place, *pick], PartialSolution(scene))
+    with pytest.raises(TaskError, match="'placement'.*requires 'cube in a hand'"):
+        check_task(place, PartialSolution(scene))
+    with pytest.raises(TaskError, match="'placement'.*requires 'cube in a hand'"):
+        check_task([*pick, *place, *place], PartialSolution(scene))
     for gone in (0, 3):  # the grasp, the closing
         with pytest.raises(TaskError):
-            check_task([*pick[:gone], *pick[gone + 1 :], *place], Draft(scene))
-    check_task(place, Draft(scene.with_attached("cube", hand.tcp_link, hand.hand_links)))
+            check_task([*pick[:gone], *pick[gone + 1 :], *place], PartialSolution(scene))
+    check_task(place, PartialSolution(scene.with_attached("cube", hand.tcp_link, hand.hand_links)))
 
 
 def test_a_wrong_link_and_a_wrong_object_are_found():
@@ -218,7 +218,7 @@ def test_a_wrong_link_and_a_wrong_object_are_found():
     lift = Straight("lift", hand.arm_group, "panda_hend_tcp", s.near, (0, 0, 0.1))
     with pytest.raises(TaskError) as raised:
         check_task([*pick_stages(nominal(), "cube", hand, s), *place_stages("cube", "try", hand, s), lift],
-                   Draft(nominal()))  # fmt: skip
+                   PartialSolution(nominal()))  # fmt: skip
     text = str(raised.value)
     assert (
         "no object 'try' (did you mean 'tray'?)" in text and "no link 'panda_hend_tcp' (did you mean" in text
@@ -246,7 +246,7 @@ def test_the_table_counts_every_stage_and_keeps_the_best_near_miss(planning):
 
 
 def test_what_foresight_asked_is_in_the_table_and_not_among_the_rejections(planning):
-    ahead = Foresee("what comes next", (Options("later", ["l1", "l2"], bad=("l1", "l2")),))
+    ahead = Lookahead("what comes next", (Options("later", ["l1", "l2"], bad=("l1", "l2")),))
     plan = Task("t", (Options("a", ["a1", "a2"]), ahead)).plan(start(), planning)
     rows = {row["stage"]: row for row in plan.evidence["stages"]}
     assert rows["what comes next/later"]["failed"] == 4 and rows["what comes next"]["failed"] == 2
@@ -267,8 +267,8 @@ def test_a_planner_as_a_reserve():
 
 
 def test_planned_says_which_motion_it_appends():
-    with pytest.raises(TaskError, match=r"stage 'planned' \(Planned\) lacks 'approach'"):
-        check_task([Planned("approach", "after_approach")], start())
+    with pytest.raises(TaskError, match=r"stage 'planned' \(AppendPlannedMotion\) requires 'approach'"):
+        check_task([AppendPlannedMotion("approach", "after_approach")], start())
 
 
 # --- candidates gone into at once ---
@@ -283,14 +283,14 @@ class Slow:
         self.name, self._seen, self._bad = name, seen, bad
         self._seconds = dict(zip("abcd", seconds, strict=True))
 
-    def drafts(self, draft, planning):
-        option = draft.steps[0]
+    def propose(self, solution, planning):
+        option = solution.steps[0]
         self._seen.add(threading.current_thread())
         planning.cancel.wait(self._seconds[option])
         if option in self._bad:
             planning.reject(self.name, option, "does not fit: here")
             return
-        yield draft.then(option.upper())
+        yield solution.then(option.upper())
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])
@@ -326,7 +326,7 @@ def test_an_error_in_a_thread_is_the_tasks():
     class Broken:
         name = "broken"
 
-        def drafts(self, draft, planning):
+        def propose(self, solution, planning):
             raise ZeroDivisionError("broken")
             yield
 
@@ -338,11 +338,11 @@ def test_the_cpu_time_of_threads_counts():
     class Busy:
         name = "busy"
 
-        def drafts(self, draft, planning):
+        def propose(self, solution, planning):
             until = time.thread_time() + 0.06
             while time.thread_time() < until and planning.time_left > 0:
                 pass
-            planning.reject(self.name, draft.steps[0], "no")
+            planning.reject(self.name, solution.steps[0], "no")
             return
             yield
 
@@ -358,7 +358,7 @@ def test_real_candidates_at_once_give_the_same_plans():
     for count in (1, 2, 4):
         settings = replace(cell.settings, planning_threads=count)
         stages = (*pick_stages(scene, "cube", hand, settings), *place_stages("cube", "tray", hand, settings))
-        plan = Task("t", stages).plan(Draft(scene), Planning(settings), count=6)
+        plan = Task("t", stages).plan(PartialSolution(scene), Planning(settings), count=6)
         found.append([[m.trajectory.positions.tolist() for m in motions(d)] for d in plan.solutions])
     assert len(found[0]) == 6 and found[0] == found[1] == found[2]
 
@@ -371,5 +371,5 @@ def test_alternatives_are_worked_out_at_once():
 
     both = Alternatives("either", (way("a"), way("b"), way("c")), cost=length_of_name)
     planning = threads(3)
-    assert steps(planning.drafts(both, start())) == ["aA", "cC"]
+    assert steps(planning.propose(both, start())) == ["aA", "cC"]
     assert len(seen) == 3 and planning.tallies[("either", "b", "slow")].reasons == {"does not fit": 1}

@@ -11,7 +11,16 @@ from armcell.collision import ExactChecker
 from armcell.core import SE3, Box, InputError, JointGoal, JointState, NamedGoal
 from armcell.planning import warm_up
 from armcell.scene import CollisionObject
-from armcell.tasks import Draft, Fallbacks, Merger, Planning, Serial, Task, TaskSettings, perform_all
+from armcell.tasks import (
+    Fallbacks,
+    Merger,
+    PartialSolution,
+    Planning,
+    Serial,
+    Task,
+    TaskSettings,
+    perform_all,
+)
 from armcell.tasks.stages import Close, Connect, MoveGripper, Straight
 from armcell.tasks.steps import Together
 
@@ -20,7 +29,7 @@ S = TaskSettings()
 
 def planned(stage, scene):
     warm_up()  # or compiling would use up the search's time
-    return Task("t", (stage,)).plan(Draft(scene), Planning(S))
+    return Task("t", (stage,)).plan(PartialSolution(scene), Planning(S))
 
 
 def touched(scene, trajectory, gripper=None, widths=(0.0,)) -> bool:
@@ -114,14 +123,14 @@ def test_misuse_is_told(panda):
     back = Connect("back", hand.arm_group, S.free, goal=turn(start, 0.3))
     with pytest.raises(InputError, match="merger 'm': two of its stages move the same joint"):
         planned(Merger("m", (go, back)), scene)
-    with pytest.raises(InputError, match="merger 'm': each of its stages must be one motion"):
+    with pytest.raises(InputError, match="merger 'm': each of its stages must be one arm motion"):
         planned(
             Merger("m", (go, Serial("s", (MoveGripper("a", hand, 0.02), MoveGripper("b", hand, 0.03))))),
             scene,
         )
     with pytest.raises(InputError, match="width is 0.0 mm"):
         MoveGripper("shut", hand, 0.0)
-    with pytest.raises(InputError, match=r"lacks 'grasp'"):
+    with pytest.raises(InputError, match=r"requires 'grasp'"):
         planned(Merger("m", (go, Close("cube", hand, (), 0.1))), scene)
 
 

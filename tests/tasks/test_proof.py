@@ -13,7 +13,7 @@ from armcell.core import SE3, Box, Cylinder
 from armcell.grasping import grasp_candidates, hand_of
 from armcell.model import hand_alone, load_robot
 from armcell.scene import CollisionObject, Material, library_object
-from armcell.tasks import NOISE, Draft, Planning, Proof, as_it_may_be, prove, varied
+from armcell.tasks import NOISE, PartialSolution, Planning, Proof, as_it_may_be, prove, varied
 from armcell.tasks.stages import ChooseGrasp
 
 ROBOTS = ("panda", "ur10_gripper")
@@ -128,8 +128,12 @@ def test_what_leads_on_only_as_long_as_nothing_turns_in_the_hand_comes_last(monk
 
     def first() -> str:
         stage = ChooseGrasp("cube", gripper, settings.near, settings.approach_distance,
-                            sieve=no_room_when_turned)  # fmt: skip
-        return next(stage.drafts(Draft(scene), Planning(settings, 0, threading.Event()))).data["grasp"].name
+                            grasp_filter=no_room_when_turned)  # fmt: skip
+        return (
+            next(stage.propose(PartialSolution(scene), Planning(settings, 0, threading.Event())))
+            .data["grasp"]
+            .name
+        )
 
     monkeypatch.setattr("armcell.tasks.stages.grasp.prove", proven)
     best = first()

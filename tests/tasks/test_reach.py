@@ -6,7 +6,7 @@ import pytest
 
 import armcell
 from armcell.grasping import grasp_candidates, hand_of
-from armcell.tasks import Draft, Planning, search
+from armcell.tasks import PartialSolution, Planning, search
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.steps import Motion
 
@@ -19,11 +19,11 @@ def pick(scene, settings, gripper, among=()):
         ChooseGrasp("cube", gripper, settings.near, settings.approach_distance, among=among),
         Connect("move", gripper.arm_group, settings.free, target="pre_grasp"),
     ]
-    draft = search(stages, Draft(scene), Planning(settings))
-    if draft is None:
+    solution = search(stages, PartialSolution(scene), Planning(settings))
+    if solution is None:
         return "", float("inf")
-    (motion,) = (step for step in draft.steps if isinstance(step, Motion))
-    return draft.data["candidate"], motion.duration
+    (motion,) = (step for step in solution.steps if isinstance(step, Motion))
+    return solution.data["candidate"], motion.duration
 
 
 @pytest.mark.parametrize("name", ["six_axis_pick", "panda_pick"])

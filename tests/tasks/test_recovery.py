@@ -22,8 +22,8 @@ from tests.tasks.helpers import (
 from armcell.cell.values import with_values
 from armcell.core import SE3, Box, ErrorCode, InputError
 from armcell.scene import CollisionObject, Material, PlanningScene
-from armcell.tasks import Foresee, RecoverySettings
-from armcell.tasks.search import Draft, Planning, search
+from armcell.tasks import Lookahead, RecoverySettings
+from armcell.tasks.search import PartialSolution, Planning, search
 
 SETTINGS = panda_pick().settings
 
@@ -122,9 +122,7 @@ def test_no_way_is_given_up_at_once():
     with live("fake", prison(), settings=settings) as cell:
         outcome = cell.arm.transfer("cube", on="table", settings=RecoverySettings(tries=2))
         assert outcome.code in (ErrorCode.PLANNING_FAILED, ErrorCode.TIMED_OUT)
-        assert (
-            "given up, for nothing has moved meanwhile" in outcome.message
-        )  # a second try would be the same
+        assert "given up, because no object has moved" in outcome.message  # a second try would be the same
         assert outcome.evidence["tries"] == 1 and len(outcome.evidence["troubles"]) == 1
 
 
@@ -175,9 +173,9 @@ class Choice:
     def __init__(self, name, *values):
         self.name, self.values = name, values
 
-    def drafts(self, draft, planning):
+    def propose(self, solution, planning):
         for value in self.values:
-            yield draft.then(**{self.name: value})
+            yield solution.then(**{self.name: value})
 
 
 class Only:
@@ -188,18 +186,20 @@ class Only:
     def __init__(self, of, value):
         self.of, self.value = of, value
 
-    def drafts(self, draft, planning):
-        if draft.data[self.of] == self.value:
-            yield draft.then(seen=True)
+    def propose(self, solution, planning):
+        if solution.data[self.of] == self.value:
+            yield solution.then(seen=True)
         else:
-            planning.reject(self.name, str(draft.data[self.of]), "no")
+            planning.reject(self.name, str(solution.data[self.of]), "no")
 
 
 def test_a_stage_that_foresees_keeps_only_what_goes_on():
     planning = Planning(SETTINGS)
-    draft = search([Choice("a", 1, 2, 3), Foresee("later", (Only("a", 3),))], Draft(nominal()), planning)
-    assert draft is not None and draft.data["a"] == 3
-    assert "seen" not in draft.data  # nothing of what was tried ahead is kept
+    solution = search(
+        [Choice("a", 1, 2, 3), Lookahead("later", (Only("a", 3),))], PartialSolution(nominal()), planning
+    )
+    assert solution is not None and solution.data["a"] == 3
+    assert "seen" not in solution.data  # nothing of what was tried ahead is kept
     assert [reason for stage, _, reason in planning.rejections.details if stage == "later"]
 
 

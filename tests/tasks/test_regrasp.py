@@ -11,10 +11,17 @@ from tests.tasks.helpers import AtStage, live, nominal, panda_pick
 from armcell.core import SE3, SO3, Box, ErrorCode, InputError
 from armcell.grasping import rests
 from armcell.scene import CollisionObject, PlanningScene, library_object
-from armcell.tasks import Draft, LayDown, PickAndPlace, Planning, RecoverySettings, Task
-from armcell.tasks.regrasp import Wanted, ways
+from armcell.tasks import (
+    IntermediatePlacement,
+    PartialSolution,
+    PickAndPlace,
+    Planning,
+    RecoverySettings,
+    Task,
+)
+from armcell.tasks.regrasp import PlacementGoal, regrasp_sequences
 
-SINGLE = RecoverySettings(tries=1, lay_downs=0)
+SINGLE = RecoverySettings(tries=1, intermediate_placements=0)
 X, Y, Z = np.eye(3)
 TABLE = -0.001  # [m] its top
 
@@ -61,7 +68,7 @@ def test_a_box_is_turned_that_no_single_grasp_turns(now, then):
     with live("sim", scene) as cell:
         outcome = cell.arm.transfer("brick", on="table", at=(0.0, 0.2), up=up)
         assert outcome.ok, outcome.message
-        assert outcome.evidence["laid_down"] and outcome.evidence["tries"] == 1
+        assert outcome.evidence["intermediate_placements"] and outcome.evidence["tries"] == 1
         R, at = body(cell, "brick")
         assert R[2] @ then > 0.999
         assert np.abs(at[:2] - (0.5, 0.2)).max() < 0.03  # the grid around the point is 20 mm wide
@@ -93,7 +100,7 @@ def test_a_mug_is_turned_upside_down():
     mug = library_object("mug", "mug", SE3.identity())
     with live("sim", scene_of(mug, Z)) as cell:
         outcome = cell.arm.transfer("mug", on="table", at=(0.0, 0.2), up=(0.0, 0.0, -1.0))
-        assert outcome.ok and outcome.evidence["laid_down"], outcome.message
+        assert outcome.ok and outcome.evidence["intermediate_placements"], outcome.message
         R, _ = body(cell, "mug")
         assert R[2, 2] < -0.999
         assert not cell.driver.unwanted_contacts() and not cell.driver.welds()
@@ -105,7 +112,7 @@ def test_what_the_hand_holds_by_the_wrong_grasp_is_laid_down_first():
         assert cell.arm.pick("brick")
         assert not cell.arm.place("brick", on="table", up=(0.0, 0.0, 1.0))  # held across z
         outcome = cell.arm.transfer("brick", on="table", up=(0.0, 0.0, 1.0))
-        assert outcome.ok and outcome.evidence["laid_down"], outcome.message
+        assert outcome.ok and outcome.evidence["intermediate_placements"], outcome.message
         assert body(cell, "brick")[0][2, 2] > 0.999
 
 
@@ -116,8 +123,12 @@ def test_no_way_at_all_is_said_and_nothing_moves():
         outcome = cell.arm.transfer("plate", on="table", up=(0.0, 0.0, -1.0))
         assert outcome.code is ErrorCode.PLANNING_FAILED
         assert outcome.evidence["tries"] == 1 and not cell.ctx.reports
-        assert "nothing has moved" in outcome.message and "no grasp leads" in outcome.message
-        told = [who for stage, who, _ in outcome.evidence["lay_down"]["rejections"] if stage == "lay down"]
+        assert "no object has moved" in outcome.message and "no grasp" in outcome.message
+        told = [
+            who
+            for stage, who, _ in outcome.evidence["intermediate_placement"]["rejections"]
+            if stage == "intermediate placement"
+        ]
         assert len(told) == 6  # a line for each side
         np.testing.assert_allclose(cell.driver.joint_state().positions, joints, atol=1e-3)
         np.testing.assert_allclose(body(cell, "plate")[1], pose, atol=1e-4)
@@ -129,9 +140,11 @@ def test_all_of_it_as_a_stage_of_a_task():
     scene = scene_of(BRICK, Z)
     gripper, settings = scene.model.gripper(), panda_pick().settings
 
-    def plan(lay_downs):
-        stage = PickAndPlace("brick", "table", gripper, up=(0.0, 0.0, -1.0), lay_downs=lay_downs)
-        return Task("turn", (stage,)).plan(Draft(scene), Planning(settings))
+    def plan(intermediate_placements):
+        stage = PickAndPlace(
+            "brick", "table", gripper, up=(0.0, 0.0, -1.0), intermediate_placements=intermediate_placements
+        )
+        return Task("turn", (stage,)).plan(PartialSolution(scene), Planning(settings))
 
     assert plan(0).best is None
     best = plan(2).best
@@ -142,14 +155,14 @@ def test_a_place_that_is_taken_is_said_without_a_search():
     post = CollisionObject.single("post", Box(0.3, 0.3, 0.1), SE3.from_xyz(0.5, 0.2, 0.05))
     scene = scene_of(BRICK, Z).with_object(post)
     planning = Planning(panda_pick().settings)
-    wanted = Wanted("brick", "table", (0.0, 0.2), (0.0, 0.0, -1.0))
-    assert not list(ways(scene, wanted, scene.model.gripper(), planning, 2))
+    wanted = PlacementGoal("brick", "table", (0.0, 0.2), (0.0, 0.0, -1.0))
+    assert not list(regrasp_sequences(scene, wanted, scene.model.gripper(), planning, 2))
     ((stage, _, reason),) = planning.rejections.details
     assert stage == "goal" and "would touch" in reason and "post" in reason
 
 
 def test_misuse_is_said():
-    with pytest.raises(InputError, match="lay_downs is -1"):
-        RecoverySettings(lay_downs=-1)
+    with pytest.raises(InputError, match="intermediate_placements is -1"):
+        RecoverySettings(intermediate_placements=-1)
     with pytest.raises(InputError, match="most is 0"):
-        LayDown("cube", "tray", nominal().model.gripper(), most=0)
+        IntermediatePlacement("cube", "tray", nominal().model.gripper(), most=0)

@@ -7,23 +7,23 @@ import time
 import pytest
 
 from armcell.core import ErrorCode, Outcome
-from armcell.tasks import Draft, Planning, TaskSettings, search
+from armcell.tasks import PartialSolution, Planning, TaskSettings, search
 
 
 class Options:
     """A stage that offers options by name and logs what it is asked. `bad` ones are rejected."""
 
-    def __init__(self, name, options, log, bad=lambda option, draft: None):
+    def __init__(self, name, options, log, bad=lambda option, solution: None):
         self.name, self._options, self._log, self._bad = name, options, log, bad
 
-    def drafts(self, draft, planning):
+    def propose(self, solution, planning):
         for option in self._options:
             self._log.append(option)
-            reason = self._bad(option, draft)
+            reason = self._bad(option, solution)
             if reason:
                 planning.reject(self.name, option, reason)
                 continue
-            yield draft.then(f"do {option}", **{self.name: option})
+            yield solution.then(f"do {option}", **{self.name: option})
 
 
 @pytest.fixture
@@ -36,8 +36,8 @@ def log():
     return []
 
 
-def start() -> Draft:
-    return Draft(scene=object())
+def start() -> PartialSolution:
+    return PartialSolution(scene=object())
 
 
 def test_no_stages_are_done_at_once(planning):
@@ -56,7 +56,10 @@ def test_takes_the_first_options_and_looks_at_no_other(planning, log):
 
 def test_backtracks_to_the_latest_choice_first(planning, log):
     """b2 is the only one that c takes, and only after a2."""
-    right = lambda c, draft: None if draft.data["b"] == "b2" and draft.data["a"] == "a2" else "does not fit"  # noqa: E731
+
+    def right(c, solution):
+        return None if solution.data["b"] == "b2" and solution.data["a"] == "a2" else "does not fit"
+
     stages = [
         Options("a", ["a1", "a2", "a3"], log),
         Options("b", ["b1", "b2", "b3"], log),
@@ -71,7 +74,12 @@ def test_what_a_branch_added_is_gone_in_the_next(planning, log):
     seen = []
     stages = [
         Options("a", ["a1", "a2"], log),
-        Options("b", ["b1"], log, lambda b, draft: seen.append(draft) or (draft.data["a"] == "a1" and "no")),
+        Options(
+            "b",
+            ["b1"],
+            log,
+            lambda b, solution: seen.append(solution) or (solution.data["a"] == "a1" and "no"),
+        ),
     ]
     found = search(stages, start(), planning)
     assert [d.steps for d in seen] == [("do a1",), ("do a2",)]
@@ -109,8 +117,8 @@ def test_cancelled_before_looks_at_nothing(planning, log):
 
 
 def test_cancel_during_the_search_ends_it(planning, log):
-    def cancel_at_the_second(option, draft):
-        if draft.data["a"] == "a2":
+    def cancel_at_the_second(option, solution):
+        if solution.data["a"] == "a2":
             planning.cancel.set()
         return "no"
 
@@ -120,7 +128,7 @@ def test_cancel_during_the_search_ends_it(planning, log):
 
 
 def test_an_error_in_a_stage_is_not_taken_for_a_rejection(planning, log):
-    def broken(option, draft):
+    def broken(option, solution):
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -138,7 +146,7 @@ def test_a_start_in_collision_ends_the_search(planning, log, code, looked_at):
     class Move:
         name = "move"
 
-        def drafts(self, draft, planning):
+        def propose(self, solution, planning):
             planning.reject(self.name, "", "it failed", Outcome(code))
             yield from ()
 
@@ -152,9 +160,9 @@ def test_the_budget_is_of_work_not_of_waiting(log, wait, found):
     """A machine that other programs fill lets this one wait; that costs nothing of the budget."""
 
     class Slow(Options):
-        def drafts(self, draft, planning):
+        def propose(self, solution, planning):
             wait(0.2)
-            yield from super().drafts(draft, planning)
+            yield from super().propose(solution, planning)
 
     planning = Planning(TaskSettings(planning_budget=0.1))
     result = search([Slow("a", ["a1"], log)], start(), planning)

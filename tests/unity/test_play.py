@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from armcell.cell import load
-from armcell.cell.cell import cell_names
+from armcell.cell import cell_names, load
 from armcell.core import SE3, ArmcellError, JointTrajectory
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.ros import Bus, schema
@@ -157,7 +156,7 @@ def test_it_says_what_our_own_simulator_says(player, exported, scene):
         return text.split(" (did you mean")[0].split("done: final error")[0]
 
     assert [plain(t) for t in mine] == [plain(t) for t in theirs]
-    assert len(mine) == 12
+    assert len(mine) == 11
 
 
 def test_bad_trajectories_are_refused_in_our_words(player, exported, scene):
@@ -346,6 +345,26 @@ def test_mimic_fingers_follow(player, scene):
     assert (
         np.max(np.abs(np.diff(told["panda_finger_joint1"]))) <= 0.05 * STEP * 1.001
     )  # at the fingers' speed
+
+
+def test_materials_have_both_frictions(player, tmp_path):
+    """PhysX takes the larger coefficients of two bodies, and only movable objects have any."""
+    file = tmp_path / "cell.yaml"
+    file.write_text(
+        "robot: panda\nobjects:\n"
+        "  table: {box: [1, 1, 0.1], pose: [0.9, 0, -0.2], friction: 0.4}\n"
+        "  two: {box: [0.1, 0.1, 0.1], pose: [0.9, 0, -0.1], movable: true, "
+        "friction: {static: 0.8, dynamic: 0.5}}\n"
+        "  one: {sphere: 0.1, pose: [0.9, 0.3, 0], movable: true, friction: 0.6}\n"
+    )
+    export = export_unity(load(file), tmp_path / "project")
+    rows = player().play(export.cell / "scene.json", ["frictions 0.1"], 0.2)
+    found = {}
+    for _, (name, static, dynamic, combine) in rows["friction"]:
+        assert combine == "Maximum"
+        found.setdefault(name, set()).add((round(float(static), 6), round(float(dynamic), 6)))
+    assert found["two"] == {(0.8, 0.5)} and found["one"] == {(0.6, 0.6)} and found["table"] == {(0.0, 0.0)}
+    assert found["panda_link3"] == {(0.0, 0.0)}
 
 
 @pytest.mark.parametrize("name", cell_names())

@@ -44,7 +44,7 @@ def page(scene):
         yield viewer
 
 
-def until(condition, timeout=60.0):
+def until(condition, timeout=120.0):
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, "did not happen in time"

@@ -33,7 +33,7 @@ def panel(cell, tmp_path):
         yield panel
 
 
-def until(condition, timeout=30.0):
+def until(condition, timeout=120.0):
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, "did not happen in time"

@@ -53,7 +53,7 @@ def viewer(scene):
         yield viewer
 
 
-def until(condition, timeout=10.0):
+def until(condition, timeout=120.0):
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, "did not happen in time"

@@ -25,7 +25,7 @@ namespace Armcell.Logic
         public PoseData pose; // in the world
         public bool movable;
         public double mass; // [kg] of what is movable
-        public double friction;
+        public double staticFriction, dynamicFriction;
         public double[] color; // RGBA 0 to 1
         public string topic; // that its pose is published on, of what is movable
         public List<ShapeData> shapes = new List<ShapeData>();
@@ -127,7 +127,8 @@ namespace Armcell.Logic
             data.name = json["name"].Text;
             data.pose = Pose(json["pose"]);
             data.movable = json["movable"].Truth;
-            data.friction = json["friction"].Number;
+            data.staticFriction = json["friction"].Number;
+            data.dynamicFriction = json.NumberOr("dynamic_friction", data.staticFriction);
             data.color = json["color"].Numbers(4);
             if (data.movable)
             {

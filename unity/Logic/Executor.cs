@@ -88,6 +88,11 @@ namespace Armcell.Logic
             bool fingers = Fingers != null && trajectory.names.All(n => m_Table[n].finger);
             Motion motion = fingers ? null : new Motion(trajectory, m_Joints, m_Settings, now); // as it moves still
             Cancel(points.names, now);
+            if (motion != null && motion.Outcome != null) // it failed at its start
+            {
+                m_Say(motion.Outcome);
+                return;
+            }
             m_Say("executing " + trajectory.times.Length + " points, " + Words.F(trajectory.Duration, 2) + " s");
             if (fingers)
             {
@@ -95,7 +100,6 @@ namespace Armcell.Logic
                 return;
             }
             m_Motions.Add(motion);
-            if (motion.Outcome != null) End(motion);
         }
 
         void Halt(string[] names, double now)

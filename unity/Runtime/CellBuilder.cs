@@ -86,7 +86,7 @@ namespace Armcell
             made.transform.SetParent(m_Root.transform, false);
             Ros.Place(made.transform, item.pose);
             foreach (ShapeData shape in item.shapes)
-                m_Shapes.Add(made.transform, shape, item.color, item.movable ? item.friction : 0.0);
+                m_Shapes.Add(made.transform, shape, item);
             if (!item.movable) return;
             Rigidbody body = made.AddComponent<Rigidbody>();
             body.mass = (float)item.mass;

@@ -43,14 +43,17 @@ namespace Armcell
         public void AddCollider(Transform link, UrdfGeometry shape)
         {
             GameObject made = Child(link, "collision", shape.pose);
-            Collide(made, shape.type, shape.size, shape.radius, shape.length, shape.file, 0.0);
+            Collide(made, shape.type, shape.size, shape.radius, shape.length, shape.file, FrictionOf(0.0, 0.0));
         }
 
-        /// <param name="friction">0: that of what touches it decides</param>
-        public void Add(Transform item, ShapeData shape, double[] color, double friction)
+        /// <summary>Adds a shape of an object. A fixed object has no friction of its own: that of a movable object
+        /// which touches it decides.</summary>
+        public void Add(Transform item, ShapeData shape, ObjectData of)
         {
             GameObject made = Child(item, shape.type, shape.pose);
-            Show(made, MeshOf(shape.type, shape.size, shape.radius, shape.length, shape.visual), color);
+            Show(made, MeshOf(shape.type, shape.size, shape.radius, shape.length, shape.visual), of.color);
+            PhysicMaterial friction = of.movable
+                ? FrictionOf(of.staticFriction, of.dynamicFriction) : FrictionOf(0.0, 0.0);
             if (shape.type != "mesh")
                 Collide(made, shape.type, shape.size, shape.radius, shape.length, null, friction);
             foreach (string hull in shape.hulls)
@@ -72,7 +75,8 @@ namespace Armcell
         }
 
         void Collide(
-            GameObject made, string type, Vec3 size, double radius, double length, string file, double friction)
+            GameObject made, string type, Vec3 size, double radius, double length, string file,
+            PhysicMaterial friction)
         {
             Collider collider;
             if (type == "box")
@@ -109,7 +113,7 @@ namespace Armcell
                 hull.sharedMesh = MeshOf(type, size, radius, length, file);
                 collider = hull;
             }
-            collider.sharedMaterial = FrictionOf(friction);
+            collider.sharedMaterial = friction;
         }
 
         Mesh MeshOf(string type, Vec3 size, double radius, double length, string file)
@@ -174,14 +178,14 @@ namespace Armcell
         }
 
         /// <summary>The larger coefficient of a pair counts, and only movable objects have one: theirs decides.</summary>
-        PhysicMaterial FrictionOf(double friction)
+        PhysicMaterial FrictionOf(double staticFriction, double dynamicFriction)
         {
-            string key = "friction " + Words.G(friction, 4);
+            string key = "friction " + Words.G(staticFriction, 4) + " " + Words.G(dynamicFriction, 4);
             PhysicMaterial material;
             if (m_Frictions.TryGetValue(key, out material)) return material;
             material = new PhysicMaterial(key);
-            material.staticFriction = (float)friction;
-            material.dynamicFriction = (float)friction;
+            material.staticFriction = (float)staticFriction;
+            material.dynamicFriction = (float)dynamicFriction;
             material.bounciness = 0f;
             material.frictionCombine = PhysicMaterialCombine.Maximum;
             m_Frictions.Add(key, material);

@@ -1,4 +1,8 @@
-"""Many randomised trials of a cell's task: how often it works, why it fails, what matters; the gate."""
+"""Campaigns: many randomized trials of a cell's task, with statistics and the gate.
+
+A campaign measures the success rate of a task, groups the causes of failures and ranks the parameters that
+influence success. The gate requires such a campaign before a task runs on real arms.
+"""
 
 from armcell.campaigns.campaign import begin, resume, run
 from armcell.campaigns.moments import take_pictures

@@ -1,4 +1,4 @@
-"""Running a campaign: draw, run, keep, until a stop rule says enough."""
+"""Execution of a campaign: draw trials, run them, store results, stop by the stop rules."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from armcell.core import InputError
 from armcell.core.endpoints import Endpoint
 from armcell.planning import warm_up
 
-FEWEST = 20  # trials before an interval is looked at
-Tell = Callable[[Store, int], None]  # (what is kept so far, how many began in this process)
+FEWEST = 20  # trials before the stop rule tests the confidence interval
+Tell = Callable[[Store, int], None]  # (store, trials run in this process)
 
 
 def begin(spec: CampaignSpec, runs: Path) -> Store:
-    """A new campaign's folder, after looking at the cell and every end of every parameter's range.
+    """Create a campaign's folder after validating the cell at the ends of all parameter ranges.
 
     Raises:
-        InputError: what is wrong, before anything runs.
+        InputError: the cell or a parameter is invalid; raised before any trial runs.
     """
-    if spec.sampling == "adaptive" and not spec.parameters:  # not in the spec: options add to a file's
+    if spec.sampling == "adaptive" and not spec.parameters:  # not checked in the spec: options may add some
         raise InputError(
             "adaptive sampling needs parameters, to go where they fail", cure="--vary PATH=LOW,HIGH"
         )
     if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
-        spec = replace(spec, cell=str(file.resolve()))  # its commands are to work in any folder
+        spec = replace(spec, cell=str(file.resolve()))  # the printed commands must work in any folder
     cell = checked_cell(spec)
-    announce_code(cell)  # here: workers are silent
+    announce_code(cell)  # announced here because workers do not log
     return Store.new(runs, spec, content_hashes(cell))
 
 
 def resume(folder: str | Path) -> Store:
-    """A campaign that was broken off.
+    """Open an interrupted campaign to continue it.
 
     Raises:
-        InputError: no campaign, or the cell is not what it was then.
+        InputError: the folder contains no campaign, or the cell has changed since the campaign began.
     """
     store = Store.open(folder)
     cell = checked_cell(store.spec)
@@ -67,23 +67,23 @@ def run(
     store: Store, workers: int = 0, tell: Tell = lambda store, began: None, ray: str | None = None,
     listening: Callable[[Sequence[Endpoint]], None] = lambda endpoints: None,
 ) -> str:  # fmt: skip
-    """Run what is missing of a campaign.
+    """Run the missing trials of a campaign until all are done or a stop rule applies.
 
     Args:
-        workers: how many; 0: one per core.
-        tell: called after every trial.
-        ray: run on a Ray cluster: its HOST:PORT, or "auto"; see `cluster.RayWorkers`.
-        listening: called with the sockets that the cluster opens here, as they are seen.
+        workers: number of workers; 0 for one per core.
+        tell: called after every trial with the store and the number of trials run by this process.
+        ray: run on a Ray cluster, given as HOST:PORT or "auto"; see `cluster.RayWorkers`.
+        listening: called with the sockets that the cluster opens on this machine, when they appear.
     Returns:
-        Why it stopped, in words.
+        Reason why the campaign stopped, as text.
     Raises:
-        InputError: no worker comes up; a wrong address of a cluster, or one of another version.
+        InputError: no worker starts, or the cluster's address is wrong or its version differs.
         MissingExtraError: Ray is not installed.
     """
     spec = store.spec
     if _sure_enough(store):
         return _sure(spec)
-    warm_up()  # compiled once, before every worker does
+    warm_up()  # compile once here instead of in every worker
     began, count = time.monotonic(), 0
     with _workers(store, workers, ray) as found:
         seen: set[Endpoint] = set()
@@ -101,7 +101,7 @@ def run(
             for row in pool.run(_missing(store, first, last)):
                 store.append(row)
                 count += 1
-                if count <= found.size:  # each worker has a port of its own
+                if count <= found.size:  # each worker may open a port
                     look()
                 tell(store, count)
                 if spec.max_seconds is not None and time.monotonic() - began > spec.max_seconds:
@@ -132,7 +132,7 @@ def _sure_enough(store: Store) -> bool:
 
 
 def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
-    """Trials from `first` up to `last` that are not kept yet."""
+    """Yield the trials numbered `first` up to `last` (excluded) that have no stored result."""
     spec = store.spec
     ranges = distributions(spec)
     failed = [
@@ -147,7 +147,11 @@ def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
 def trial(
     spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
 ) -> Trial:
-    """The trial of that number."""
+    """Return the trial with this number; sampling depends only on the seed, number and failures.
+
+    Args:
+        failed: draws of failed trials of earlier rounds, for adaptive sampling.
+    """
     near = False
     if spec.sampling == "latin_hypercube":
         draw = latin_hypercube_draw(spec.seed, number, len(ranges))

@@ -1,7 +1,7 @@
-"""Workers on a Ray cluster: one actor per core, each the same as a worker process is here.
+"""Workers on a Ray cluster: one actor per core, equivalent to a local worker process.
 
-Ray finds the cores, starts the actors and tells of their death (or their node's); which trial runs where,
-what is tried again and what is kept stays with `Pool`. Ray is asked for nothing else: no retries of its own.
+Ray finds the cores, starts the actors and reports when an actor or its node dies. `Pool` decides which trial
+runs where, retries trials and stores results. Ray's own retries are disabled.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from armcell.core import InputError, MissingExtraError
 from armcell.core.endpoints import Endpoint, descendants, open_sockets
 from armcell.planning import warm_up
 
-OURS = "auto"  # the running cluster, else one of our own for this campaign
-ANSWER_WITHIN = 20.0  # [s] of an address that is a cluster's
-STORE_BYTES = 100 << 20  # of a cluster of our own; rows are small and go without it
+OURS = "auto"  # the running cluster, else a private cluster for this campaign
+ANSWER_WITHIN = 20.0  # [s] timeout for the cluster's answer
+STORE_BYTES = 100 << 20  # object store of a private cluster; rows are small and do not use it
 _ASK = """
 import ctypes, json, signal, sys
 ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it ends with its parent
@@ -45,11 +45,11 @@ address = sys.argv[1] if sys.argv[1] != "auto" else canonicalize_bootstrap_addre
 found = address and GcsClient(address=address).internal_kv_get(b"CLUSTER_METADATA", b"cluster")
 print(json.dumps([address, json.loads(found or b"{}")]))
 """
-"""Asked in a process of its own: Ray takes two minutes over a wrong address, and then ends the process."""
+"""Query script for a subprocess: for a wrong address, Ray blocks for two minutes and ends the process."""
 
 
 class _Actor:
-    """What runs on the cluster."""
+    """Ray actor that loads the cell once and runs trials."""
 
     def __init__(self, spec: dict[str, Any], hashes: dict[str, str]):
         self._spec, self._hashes = CampaignSpec(**spec), hashes
@@ -71,12 +71,12 @@ class _Actor:
 
 
 class RayWorker(Worker):
-    """An actor and what it is asked now."""
+    """Handle of a Ray actor and of the actor's pending call."""
 
     def __init__(self, actor: Any):
         super().__init__()
         self.actor = actor
-        self.asked: Any = actor.load.remote()  # reference to the answer; None: nothing is asked
+        self.asked: Any = actor.load.remote()  # reference of the pending call, or None
         self.how = "without a word"
 
     def send(self, data: dict[str, Any]) -> None:
@@ -84,12 +84,12 @@ class RayWorker(Worker):
 
 
 class RayWorkers(Workers[RayWorker]):
-    """`count` actors; 0: as many as the cluster has cores.
+    """Source of `count` Ray actors; 0 for as many actors as the cluster has cores.
 
     Args:
-        hashes: of the cell here; a node where it is another cell, armcell or library is refused.
-        address: HOST:PORT of a running cluster, or "auto": the one that runs on this machine or that
-            RAY_ADDRESS names, else one of our own, which ends with the block.
+        hashes: content hashes of the local cell; a node with another cell, armcell or library is rejected.
+        address: HOST:PORT of a running cluster, or "auto": the cluster that runs on this machine or that
+            RAY_ADDRESS names, else a private cluster that ends with the `with` block.
     """
 
     def __init__(self, spec: CampaignSpec, hashes: Mapping[str, str], count: int, address: str = OURS):
@@ -100,7 +100,7 @@ class RayWorkers(Workers[RayWorker]):
             "does `ray status` show free cores; can every node `import armcell` and read the cell file?"
         )
         self._running: list[RayWorker] = []
-        self._folder: str | None = None  # of a cluster of our own
+        self._folder: str | None = None  # folder of a private cluster
 
     def __enter__(self) -> RayWorkers:
         found = find_cluster(self.address)
@@ -109,14 +109,14 @@ class RayWorkers(Workers[RayWorker]):
         import ray
         from ray._private import utils
 
-        utils.set_sigterm_handler = lambda handler: None  # it would replace the program's own
+        utils.set_sigterm_handler = lambda handler: None  # keep the program's handler
         self._ray: Any = ray
         try:
             self._join(found)
         except (Exception, SystemExit) as error:
             self.__exit__()
             said = next(iter(str(error).strip().splitlines()), "")
-            if " " not in said:  # a key or a number alone tells nobody anything
+            if " " not in said:  # a bare key or number needs its error type
                 said = repr(error)
             raise InputError(f"Ray {found or 'here'} cannot be used: {said}") from None
         except KeyboardInterrupt:
@@ -126,7 +126,7 @@ class RayWorkers(Workers[RayWorker]):
         return self
 
     def _join(self, found: str | None) -> None:
-        """Join the cluster there, or start one."""
+        """Connect to the cluster at address `found`, or start a private cluster if it is None."""
         common = {
             "log_to_driver": False, "logging_level": "error", "runtime_env": {"env_vars": dict(ONE_THREAD)},
         }  # fmt: skip
@@ -134,7 +134,7 @@ class RayWorkers(Workers[RayWorker]):
             self._ray.init(address=found, **common)
             return
         self._folder = tempfile.mkdtemp(prefix="armcell-ray-")
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would tell its makers
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no usage reports
         self._ray.init(
             address="local", num_cpus=self.size or cores(), include_dashboard=False,
             object_store_memory=STORE_BYTES, _temp_dir=self._folder, **common,
@@ -148,7 +148,7 @@ class RayWorkers(Workers[RayWorker]):
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """The sockets of this process, and of those that a cluster of our own has started."""
+        """Return the sockets of this process and of the processes of a private cluster."""
         pids = [os.getpid()] if self._folder is None else descendants(os.getpid())
         return tuple(replace(found, service="Ray") for found in sorted(open_sockets(pids)))
 
@@ -187,19 +187,19 @@ class RayWorkers(Workers[RayWorker]):
 
 
 def _make_private() -> None:
-    """A cluster of our own listens on all addresses and runs what it is asked: only with our token, then.
+    """Enable token authentication for a private cluster, because Ray listens on all addresses.
 
-    Ray reads this once, as it is first imported in a process.
+    Ray reads the setting once, when a process imports it for the first time.
     """
     if "ray" not in sys.modules and "RAY_AUTH_MODE" not in os.environ:
         os.environ.update(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=secrets.token_hex(32))
 
 
 def _version() -> str:
-    """Of Ray here, without importing it.
+    """Return the version of the installed Ray without importing Ray.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: Ray is not installed.
     """
     try:
         return version("ray")
@@ -208,11 +208,13 @@ def _version() -> str:
 
 
 def find_cluster(address: str) -> str | None:
-    """The address of a running cluster that we can join; None: there is none, and "auto" then wants our own.
+    """Return the address of a running, compatible Ray cluster; None to start a private one.
+
+    None is possible only for the address "auto".
 
     Raises:
-        InputError: a wrong address, or a cluster of another version.
-        MissingExtraError: Ray is not installed here.
+        InputError: the address is wrong, or the cluster runs other versions.
+        MissingExtraError: Ray is not installed on this machine.
     """
     ours = _version()
     host, colon, port = address.rpartition(":")
@@ -231,7 +233,7 @@ def find_cluster(address: str) -> str | None:
         found, about = json.loads(asked.stdout.strip().splitlines()[-1])
     except (subprocess.TimeoutExpired, ValueError, IndexError):
         if address == OURS and not named:
-            return None  # what is left of one that has gone
+            return None  # stale file of a cluster that has ended
         raise InputError(
             f"--ray {named or address}: no Ray cluster answers within {ANSWER_WITHIN:g} s",
             cure="does it run (`ray start --head` there), is the port right (6379) and open to us?",
@@ -252,7 +254,7 @@ def find_cluster(address: str) -> str | None:
 
 
 def _how(text: str) -> str:
-    """Of Ray's page about a death what says why."""
+    """Extract the cause from Ray's long error text about the death of an actor."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     for line in lines:
         for cause in ("Worker exit detail: ", "its node has died", "killed by"):

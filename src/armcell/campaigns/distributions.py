@@ -1,4 +1,4 @@
-"""How a parameter varies: distributions that turn a number in [0, 1) into a value."""
+"""Parameter distributions: map a number in [0, 1) to a parameter value."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from armcell.core import InputError, UnknownNameError
 
 
 class Distribution(Protocol):
-    """`at` is the inverse of the cumulative distribution: samplers only ever choose numbers in [0, 1)."""
+    """Parameter distribution; `at` is the inverse of its cumulative distribution function.
+
+    Samplers draw numbers in [0, 1) and pass them to `at`.
+    """
 
     def at(self, u: float) -> Any: ...
 
 
 @dataclass(frozen=True)
 class Uniform:
-    """Every value from low to high alike; with `whole` the whole numbers, both ends included."""
+    """Uniform distribution from low to high; `whole` restricts it to integers, ends included."""
 
     low: float
     high: float
@@ -34,7 +37,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class LogUniform:
-    """Every factor alike: as many values from 1 to 2 as from 2 to 4."""
+    """Log-uniform distribution: values from 1 to 2 are as likely as values from 2 to 4."""
 
     low: float
     high: float
@@ -45,7 +48,7 @@ class LogUniform:
 
 @dataclass(frozen=True)
 class Normal:
-    """Of a mean and a standard deviation, cut off `cut` deviations to each side."""
+    """Normal distribution, truncated at `cut` standard deviations on each side."""
 
     mean: float
     sd: float
@@ -57,7 +60,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some values, each as likely."""
+    """Discrete distribution over some values with equal probabilities."""
 
     values: tuple[Any, ...]
 
@@ -66,9 +69,10 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Values that a cell is tried with beforehand: the least, the greatest and two between; every choice.
+    """Return values for testing a cell before a campaign: minimum, maximum and two between.
 
-    One of the two is no round share of the range: from 1 to 3, all others are whole numbers.
+    For a choice, return all values. One of the two inner values is not a round fraction of the range: of the
+    range 1 to 3, the other values are all integers.
     """
     if isinstance(found, Choice):
         return list(found.values)
@@ -79,12 +83,16 @@ KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
 
 
 def distribution(data: Any, place: str) -> Distribution:
-    """From a campaign file: `{uniform: [low, high]}`, `{whole: [1, 4]}`, `{log_uniform: [low, high]}`,
-    `{normal: [mean, sd]}` or `{normal: [mean, sd, cut]}`, `{choice: [a, b, c]}`; or `[low, high]`, uniform.
+    """Parse a distribution from a campaign file.
 
+    Forms: `{uniform: [low, high]}` or just `[low, high]`, `{whole: [1, 4]}`, `{log_uniform: [low, high]}`,
+    `{normal: [mean, sd]}` or `{normal: [mean, sd, cut]}`, `{choice: [a, b, c]}`.
+
+    Args:
+        place: location in the file, for error messages.
     Raises:
-        UnknownNameError: no such kind.
-        InputError: numbers that make no distribution; with the place.
+        UnknownNameError: unknown kind of distribution.
+        InputError: the numbers do not form a valid distribution; the error names the location.
     """
     if isinstance(data, list | tuple):
         data = {"uniform": data}

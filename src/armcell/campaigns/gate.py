@@ -1,9 +1,9 @@
-"""The gate in front of real arms: a signed record that a campaign showed this very cell and task to work.
+"""Gate before real arms: a signed record that a campaign validated this cell and task.
 
-Signed is by a keyed hash (HMAC-SHA256) with a key of the user's own, made at first use. It shows that the
-record was issued by `armcell gate` under this user's account and is as it was then: nobody has edited the
-share of success, and a campaign of somebody else's machine does not count unless its key was brought along.
-It does not keep out somebody who can read the key.
+The record is signed with a keyed hash (HMAC-SHA256). The key belongs to the user and is created at first
+use. The signature shows that `armcell gate` issued the record under this user's account and that the record
+is unchanged: nobody has edited the success rate, and a campaign from another machine does not count unless
+its key was copied, too. The signature does not protect against a person who can read the key.
 """
 
 from __future__ import annotations
@@ -22,19 +22,22 @@ from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.statistics import Share, success
 from armcell.campaigns.store import TRIALS, asked, rows_of
 from armcell.cell import Cell, cell_names, content_hashes
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.cell.versions import versions
 from armcell.core import InputError
 
-FORMAT = 2  # 1: did not say what was varied
+FORMAT = 2  # format 1 did not list the varied parameters
 LEAST = 0.95
-"""Share of success that the lower end of the exact 95 % interval has to reach."""
+"""Success rate that the lower bound of the exact 95 % interval must reach."""
 KEY_VARIABLE = "ARMCELL_GATE_KEY"
 KEY_BYTES = 32
 
 
 def gate_file(cell: Cell) -> Path:
-    """Where a cell's gate record is looked for: beside its file; of a built-in cell in the working folder."""
+    """Return the default path of a cell's gate record.
+
+    The record is next to the cell file; for a built-in cell it is in the working folder.
+    """
     if LIBRARY in cell.file.parents:
         return Path(f"{cell.name}.gate.json")
     return cell.file.with_name(f"{cell.file.stem}.gate.json")
@@ -43,14 +46,16 @@ def gate_file(cell: Cell) -> Path:
 def issue(
     cell: Cell, folder: str | Path, file: Path, least: float = LEAST, allow_unvaried: str | None = None
 ) -> dict[str, Any]:
-    """Write a gate record of a finished campaign, if it shows enough.
+    """Write a gate record for a finished campaign if its success rate is proven high enough.
 
     Args:
-        cell: that the record is for: the campaign's cell with its `values`.
-        folder: of the campaign.
-        allow_unvaried: reason to accept a campaign whose trials are all the same; the record keeps it.
+        cell: cell of the record: the campaign's cell with its `values`.
+        folder: folder of the campaign.
+        least: required lower bound of the success rate.
+        allow_unvaried: reason to accept a campaign with identical trials; stored in the record.
     Raises:
-        InputError: the campaign is of another cell, shows too little, or varied nothing; says what it shows.
+        InputError: the campaign belongs to another cell, its success rate is too low, or its trials do not
+            vary; the error states the measured values.
     """
     check_reason(allow_unvaried)
     folder = Path(folder)
@@ -113,9 +118,10 @@ def issue(
 
 
 def check_reason(allow_unvaried: str | None) -> None:
-    """
+    """Reject an empty reason for `--allow-unvaried`.
+
     Raises:
-        InputError: a reason without words.
+        InputError: the reason contains no words.
     """
     if allow_unvaried is not None and not allow_unvaried.strip():
         raise InputError(
@@ -124,10 +130,10 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Say before a campaign runs that its trials would all be the same.
+    """Reject, before a campaign runs, a cell whose trials would all be identical.
 
     Raises:
-        InputError: the cell draws nothing.
+        InputError: the cell randomizes nothing.
     """
     ranges = [value for entry in cell.spec.randomize.values() for value in entry.model_dump().values()]
     if cell.spec.drop is None and not any(value is not None and value[0] < value[1] for value in ranges):
@@ -135,9 +141,10 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What the trials of a campaign differ in: parameters and drawn values by path, "drop".
+    """Return the paths of parameters and drawn values that differ between a campaign's trials.
 
-    Noise of sensors is not counted: it leaves the task the same.
+    "drop" stands for objects that physics drops into a bin, different for each seed. Sensor noise does not
+    count, because it leaves the task unchanged.
     """
     seen: dict[str, set[str]] = {}
     for row in rows:
@@ -164,10 +171,10 @@ def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
 
 
 def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
-    """The gate record of a cell, if there is one and it is of this cell, task, configuration and versions.
+    """Return a cell's gate record if it matches the cell, task, configuration and versions.
 
     Raises:
-        InputError: what is missing or wrong, and how to get a new one.
+        InputError: the record is missing or invalid; the error says how to get a new one.
     """
     place = file or gate_file(cell)
     cure = f"armcell gate {_name(cell)}, or --without-gate REASON, which goes into the run's record"
@@ -203,7 +210,11 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """What differs between two cells' hashes, in words; versions with both numbers where they are known."""
+    """Describe the differences between the content hashes of two cells.
+
+    Args:
+        old_versions: library versions of the first cell; if given, the text names both versions.
+    """
     found = []
     for part in sorted({*then, *now}):
         if then.get(part) == now.get(part):
@@ -218,7 +229,7 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Of this user, or what the environment names."""
+    """Return the path of the user's signing key; an environment variable can override it."""
     named = os.environ.get(KEY_VARIABLE)
     if named:
         return Path(named)
@@ -236,7 +247,7 @@ def _key(make: bool) -> bytes:
                 stream.write(secrets.token_hex(KEY_BYTES) + "\n")
         key = bytes.fromhex(file.read_text(encoding="ascii").strip())
     except FileNotFoundError:
-        return b""  # nothing was ever signed here: no signature is right
+        return b""  # no key, so no signature is valid
     except (OSError, ValueError) as error:
         raise InputError(f"the gate's key cannot be read ({error})", file=file) from None
     if len(key) < KEY_BYTES:
@@ -249,7 +260,7 @@ def _signature(record: Mapping[str, Any], key: bytes) -> str:
     return hmac.new(key, text.encode("ascii"), hashlib.sha256).hexdigest() if key else "none"
 
 
-# --- words ---
+# --- messages ---
 def _asked(spec: CampaignSpec) -> str:
     if spec.half_width is not None:
         return f"was to stop when its interval is within {spec.half_width:.2%} to each side"
@@ -259,7 +270,7 @@ def _asked(spec: CampaignSpec) -> str:
 
 
 def _fewest(least: float, above: int = 0) -> int:
-    """Trials without a failure that show a share."""
+    """Return how many trials without failure prove a success rate of at least `least`."""
     return next(n for n in range(above + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
 
 

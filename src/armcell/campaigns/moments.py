@@ -1,4 +1,7 @@
-"""Pictures of trials at the moment they failed: they are run again, as the same trial gives the same."""
+"""Pictures of failed trials at the moment of failure, taken by running the trials again.
+
+Trials are deterministic, so a second run with the same seed fails in the same state.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +20,23 @@ from armcell.records import html
 
 logger = logging.getLogger(__name__)
 
-MOST = 12  # pictures of a campaign
-LONGEST = 60.0  # [s] a trial that took longer is not run again for its picture
-NO_RUN = ("CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL")  # of trials that came to no end of their own
+MOST = 12  # maximum number of pictures per campaign
+LONGEST = 60.0  # [s] longer trials are not run again for a picture
+NO_RUN = ("CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL")  # errors of trials that did not run to an end
 
 
 def picture_file(folder: Path, number: int) -> Path:
-    """Where the picture of a trial is, if there is one."""
+    """Return the path of a trial's picture; the file may not exist."""
     return folder / "pictures" / f"trial_{number}.png"
 
 
 def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, of: None) -> None:
-    """Of the first failure of each cause, then of others, as far as they are not there yet.
+    """Take missing pictures of failed trials: first one per cause, then further failures.
 
     Args:
-        tell: called with how many are done, and of how many.
+        tell: called with the number of finished pictures and the total number.
     Raises:
-        InputError: the folder cannot be written to, or the disk is full.
+        InputError: the folder is not writable, or the disk is full.
     """
     wanted = _wanted(store)
     if not wanted:
@@ -43,7 +46,7 @@ def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, 
         tell(done, len(wanted))
         file = picture_file(store.folder, row["trial"])
         if not file.exists() and (picture := moment(cell, row)) is not None:
-            with suppress(OSError):  # then writing says so
+            with suppress(OSError):  # `write_whole` reports the error
                 file.parent.mkdir(exist_ok=True)
             write_whole(file, html.picture_png(picture))
     tell(len(wanted), len(wanted))
@@ -63,11 +66,10 @@ def _wanted(store: Store) -> list[dict[str, Any]]:
 
 
 def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
-    """What a failed trial looked like when something first touched, else when it ended.
+    """Run a failed trial again and return a picture of its first contact, else of its end.
 
     Returns:
-        None where it does not fail again, as where a limit on processor time has ended it, or where nothing
-        can be drawn.
+        None if the trial does not fail again (e.g. a processor time limit ended it) or cannot be drawn.
     """
     taken: list[Picture] = []
     try:
@@ -76,11 +78,11 @@ def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
             pictures = Pictures(live, lambda time, text, picture: taken.append(picture), stages=False)
             live.ctx.observers.append(pictures)
             succeeded = False
-            with suppress(Exception):  # a defect may be the failure that the picture is of
+            with suppress(Exception):  # the exception may be the failure to show
                 succeeded = run_task(varied, live, row["seed"], "sim")["success"]
             if not succeeded and not taken:
                 taken.append(pictures.now())
-    except Exception as error:  # a report without a picture is better than none
+    except Exception as error:  # the report is useful without the picture, too
         logger.warning("trial %d has no picture: %s", row["trial"], error)
         return None
     return None if succeeded else taken[0]

@@ -1,4 +1,4 @@
-"""A campaign's plots as PNG, in the look of the run report's."""
+"""Plots of a campaign as PNG images, in the style of the run report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BINS = 10
 
 
 def share_plot(rows: Sequence[Row]) -> bytes:
-    """Success so far with its 95 % interval, over the number of trials."""
+    """Plot the success rate with its 95 % interval over the number of trials, as PNG."""
     fair = sorted(fairly_drawn(rows), key=lambda row: row["trial"])
     figure, (ax,) = _figure(1, 1, 2.2)
     counts = np.unique(np.geomspace(1, max(len(fair), 1), 200).astype(int))
@@ -35,10 +35,10 @@ def share_plot(rows: Sequence[Row]) -> bytes:
 
 
 def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
-    """For each parameter the share of success in tenths of its range, with intervals; None without any.
+    """Plot the success rate over tenths of each parameter's range, with intervals, as PNG.
 
     Args:
-        paths: as in `statistics.drawn`.
+        paths: parameter paths, as in `statistics.drawn`; without any, the result is None.
     """
     if not paths:
         return None
@@ -71,10 +71,10 @@ def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
 
 
 def distribution_plots(rows: Sequence[Row], columns: dict[str, tuple[str, float]]) -> bytes | None:
-    """Histograms of what was measured.
+    """Plot histograms of measured columns as PNG; None if no trial has a value.
 
     Args:
-        columns: column of the rows -> its title with the unit, and what it is multiplied by.
+        columns: column of the rows -> (title with the unit, scale factor).
     """
     found = {
         title: [scale * row[name] for row in rows if row[name] is not None]

@@ -1,6 +1,7 @@
-"""The engine: hands trials to workers one by one. One that dies is replaced, its trial given to another.
+"""Scheduler of trials: gives each worker one trial at a time and replaces workers that die.
 
-It does not know what a worker is: a process here (`processes.py`) or an actor on a cluster (`cluster.py`).
+The trial of a dead worker goes to another worker. The scheduler is independent of the kind of worker: local
+processes (`processes.py`) or actors on a cluster (`cluster.py`).
 """
 
 from __future__ import annotations
@@ -17,21 +18,24 @@ from armcell.campaigns.trial import Trial, failed
 from armcell.core import InputError
 from armcell.core.endpoints import Endpoint
 
-TRIES = 3  # of a trial whose worker dies
-LIVES = 2000  # trials until a worker is replaced by a fresh one: whatever a library leaks ends with it
-PATIENCE = 600.0  # [s] until some worker is ready; compiling for the first time takes minutes
-GLANCE = 1.0  # [s] between two looks at what takes too long
+TRIES = 3  # attempts for a trial whose worker dies
+LIVES = 2000  # trials until a worker is replaced, to bound memory leaks of libraries
+PATIENCE = 600.0  # [s] until a worker must be ready; the first compilation takes minutes
+GLANCE = 1.0  # [s] between two checks for timeouts
 
 Answer = dict[str, Any]
-"""{"ready": true} once, when the cell is loaded, or {"cell": why not}; then a row per trial."""
+"""Message of a worker: first {"ready": true}, or {"cell": error} for an invalid cell; then trial rows."""
 
 
 class Worker(ABC):
-    """Runs one trial at a time; given as JSON-ready data, answered with `Answer`s through its `Workers`."""
+    """Interface of workers: run one trial at a time, given as JSON-ready data.
+
+    The answers arrive through `Workers`.
+    """
 
     def __init__(self) -> None:
         self.trial: Trial | None = None
-        self.ready = False  # it has loaded the cell
+        self.ready = False  # True once the cell is loaded
         self.began = 0.0
         self.done = 0
 
@@ -41,18 +45,18 @@ class Worker(ABC):
 
     @abstractmethod
     def send(self, data: dict[str, Any]) -> None:
-        """A trial. One that is dead says so by its answers, not here."""
+        """Send a trial; a dead worker is reported by `Workers.heard`, not by this call."""
 
 
 W = TypeVar("W", bound=Worker)
 
 
 class Workers(ABC, Generic[W]):
-    """Where workers come from. Used in a `with` block, at the end of which none is left.
+    """Source of workers; use it in a `with` block, whose end stops all workers.
 
     Attributes:
-        size: how many there shall be.
-        help: what to look at when none comes up.
+        size: number of workers to run.
+        help: hint for the user if no worker starts.
     """
 
     size: int
@@ -66,29 +70,32 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def start(self) -> W:
-        """One more."""
+        """Start one more worker."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """What the workers and what runs them listen on, now."""
+        """Return the sockets on which the workers and their runtime listen now."""
         return ()
 
     @abstractmethod
     def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
-        """What workers have said since; waits so long [s] for the first. None: it is dead."""
+        """Yield (worker, answers) pairs that arrived; None in place of the answers of a dead worker.
+
+        Waits up to `seconds` for the first answer.
+        """
 
     @abstractmethod
     def end(self, worker: W) -> str:
-        """Make sure that it is gone. How it ended, in words: "with status 7"."""
+        """Stop a worker and return how it ended, as text, e.g. "with status 7"."""
 
 
 class Pool(Generic[W]):
-    """Trials for `workers`, which must have been entered."""
+    """Scheduler of trials over `workers`, whose `with` block must have been entered."""
 
     def __init__(self, spec: CampaignSpec, workers: Workers[W]):
         self.spec, self._workers = spec, workers
         self._all: list[W] = [workers.start() for _ in range(workers.size)]
         self._some_ready = time.monotonic()
-        self.died = 0  # in a row, as they started
+        self.died = 0  # workers in a row that died while starting
 
     def _replace(self, worker: W) -> str:
         self._all.remove(worker)
@@ -97,18 +104,20 @@ class Pool(Generic[W]):
         return how
 
     def _died_at_start(self, how: str) -> None:
-        """
+        """Count a worker that died while starting.
+
         Raises:
-            InputError: too many in a row.
+            InputError: too many workers in a row died while starting.
         """
         self.died += 1
         if self.died >= TRIES * self._workers.size:
             raise InputError(f"workers end {how} as they start", cure=self._workers.help)
 
     def _look_for_ready_ones(self) -> None:
-        """
+        """Check that some worker is ready.
+
         Raises:
-            InputError: for too long there is none.
+            InputError: no worker has been ready for `PATIENCE` seconds.
         """
         if any(worker.ready for worker in self._all):
             self._some_ready = time.monotonic()
@@ -116,10 +125,10 @@ class Pool(Generic[W]):
             raise InputError(f"no worker is ready after {PATIENCE:g} s", cure=self._workers.help)
 
     def run(self, trials: Iterator[Trial]) -> Iterator[dict[str, Any]]:
-        """The rows of trials as they finish, each trial's exactly once.
+        """Yield the row of each trial exactly once, in the order in which the trials finish.
 
         Raises:
-            InputError: no worker comes up.
+            InputError: no worker starts.
         """
         again: list[Trial] = []
         tries: dict[int, int] = {}
@@ -159,7 +168,7 @@ class Pool(Generic[W]):
                     if "ready" in row:
                         worker.ready, self.died = True, 0
                         continue
-                    if "cell" in row:  # that it cannot load
+                    if "cell" in row:  # the worker cannot load the cell
                         raise InputError(
                             f"a worker says: {row['cell']}", cure="was the cell changed just now?"
                         )
@@ -168,7 +177,7 @@ class Pool(Generic[W]):
                     if worker.done >= LIVES:
                         self._replace(worker)
                     else:
-                        give(worker)  # first: it works on while the row is kept and told
+                        give(worker)  # before yielding, to keep the worker busy meanwhile
                     yield row
             for worker in list(self._all):
                 late = time.monotonic() - worker.began

@@ -1,4 +1,4 @@
-"""Worker processes on this machine."""
+"""Worker processes on this machine, for running a campaign's trials."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ ONE_THREAD = dict.fromkeys(
 
 
 class ProcessWorker(Worker):
-    """A process of `worker.py`: JSON lines in and out."""
+    """Process that runs `worker.py`, with JSON lines as input and output."""
 
     def __init__(self, spec: CampaignSpec):
         super().__init__()
         with unsignaled():
             self.process = subprocess.Popen(
-                # -P: no modules of the current folder
+                # -P: do not import modules from the current folder
                 [sys.executable, "-P", "-m", "armcell.campaigns.worker"],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **ONE_THREAD},
             )  # fmt: skip
@@ -44,10 +44,10 @@ class ProcessWorker(Worker):
             self.process.stdin.write(json.dumps(data).encode() + b"\n")
             self.process.stdin.flush()
         except BrokenPipeError:
-            pass  # it is dead: its output ends, which is noticed there
+            pass  # the process is dead; `answers` notices the end of its output
 
     def answers(self) -> list[Answer] | None:
-        """What it has said since; None if it is dead."""
+        """Return the answers received since the last call; None if the process is dead."""
         data = os.read(self.output, 1 << 16)
         if not data:
             return None
@@ -67,7 +67,7 @@ class ProcessWorker(Worker):
 
 
 class Processes(Workers[ProcessWorker]):
-    """`count` processes of this machine."""
+    """Source of `count` worker processes on this machine."""
 
     def __init__(self, spec: CampaignSpec, count: int):
         self.spec, self.size = spec, count
@@ -95,7 +95,7 @@ class Processes(Workers[ProcessWorker]):
     def heard(self, seconds: float) -> Iterator[tuple[ProcessWorker, list[Answer] | None]]:
         for key, _ in self._selector.select(timeout=seconds):
             worker: ProcessWorker = key.data
-            if worker in self._running:  # not replaced meanwhile
+            if worker in self._running:  # skip a worker that `Pool` has replaced
                 yield worker, worker.answers()
 
     def end(self, worker: ProcessWorker) -> str:
@@ -105,5 +105,5 @@ class Processes(Workers[ProcessWorker]):
 
 
 def cores() -> int:
-    """That this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""A campaign's report: summary.json, report.md and report.html, which needs no network and no other file."""
+"""Report of a campaign: summary.json, report.md and a self-contained report.html."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from armcell.campaigns.store import Store, write_whole
 from armcell.campaigns.trial import replay_command
 from armcell.records import html
 
-SHOWN = 200  # failures in the table
-PLOTTED = 12  # parameters, those that matter most
-DRAWN = 8  # values of one failure
+SHOWN = 200  # maximum number of failures in the table
+PLOTTED = 12  # maximum number of plotted parameters, most significant first
+DRAWN = 8  # maximum number of drawn values shown per failure
 MEASURED = {
     "task_time_s": ("task [s]", 1.0),
     "planning_s": ("planning [ms]", 1000.0),
@@ -25,12 +25,12 @@ MEASURED = {
 
 
 def write_report(store: Store, stopped: str) -> Path:
-    """Write all three; returns the HTML file. Each appears whole, or stays as it was.
+    """Write summary.json, report.md and report.html atomically; return the HTML file.
 
     Args:
-        stopped: why the campaign ended, in words.
+        stopped: reason why the campaign ended, as text.
     Raises:
-        InputError: the folder cannot be written to, or the disk is full.
+        InputError: the folder is not writable, or the disk is full.
     """
     data, rows = summary(store, stopped), _in_order(store)
     write_whole(store.folder / "summary.json", (json.dumps(data, indent=2) + "\n").encode())
@@ -45,7 +45,7 @@ def _in_order(store: Store) -> list[dict[str, Any]]:
 
 
 def summary(store: Store, stopped: str) -> dict[str, Any]:
-    """Everything that the report says, as JSON-ready data."""
+    """Return the contents of a campaign's report as JSON-ready data."""
     spec, rows = store.spec, _in_order(store)
     wall = sum(row["wall_s"] for row in rows)
     return {
@@ -203,7 +203,7 @@ def _causes(data: dict[str, Any]) -> str:
 
 
 def _moments(data: dict[str, Any], folder: Path) -> str:
-    """What some failed trials looked like as something first touched, else at their end."""
+    """Return HTML figures of failed trials at the moment of first contact, else at their end."""
     figures = []
     for failure in data["failures"]:
         file, number = picture_file(folder, failure["trial"]), failure["trial"]
@@ -240,6 +240,6 @@ def _drawn(values: dict[str, Any]) -> str:
 
 
 def _linked(number: int, folder: Path) -> str:
-    """A trial's number, which leads to its picture."""
+    """Return a trial's number as HTML, linked to its picture if there is one."""
     there = picture_file(folder, number).exists()
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

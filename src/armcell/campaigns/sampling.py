@@ -1,5 +1,8 @@
-"""Which values each trial gets. A trial's draw depends on the seed, its number and, where sampling adapts,
-on how the trials of earlier rounds went; never on which worker was quicker."""
+"""Sampling of trial parameters, reproducible and independent of the workers' speed.
+
+A trial's draw depends only on the seed, the trial number and, for adaptive sampling, on the results of
+earlier rounds.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,21 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-BLOCK = 100  # trials that a Latin hypercube spreads evenly
-ROUND = 50  # trials between which adaptive sampling looks at what failed
-NEAR = 0.5  # share of a round that goes near failures
-SPREAD = 0.08  # standard deviation of those, in shares of a parameter's range
+BLOCK = 100  # trials per Latin hypercube
+ROUND = 50  # trials per round of adaptive sampling, which reads the failures of earlier rounds
+NEAR = 0.5  # fraction of a round that is placed near failures
+SPREAD = 0.08  # standard deviation of samples near failures, as a fraction of the range
 
 
 def random_draw(seed: int, number: int, dimensions: int) -> Array:
-    """(dimensions,) independent numbers in [0, 1)."""
+    """Return independent uniform numbers in [0, 1), shape (dimensions,)."""
     return np.random.default_rng([seed, number]).random(dimensions)
 
 
 def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
-    """(dimensions,) of a design in which every hundredth of every range is met once in a block of trials.
+    """Return a Latin hypercube sample (dimensions,) in [0, 1).
+
+    In each block of 100 trials, every hundredth of every parameter range occurs exactly once.
 
     McKay, Beckman, Conover (1979), A Comparison of Three Methods for Selecting Values of Input Variables.
     """
@@ -32,15 +37,15 @@ def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
 
 
 def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: int) -> tuple[Array, bool]:
-    """(dimensions,) and whether it was put near a failure.
+    """Return a sample (dimensions,) in [0, 1) and whether it was placed near a failure.
 
     Args:
-        failed: the draws of earlier rounds' trials that failed.
+        failed: draws of the failed trials of earlier rounds.
     """
     rng = np.random.default_rng([seed, number, 2])
     if not failed or rng.random() >= NEAR:
         return random_draw(seed, number, dimensions), False
     near = failed[int(rng.integers(len(failed)))] + SPREAD * rng.standard_normal(dimensions)
-    near = np.abs(near)  # back from the lower end, and from the upper one
+    near = np.abs(near)  # reflect at both ends of [0, 1)
     near = np.where(near >= 1, 2 - near, near)
     return np.clip(near, 0.0, 1.0 - 2.0**-53), True

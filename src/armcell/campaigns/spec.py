@@ -1,4 +1,4 @@
-"""What a campaign is asked to do: the cell, what varies and how, when to stop. From a file or from Python."""
+"""Specification of a campaign: the cell, the varied parameters and the stop rules."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ KEYS = (
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """A campaign.
+    """Specification of a campaign, from a file or from Python.
 
     Attributes:
         cell: built-in name, folder or file.
-        parameters: what varies, by its path in the cell file, as in the campaign file. Besides, every trial
-            draws what the cell's own `randomize` says, with the trial's seed.
-        values: what is other than in the cell file in all trials, by path.
-        sampling: how parameters are drawn; see `sampling.Sampler`.
-        seed: of the first trial; each next one has the next.
-        trials: how many at most.
-        max_seconds: stop after so long. None: no limit.
-        half_width: stop when the 95 % interval of success is no wider to each side. None: no matter.
-        trial_seconds: a trial that takes longer is ended and counts as failed.
+        parameters: distributions of the varied parameters, by path in the cell file, in the syntax of the
+            campaign file. In addition, every trial draws the cell's own `randomize` entries with its seed.
+        values: fixed values that replace those of the cell file in all trials, by path.
+        sampling: sampling method of the parameters; see `sampling`.
+        seed: seed of the first trial; each further trial adds 1.
+        trials: maximum number of trials.
+        max_seconds: stop after this wall time [s]. None: no limit.
+        half_width: stop when the 95 % interval of the success rate is this narrow, to each side. None: off.
+        trial_seconds: time limit of a trial [s]; a longer trial is ended and counts as failed.
     """
 
     cell: str
@@ -71,12 +71,12 @@ class CampaignSpec:
                     f"{name} is not a mapping from paths", cure="e.g. {objects.cube.mass: [0.1, 1]}"
                 )
         self._check_places()
-        distributions(self)  # what is wrong with them is said now
+        distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """No two paths may be one place of the cell, or one within the other: which would count?
+        """Reject two paths that set the same place of the cell, or one place inside the other.
 
-        But a value may be a whole of which parameters vary a part, as a push of which the force varies.
+        Allowed is a fixed value of which parameters vary a part, e.g. a push with a varied force.
         """
         both = set(self.parameters) & set(self.values)
         if both:
@@ -90,10 +90,10 @@ class CampaignSpec:
 
     @staticmethod
     def read(file: str | Path) -> CampaignSpec:
-        """From a YAML file; a relative `cell` is looked for beside it.
+        """Read a specification from a YAML file; a relative `cell` is relative to the file.
 
         Raises:
-            InputError: what is wrong, with the file.
+            InputError: the file is invalid; the error names the file and the cause.
         """
         path = Path(file)
         data = read_yaml(path)
@@ -115,16 +115,16 @@ class CampaignSpec:
 
 
 def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
-    """By path."""
+    """Return the distributions of a specification's parameters, by path."""
     return {path: distribution(data, f"parameters/{path}") for path, data in spec.parameters.items()}
 
 
 def checked_cell(spec: CampaignSpec) -> Cell:
-    """The campaign's cell, after trying the ends of every parameter's range and all choices on it.
+    """Load a campaign's cell and test it with the extreme values of all parameters.
 
     Raises:
-        UnknownNameError: a parameter that the cell does not have.
-        InputError: a value that it may not have, e.g. a negative mass; a cell without task.
+        UnknownNameError: the cell has no such parameter.
+        InputError: a value is not allowed, e.g. a negative mass, or the cell has no task.
     """
     cell = with_values(load(spec.cell), spec.values)
     if not cell.spec.task and cell.spec.script is None:
@@ -142,7 +142,7 @@ def checked_cell(spec: CampaignSpec) -> Cell:
 
 
 def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
-    """The error of a value; where a whole number may stand there, with that cure."""
+    """Return the error of a value, with a hint if a whole number would be valid there."""
     if not isinstance(found, Uniform) or found.whole or float(value).is_integer():
         return error
     try:

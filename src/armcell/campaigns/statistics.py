@@ -1,4 +1,4 @@
-"""Shares with intervals, what failures have in common, which parameter matters, campaigns compared."""
+"""Statistics of campaigns: success rates, causes of failure, parameter effects, comparison."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from armcell.core import InputError
 
 Row = Mapping[str, Any]
 
-UNSIDED = 0.1  # from an AUC of 0.5: neither side of the range is the better one
-ALPHA = 0.05  # of all intervals: 95 %
+UNSIDED = 0.1  # maximum distance of the AUC from 0.5 at which no side of the range is better
+ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 
 @dataclass(frozen=True)
 class Share:
-    """`count` of `total`, with two 95 % intervals."""
+    """Proportion `count` of `total`, with two kinds of 95 % confidence interval."""
 
     count: int
     total: int
@@ -32,12 +32,18 @@ class Share:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Wilson's score interval: right on average. Wilson (1927), J. Am. Stat. Assoc. 22."""
+        """Wilson score interval: 95 % coverage on average.
+
+        Wilson (1927), J. Am. Stat. Assoc. 22.
+        """
         return self._interval("wilson")
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """The exact interval: never too narrow. Clopper and Pearson (1934), Biometrika 26."""
+        """Exact confidence interval: coverage is never below 95 %.
+
+        Clopper and Pearson (1934), Biometrika 26.
+        """
         return self._interval("exact")
 
     def _interval(self, method: Literal["wilson", "exact"]) -> tuple[float, float]:
@@ -57,29 +63,32 @@ class Share:
 
 
 def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
-    """Without the trials that adaptive sampling put near failures."""
+    """Return the rows without the trials that adaptive sampling placed near failures."""
     return [row for row in rows if not row["near_failure"]]
 
 
 def success(rows: Sequence[Row]) -> Share:
-    """Of the trials that were drawn as the campaign says: those put near failures would spoil the share."""
+    """Return the success rate over trials drawn from the specified distributions.
+
+    Trials placed near failures by adaptive sampling are excluded, because they would bias the rate.
+    """
     fair = fairly_drawn(rows)
     return Share(sum(bool(row["success"]) for row in fair), len(fair))
 
 
 @dataclass(frozen=True)
 class Cause:
-    """Failures with the same code, stage and pair of bodies, and the trials that had them."""
+    """Group of failures with the same error code, stage and pair of bodies."""
 
     code: str
     stage: str
     pair: str
     trials: tuple[int, ...]
-    message: str  # of the first
+    message: str  # of the first trial
 
 
 def causes(rows: Sequence[Row]) -> list[Cause]:
-    """What failed trials have in common, the most frequent first."""
+    """Group failures by error code, stage and pair of bodies, most frequent first."""
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if not row["success"]:
@@ -90,13 +99,13 @@ def causes(rows: Sequence[Row]) -> list[Cause]:
 
 @dataclass(frozen=True)
 class Effect:
-    """How much a parameter matters for success.
+    """Influence of one parameter on success.
 
     Attributes:
-        auc: for numbers, the probability that a successful trial had a higher value than a failed one: 0.5
-            says that it does not matter. None for choices.
-        p_value: probability of so large a difference if it did not matter, corrected for the number of
-            parameters looked at (Holm).
+        auc: for numeric parameters, the probability that a successful trial has a higher value than a failed
+            trial; 0.5 means no influence. None for choices.
+        p_value: probability of a difference at least this large if the parameter has no influence, with
+            Holm's correction for the number of parameters.
     """
 
     path: str
@@ -115,18 +124,21 @@ class Effect:
 
 
 def drawn(row: Row) -> dict[str, Any]:
-    """What was another in this trial than in others, by path: what was varied, and what the cell's
-    `randomize` drew. (A trial that made no cell has no draw.)"""
+    """Return a trial's varied values by path: parameters and draws of the cell's `randomize`.
+
+    A trial whose values gave an invalid cell has no `randomize` draws.
+    """
     own = row["randomized"].items()
     return {f"randomize.{name}.{key}": v for name, d in own for key, v in d.items()} | dict(row["values"])
 
 
 def effects(rows: Sequence[Row]) -> list[Effect]:
-    """Every parameter that was drawn, the one that matters most first; empty where all trials went alike.
+    """Return the effect of every varied parameter on success, most significant first.
 
-    For numbers Mann and Whitney's test (does one side of the range succeed more?) and Kolmogorov and
-    Smirnov's (does any part of it?), for choices chi squared. They need trials that were drawn independently:
-    those put near failures share all parameters of a failure, and would make each of them look guilty.
+    The result is empty if all trials succeeded or all failed. Tests: for numbers Mann-Whitney (is one side of
+    the range better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. The
+    tests need independent draws. Trials placed near failures are excluded, because they share all parameters
+    of a failure, so every parameter would appear significant.
     """
     draws = [(drawn(row), bool(row["success"])) for row in fairly_drawn(rows)]
     found = []
@@ -141,7 +153,7 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
                 continue
             higher = stats.mannwhitneyu(numbers[good], numbers[~good])
             other = stats.ks_2samp(numbers[good], numbers[~good])
-            p = min(1.0, 2 * min(_p(higher), _p(other)))  # two looks at one question
+            p = min(1.0, 2 * min(_p(higher), _p(other)))  # Bonferroni correction for two tests
             found.append((path, float(higher.statistic) / (good.sum() * (~good).sum()), p))
             continue
         kinds = sorted({repr(v) for v in values})
@@ -160,8 +172,10 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two campaigns' success: the difference (second minus first), its 95 % interval (Newcombe's from two
-    Wilson intervals, 1998) and Fisher's exact p-value."""
+    """Success rates of two campaigns and their difference (second minus first).
+
+    `interval` is Newcombe's 95 % interval from two Wilson intervals (1998), `p_value` is Fisher's exact test.
+    """
 
     first: Share
     second: Share
@@ -178,10 +192,10 @@ class Comparison:
 
 
 def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
-    """Whether the second campaign succeeds more often than the first.
+    """Compare the success rates of two campaigns.
 
     Raises:
-        InputError: a campaign without a trial that counts.
+        InputError: a campaign has no finished trial that counts.
     """
     a, b = success(first), success(second)
     for name, share in (("first", a), ("second", b)):
@@ -198,7 +212,7 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Median, 95th percentile and extremes of what was measured; None if nothing was."""
+    """Return minimum, median, 95th percentile and maximum of the values; None without values."""
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):
         return None
@@ -207,5 +221,8 @@ def summary(values: Sequence[float | None]) -> dict[str, float] | None:
 
 
 def _p(result: Any) -> float:
-    """The p-value of a test; Any, as scipy's results are classes made at run time."""
+    """Return the p-value of a scipy test result.
+
+    The argument is typed Any because scipy creates its result classes at run time.
+    """
     return float(result.pvalue)

@@ -1,8 +1,8 @@
-"""A campaign's folder: what was asked (campaign.json) and one line per finished trial (trials.jsonl).
+"""Folder of a campaign: the specification and one line per finished trial.
 
-Lines are appended whole, one write each. A process that is killed loses what it was doing and nothing else; a
-line that was cut off (a full disk, a lost machine) is dropped when the folder is opened again. The file is
-plain JSON lines: pandas, DuckDB and `jq` read it as it is.
+campaign.json holds the specification and trials.jsonl the trials. Each line is appended with a single write.
+A killed process loses only the trial that it was running. An incomplete line (full disk, machine failure) is
+dropped when the folder is opened again. The file is plain JSON lines, which pandas, DuckDB and `jq` can read.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ ROW = {
     **dict.fromkeys(("slip_m", "placement_error_m", "min_clearance_m", "task_time_s"), _MEASURED),
     **dict.fromkeys(("planning_s", "wall_s", "cpu_s"), _MEASURED),
 }  # fmt: skip
-"""What a trial's row holds (`trial.told`), by key."""
+"""Keys of a trial's row (see `trial.told`) and the types of their values."""
 
 
 class Store:
-    """The folder of one campaign, held by one process at a time.
+    """Folder of one campaign, locked by one process at a time.
 
     Attributes:
-        spec: what was asked.
-        hashes: of what the cell said then; see `content_hashes`.
+        spec: the campaign's specification.
+        hashes: content hashes of the cell when the campaign began; see `content_hashes`.
         rows: finished trials by number.
-        dropped: bytes of a line that was cut off.
+        dropped: bytes dropped from an incomplete last line.
     """
 
     def __init__(self, folder: Path, spec: CampaignSpec, hashes: Mapping[str, str]):
@@ -64,7 +64,7 @@ class Store:
 
     @staticmethod
     def new(root: Path, spec: CampaignSpec, hashes: Mapping[str, str]) -> Store:
-        """A folder of its own below `root`, usually "runs"."""
+        """Create a new campaign folder below `root`, usually "runs"."""
         folder = new_run_folder(root, f"campaign-{Path(spec.cell).stem}")
         asked = {"format": FORMAT, "spec": spec.as_dict(), "hashes": dict(hashes)}
         try:
@@ -75,26 +75,26 @@ class Store:
 
     @staticmethod
     def open(folder: str | Path) -> Store:
-        """A campaign that was begun.
+        """Open the folder of an existing campaign.
 
         Raises:
-            InputError: no campaign's folder, or one of another version.
+            InputError: the folder contains no campaign, or one of another format version.
         """
         spec, hashes = asked(Path(folder))
         return Store(Path(folder), spec, hashes)
 
     def _read(self) -> None:
         found, size = rows_of(self.folder / TRIALS)
-        self.rows = {row["trial"]: row for row in reversed(found)}  # of a trial told twice the first counts
+        self.rows = {row["trial"]: row for row in reversed(found)}  # of duplicates, the first counts
         self.dropped = os.fstat(self._file).st_size - size
         if self.dropped:
             os.ftruncate(self._file, size)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Keep a finished trial; one that is there already is passed over.
+        """Store a finished trial; a trial that is already stored is ignored.
 
         Raises:
-            InputError: the disk is full or gone; what was kept before stays whole.
+            InputError: the disk is full or missing; earlier rows stay intact.
         """
         if row["trial"] in self.rows:
             return
@@ -104,7 +104,7 @@ class Store:
             if os.write(self._file, line) != len(line):
                 raise OSError(0, "the disk is full")
         except OSError as error:
-            with contextlib.suppress(OSError):  # a part of a line that stays is dropped when this is read
+            with contextlib.suppress(OSError):  # a partial line that stays is dropped at the next read
                 os.ftruncate(self._file, before)
             raise InputError(
                 f"cannot be written ({error.strerror})", file=self.folder / TRIALS,
@@ -117,10 +117,10 @@ class Store:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file beside the trials; it appears whole, or stays as it was.
+    """Write a file atomically: it appears complete, or the old file stays unchanged.
 
     Raises:
-        InputError: it cannot be written, as on a full disk.
+        InputError: the file is not writable, e.g. because the disk is full.
     """
     part = file.with_name(f"{file.name}.part")
     try:
@@ -136,7 +136,7 @@ def write_whole(file: Path, data: bytes) -> None:
 
 
 def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
-    """What a campaign's folder says was asked, and the hashes of then."""
+    """Read a campaign folder's specification and the cell's content hashes of that time."""
     file = folder / ASKED
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
@@ -150,10 +150,10 @@ def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
 
 
 def _row(line: bytes) -> dict[str, Any]:
-    """A trial's row.
+    """Parse and validate a line of trials.jsonl.
 
     Raises:
-        ValueError, KeyError, TypeError: it is not one.
+        ValueError, KeyError, TypeError: the line is not a valid trial row.
     """
 
     def not_a_number(word: str) -> None:
@@ -171,10 +171,10 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
-    """The whole lines of a file of trials, and how many bytes they take.
+    """Read the complete lines of a trials file; return the rows and their length in bytes.
 
     Raises:
-        InputError: a whole line that is no trial.
+        InputError: a complete line is not a valid trial row.
     """
     try:
         data = file.read_bytes()

@@ -1,4 +1,4 @@
-"""One trial: the cell with a draw of values, its task run in physics, and what came of it as one row."""
+"""One trial: the cell with drawn values, its task run in physics, and the result as a row."""
 
 from __future__ import annotations
 
@@ -17,8 +17,12 @@ from armcell.core import ErrorCode, InputError
 
 @dataclass(frozen=True)
 class Trial:
-    """`number` from 0, the `seed` of planners and of the cell's own draw, varied `values` by path, the `draw`
-    in [0, 1) that they come from, and whether sampling put it near a failure."""
+    """Parameters of one trial.
+
+    `number` counts from 0. `seed` seeds the planners and the cell's `randomize` draw. `values` holds the
+    varied values by path, `draw` the numbers in [0, 1) behind them. `near_failure` is True if adaptive
+    sampling placed the trial near a failure.
+    """
 
     number: int
     seed: int
@@ -28,20 +32,20 @@ class Trial:
 
 
 def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
-    """Run it.
+    """Run a trial in simulation.
 
     Returns:
-        A JSON-ready row. The same trial gives the same but for `wall_s`, `cpu_s` and `planning_s`. Whatever
-        goes wrong is a failed trial with its cause, never an exception.
+        A JSON-ready row. Repeating a trial gives the same row except for `wall_s`, `cpu_s` and `planning_s`.
+        Every error becomes a failed trial with its cause, never an exception.
     """
     began, cpu = time.monotonic(), time.process_time()
     try:
         varied = with_values(cell, trial.values)
         with varied.connect("sim", trial.seed) as live:
             row = told(trial, run_task(varied, live, trial.seed, "sim"))
-    except InputError as error:  # the values make no cell
+    except InputError as error:  # the values give an invalid cell
         row = failed(trial, "INVALID_CELL", str(error))
-    except Exception as error:  # a defect of ours: it is a result, and its place is told
+    except Exception as error:  # a bug: record it with its source line
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{place.filename.rpartition('/')[2]}:{place.lineno}"
         row = failed(trial, "EXCEPTION", f"{type(error).__name__}: {error} ({where})")
@@ -49,7 +53,7 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
 
 
 def told(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
-    """The row of a run's result."""
+    """Return the row of a trial from the run's result."""
     failed_at = result["failed_at"] or {"stage": "", "pair": ""}
     return _row(
         trial,
@@ -68,7 +72,7 @@ def told(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def failed(trial: Trial, error_name: str, message: str) -> dict[str, Any]:
-    """The row of a trial that came to no result."""
+    """Return the row of a trial that ended without a result."""
     return _row(trial, success=False, error_name=error_name, message=message) | {"wall_s": 0.0, "cpu_s": 0.0}
 
 
@@ -89,7 +93,7 @@ def _row(trial: Trial, **found: Any) -> dict[str, Any]:
 
 
 def replay_command(cell: str, row: Mapping[str, Any], values: Mapping[str, Any]) -> str:
-    """The command that runs a trial again, with report and record."""
+    """Return the shell command that runs a trial again, with report and record."""
     sets = [
         part
         for path, value in {**values, **row["values"]}.items()

@@ -1,6 +1,7 @@
-"""A process that runs trials: one JSON line in, one out. Started by `processes`; ends when its input does.
+"""Worker process that runs trials: one JSON line in, one JSON line out.
 
-SIGINT and SIGTERM do not reach it: the campaign's process decides when it ends.
+`processes` starts it, and it ends when its input ends. It ignores SIGINT and SIGTERM: the campaign's process
+decides when it ends.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ def cell_of(spec: CampaignSpec) -> Cell:
 
 
 def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
-    """Lines as they come. At the end of input the process ends at once: nobody waits for its trial."""
+    """Read JSON lines into a queue; at the end of input, exit the process at once.
+
+    No process waits for the running trial after the input has ended.
+    """
     found: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def read() -> None:
@@ -39,8 +43,8 @@ def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
 
 def main() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # whatever a library prints is no answer
-    logging.getLogger("armcell").setLevel(logging.ERROR)  # once per campaign is enough
+    os.dup2(2, 1)  # keep library output out of the answers
+    logging.getLogger("armcell").setLevel(logging.ERROR)  # the parent process already logs
     asked = _lines(sys.stdin)
 
     def answer(row: dict[str, Any]) -> None:

@@ -1,19 +1,50 @@
-"""The cell file and the live cell; what `armcell.load` returns."""
+"""Cells: the cell file (cell.yaml), the loaded `Cell`, and the connected `LiveCell`.
 
-from armcell.cell.cell import Cell, built_in_cells, cell_names, load
-from armcell.cell.identity import code_hash, content_hashes
-from armcell.cell.live import Arm, LiveCell
-from armcell.cell.objects_file import load_objects, save_objects
-from armcell.cell.run import complaints, result_of, run_task
-from armcell.cell.script import announce_code
-from armcell.cell.seeing import CameraWatch, LiveCamera
-from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
-from armcell.cell.values import parsed, with_values
+`armcell.load` returns a `Cell`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from armcell.cell.built_in import built_in_cells, cell_names
+    from armcell.cell.cell import Cell
+    from armcell.cell.controllers import Controller
+    from armcell.cell.identity import code_hash, content_hashes
+    from armcell.cell.live import Arm, LiveCell
+    from armcell.cell.loading import load
+    from armcell.cell.objects_file import load_objects, save_objects
+    from armcell.cell.run import complaints, result_of, run_task
+    from armcell.cell.script import announce_code
+    from armcell.cell.seeing import CameraWatch, LiveCamera
+    from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
+    from armcell.cell.values import gains_as_values, parsed, with_values
+
+# Modules are imported on first use: listing the built-in cells needs neither planner nor physics.
+_LAZY = {
+    name: f"armcell.cell.{module}"
+    for module, names in {
+        "built_in": ("built_in_cells", "cell_names"),
+        "cell": ("Cell",),
+        "controllers": ("Controller",),
+        "identity": ("code_hash", "content_hashes"),
+        "live": ("Arm", "LiveCell"),
+        "loading": ("load",),
+        "objects_file": ("load_objects", "save_objects"),
+        "run": ("complaints", "result_of", "run_task"),
+        "script": ("announce_code",),
+        "seeing": ("CameraWatch", "LiveCamera"),
+        "setup": ("Proposal", "propose", "propose_from_package", "write_cell"),
+        "values": ("gains_as_values", "parsed", "with_values"),
+    }.items()
+    for name in names
+}
 
 __all__ = [
     "Arm",
     "CameraWatch",
     "Cell",
+    "Controller",
     "LiveCamera",
     "LiveCell",
     "Proposal",
@@ -23,6 +54,7 @@ __all__ = [
     "code_hash",
     "complaints",
     "content_hashes",
+    "gains_as_values",
     "load",
     "load_objects",
     "parsed",
@@ -34,3 +66,13 @@ __all__ = [
     "with_values",
     "write_cell",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'armcell.cell' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

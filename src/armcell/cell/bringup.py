@@ -1,7 +1,7 @@
-"""Staged bring-up of a cell's real arms: each step is explained, confirmed, done and written down.
+"""Guided bring-up of a cell's real arms: explain, confirm, perform and record each step.
 
-The order is that of docs/real_ur.md: network, identity, remote control and power, geometry, joint zero and
-direction, slow single joints, a short line against its preview, one arm while the other stands, all slowly.
+The steps follow docs/real_ur.md: network, identity, power, geometry, slow motions of single joints, a short
+line compared with its preview while the other arms stand still, and slow motions of all arms together.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, 
 from armcell.kinematics import kinematic_tree
 from armcell.planning import plan, plan_cartesian
 
-SMALL = np.deg2rad(3.0)  # of the single joint motions
+SMALL = np.deg2rad(3.0)  # [rad] of the single joint motions
 SLOW = 0.05  # velocity and acceleration scaling
 LINE = 0.10  # [m]
-LINE_TOLERANCE = 0.003  # [m] between the line as previewed and as driven
-ZERO_TOLERANCE = 0.02  # [m] between the tool's place by the robot and by the cell's model
-POWER_TIME = 30.0  # [s] for power and brakes
+LINE_TOLERANCE = 0.003  # [m] between the previewed and the measured line
+ZERO_TOLERANCE = 0.02  # [m] between the tool position of the robot and of the cell's model
+POWER_TIME = 30.0  # [s] to power on and release the brakes
 
 Confirm = Callable[[str, str], bool]
 Tell = Callable[[str], None]
@@ -42,7 +42,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Step:
-    """What the record keeps of a step."""
+    """A bring-up step of real arms, as stored in the record."""
 
     name: str
     arm: str
@@ -52,11 +52,11 @@ class Step:
 
 
 class BringUp:
-    """One run of it.
+    """A guided bring-up of a cell's real arms, step by step.
 
     Args:
-        confirm: asked before each step with its name and what will happen; False ends the bring-up.
-        tell: gets each step's result.
+        confirm: called before each step with the step's name and a description; False ends the bring-up.
+        tell: receives the result of each step.
         record: JSON file, written after every step.
     """
 
@@ -70,7 +70,7 @@ class BringUp:
         self._found: dict[str, Identity] = {}
 
     def run(self) -> bool:
-        """All steps; False when one was declined or failed."""
+        """Run all bring-up steps; return False if the user declined a step or a step failed."""
         arms = self.settings.arms
         steps: list[tuple[str, str, str, Callable[[], str]]] = []
         for name, arm in arms.items():
@@ -186,7 +186,15 @@ class BringUp:
         raise InputError(f"{host} is not running after {POWER_TIME:g} s", cure="look at the pendant")
 
     def _geometry(self, name: str) -> str:
-        """The flange by the robot's own calibrated geometry, and by the cell's model, at the same joints."""
+        """Compare the flange position of the robot's calibration with that of the cell's model.
+
+        Both positions are computed for the same measured joint positions.
+
+        Returns:
+            The difference in words.
+        Raises:
+            InputError: the difference is above `ZERO_TOLERANCE`.
+        """
         found, model, applied = self._found[name], self.cell.model, self.settings.calibration == "apply"
         if applied:
             model = with_geometry(model, self.settings, {name: found})
@@ -201,7 +209,7 @@ class BringUp:
             if not joint.movable and joint.parent in last:
                 last.add(joint.child)
         theirs = frames_of(found.geometry, q)[6, :3, 3] * (-1.0, -1.0, 1.0)  # base_link is turned by pi
-        # Models name the flange differently (tool0, ee_link): it is the one of the fixed links that fits.
+        # Models name the flange differently (tool0, ee_link): compare with the best-fitting fixed link.
         T_base_world = tree.link_pose(state, base).inv()
         error = min(
             float(np.linalg.norm((T_base_world @ tree.link_pose(state, link)).translation - theirs))

@@ -1,4 +1,4 @@
-"""The robots' own geometry in a cell's scene: the block `real: {calibration: apply}`."""
+"""Applies the robots' factory calibration to a cell's model: `real: {calibration: apply}`."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from armcell.scene import PlanningScene
 
 
 def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
-    """The scene with the geometry that the robots tell of themselves, where the cell file asks for it.
+    """Return the scene with the robots' calibrated kinematics if the cell file requests it.
 
     Raises:
-        InputError: a robot does not answer or is another one, or its geometry does not fit the model.
+        InputError: a robot does not answer, is another robot than named in the cell file, or its kinematics
+            do not fit the model.
     """
     settings = real_settings(real, scene.model)
     if settings.calibration != "apply":
@@ -27,10 +28,12 @@ def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
 
 
 def with_geometry(model: RobotModel, settings: RealSettings, found: Mapping[str, Identity]) -> RobotModel:
-    """The model with every arm's own geometry.
+    """Return the model with the calibrated kinematics of every identified arm.
 
+    Args:
+        found: the identities of the robots, by planning group.
     Raises:
-        InputError: an arm is another one than the cell file names, or does not fit the model.
+        InputError: an arm is another robot than named in the cell file, or does not fit the model.
     """
     for group, identity in found.items():
         check_identity(group, settings.arms[group], identity)

@@ -1,4 +1,4 @@
-"""Cameras from a cell file."""
+"""Creates simulated cameras and markers from the entries of a cell file."""
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from armcell.sim import Camera, Decal, DepthNoise, look_at
 
 
 def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLike, folder: Path) -> Camera:
-    """The camera that a checked entry describes; a link's camera stands where it is at `positions`.
+    """Return the simulated camera for a validated entry of the cell file.
 
+    Args:
+        positions: (dof,) joint positions; they set the pose of a camera that is mounted on a link.
+        folder: folder of the cell file, for relative file names.
     Raises:
-        UnknownNameError: no such link.
-        InputError: numbers that no camera has, or a broken file.
+        UnknownNameError: the link does not exist.
+        InputError: the values are not valid for a camera, or a file is broken.
     """
     if spec.eye is not None and spec.target is not None:
         T = look_at(spec.eye, spec.target)
@@ -40,7 +43,10 @@ def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLi
 
 
 def pinhole_of(spec: CameraSpec, folder: Path) -> Pinhole | None:
-    """Intrinsics that are given outright; None where width, height and field of view say it all."""
+    """Return the explicit intrinsics of a camera entry, if any.
+
+    None if the image size and the field of view define the camera.
+    """
     if spec.info is not None:
         return load_camera_info(resolve_uri(spec.info, folder)).rectified()
     if spec.intrinsics is not None:
@@ -56,10 +62,10 @@ def noise_of(spec: str | NoiseSpec) -> DepthNoise:
 
 
 def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
-    """What a marker looks like to the simulated cameras.
+    """Return the textured square that shows a marker to the simulated cameras.
 
     Raises:
-        UnknownNameError: no such frame or family.
+        UnknownNameError: the frame or the marker family does not exist.
         MissingExtraError: OpenCV is not installed.
     """
     frames = [WORLD, *known]
@@ -71,7 +77,7 @@ def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
 
 
 def in_view(camera: Camera, scene: PlanningScene) -> list[str]:
-    """The objects whose middle is in a camera's picture, whatever may stand before them."""
+    """Return the objects whose center is in a camera's picture, ignoring occlusion."""
     found = []
     for name, item in scene.objects.items():
         low, high = item.bounds()

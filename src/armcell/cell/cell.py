@@ -1,10 +1,9 @@
-"""A cell: robot, objects, task and settings, loaded from a file; connected, it becomes a `LiveCell`."""
+"""The loaded cell: robot, objects, task and settings. `Cell.connect` returns a `LiveCell`."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,12 +12,13 @@ import numpy as np
 
 from armcell.cell.calibrating import as_the_robots_are
 from armcell.cell.cameras import camera_of, decal_of
+from armcell.cell.controllers import controllers_of
 from armcell.cell.disturbing import disturbances_of
 from armcell.cell.dropping import dropped
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
-from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec, validated
+from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec
 from armcell.cell.twin import twin_guard
 from armcell.control import DriverOptions, drivers
 from armcell.control.disturbances import Disturbances
@@ -27,42 +27,18 @@ from armcell.control.drivers.ur import UrDriver
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.model import Part, RobotModel, compose, load_robot
-from armcell.model.files import read_yaml
-from armcell.scene import CollisionObject, PlanningScene
+from armcell.perception import Sensors3d, load_sensors_3d
+from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import Camera, Decal, PhysicsSettings
+from armcell.sim.gain_files import with_gains_file
+from armcell.sim.joint_gains import check_joint_gains
 from armcell.tasks import TaskSettings
 
-LIBRARY = Path(__file__).parent / "library"
-CELL_FILE = "cell.yaml"
 T = TypeVar("T")
 
 
-def cell_names() -> list[str]:
-    """Built-in cells."""
-    return sorted(p.parent.name for p in LIBRARY.glob(f"*/{CELL_FILE}"))
-
-
-def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
-    """A cell by built-in name, folder with cell.yaml, or YAML file.
-
-    Args:
-        allow_env: let the robot's xacro files read environment variables, see `load_robot`.
-    Raises:
-        InputError: with file, element, reason and cure.
-    """
-    if isinstance(cell, str) and cell in cell_names():
-        file = LIBRARY / cell / CELL_FILE
-    else:
-        path = Path(cell)
-        file = path / CELL_FILE if os.path.isdir(path) else path
-        if not os.path.exists(file) and isinstance(cell, str) and "/" not in cell and "." not in cell:
-            raise UnknownNameError("cell", cell, cell_names())
-    name = file.resolve().parent.name if file.name == CELL_FILE else file.stem
-    return Cell(name, file, validated(read_yaml(file), file), allow_env=allow_env)
-
-
 class Cell:
-    """A loaded cell. Immutable; a seed chooses one draw of what it randomises."""
+    """A loaded cell. Immutable; a seed selects one draw of its randomized values."""
 
     def __init__(
         self,
@@ -75,12 +51,14 @@ class Cell:
         self.name, self.file, self.spec, self.allow_env = name, file, spec, allow_env
         self.model: RobotModel = model or self._robot()
         self.settings: TaskSettings = self._settings(TaskSettings, spec.settings, "settings")
-        self.physics: PhysicsSettings = self._settings(PhysicsSettings, spec.physics, "physics")
+        self.physics: PhysicsSettings = self._physics()
         self._check_names()
         self.disturbances: Disturbances = disturbances_of(spec, self.model, self.file)
-        self.scene()  # whatever is wrong with the objects is said now
+        self.scene()  # report errors in the objects now
+        self.sensors: Sensors3d | None = self._sensors()
         self.cameras = tuple(self._camera(n, c) for n, c in spec.cameras.items())
         self.decals = tuple(self._decal(n, m) for n, m in spec.markers.items())
+        self.controllers = controllers_of(spec.controllers, self.model, self.file)
 
     def _fail(self, element: str, reason: str, cure: str | None = None) -> InputError:
         return InputError(reason, file=self.file, element=element, cure=cure)
@@ -96,13 +74,32 @@ class Cell:
             raise self._fail("robot", str(error)) from None
 
     def _settings(self, cls: type[T], values: dict[str, Any], element: str) -> T:
-        for field in fields(cls):  # type: ignore[arg-type]  # blocks within first: named by their own place
+        for field in fields(cls):  # type: ignore[arg-type]  # nested blocks first, so that errors name them
             if is_dataclass(field.default) and field.name in values:
                 self._settings(type(field.default), values[field.name], f"{element}/{field.name}")
         try:
             return settings_from(cls, values, element)
         except InputError as error:
-            raise self._fail(element, error.reason, error.cure) from None
+            raise self._fail(error.element or element, error.reason, error.cure) from None
+
+    def _physics(self) -> PhysicsSettings:
+        try:
+            values = with_gains_file(self.spec.physics, self.model, self.file.parent)
+        except InputError as error:
+            if error.file is not None:
+                raise
+            raise self._fail("physics/gains", error.reason, error.cure) from None
+        settings = self._settings(PhysicsSettings, values, "physics")
+        check_joint_gains(settings, self.model, file=self.file, element="physics/joint_gains")
+        return settings
+
+    def _sensors(self) -> Sensors3d | None:
+        """Load the sensors_3d.yaml named in the cell, or that of the robot's MoveIt package, if any."""
+        if self.spec.ros.sensors is not None:
+            return load_sensors_3d(self.file.parent / self.spec.ros.sensors)
+        model = self.spec.robot.model
+        package = self.file.parent / model / "config" / "sensors_3d.yaml" if isinstance(model, str) else None
+        return load_sensors_3d(package) if package is not None and package.is_file() else None
 
     def _camera(self, name: str, spec: CameraSpec) -> Camera:
         try:
@@ -123,7 +120,12 @@ class Cell:
             raise self._fail(f"markers/{name}", error.reason, error.cure) from None
 
     def _check_names(self) -> None:
-        """Names in randomize, start and task that do not exist."""
+        """Check the names in randomize, start, perception, drop and task.
+
+        Raises:
+            UnknownNameError: a name does not exist.
+            InputError: an object is fixed but must be movable (or vice versa), or a camera has no depth.
+        """
         spec, where = self.spec, self.file
         for name in spec.randomize:
             if name not in spec.objects:
@@ -170,7 +172,11 @@ class Cell:
 
     # --- the world ---
     def draw(self, seed: int) -> dict[str, dict[str, float]]:
-        """The randomised values of a seed, by object: dx, dy [m], yaw_deg, mass [kg], friction."""
+        """Return the randomized values of a seed, by object.
+
+        Returns:
+            Per object, those of dx, dy [m], yaw_deg [deg], mass [kg] and friction that are randomized.
+        """
         rng = np.random.default_rng(seed)
         values: dict[str, dict[str, float]] = {}
         for name, spec in self.spec.randomize.items():
@@ -179,7 +185,7 @@ class Cell:
         return values
 
     def scene(self, seed: int | None = None) -> PlanningScene:
-        """The planning scene at the start; nominal without a seed."""
+        """Return the planning scene at the start: randomized by a seed, nominal without a seed."""
         draw = self.draw(seed) if seed is not None else {}
         scene = PlanningScene.of(self.model).with_padding(self.spec.padding)
         for group, state in self.spec.start.items():
@@ -197,8 +203,10 @@ class Cell:
         return scene
 
     def moved_unseen(self, mode: str) -> list[str]:
-        """Movable objects that a disturbance puts elsewhere: the task believes them where the cell file has
-        them, until a camera or a hand tells otherwise."""
+        """Return the movable objects that a disturbance displaces without the planner's knowledge.
+
+        The task uses their poses from the cell file until a camera or a gripper detects the displacement.
+        """
         moves = self.disturbances.moves if mode == "sim" else ()
         blind = self.spec.perception.objects if self.spec.perception is not None else []
         return [m.object for m in moves if self.spec.objects[m.object].movable and m.object not in blind]
@@ -213,17 +221,19 @@ class Cell:
         scene: PlanningScene | None = None,
         watch: bool = True,
     ) -> LiveCell:
-        """A live cell, to be used in a `with` block.
+        """Create a `LiveCell` for use in a `with` block, which connects the driver.
 
         Args:
-            mode: "sim" (physics), "fake" (follows exactly, no physics) or "real" (the block `real`'s arms).
-            seed: draw of the randomised values and seed of the planners; nominal cell and 0 when None.
-            time_scale: None runs as fast as it can; 1.0 in real time.
-            scene: begin in this one instead of the cell's own.
-            watch: compare real arms with their twin, where its bands were learned (`armcell twin`).
+            mode: "sim" (physics), "fake" (joints follow commands exactly, no physics) or "real" (the arms of
+                the block `real`).
+            seed: selects the randomized values and seeds the planners; None: nominal cell, seed 0.
+            time_scale: None runs as fast as possible; 1.0 runs in real time.
+            settings: task settings instead of the cell's own.
+            scene: initial planning scene instead of the cell's own.
+            watch: compare real arms with their simulated twin if thresholds were learned (`armcell twin`).
         Raises:
-            UnknownNameError: no such mode.
-            InputError: with `calibration: apply`, what is wrong with the robots.
+            UnknownNameError: the mode does not exist.
+            InputError: with `calibration: apply`, a robot does not answer or does not match the cell.
         """
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
@@ -242,19 +252,24 @@ class Cell:
         blind = look.objects if look is not None else []
         moved = self.moved_unseen(mode)
         if blind or moved:
-            # where they are is not told: as if they stood at the origin of the world
+            # hide the true poses: use the world origin as a placeholder
             known = {n: scene.object(n).at(SE3.identity()) for n in (*blind, *moved)}
             told = {n: scene.object(n).T_world_object for n in moved}
             seen = Seen(known, look.surface if look is not None else None, told=told)
             shown = PerceivingDriver(driver, scene.model, seen)
-        return LiveCell(
+        live = LiveCell(
             self.name, scene, shown, settings or self.settings, observers, seed or 0, self.cameras,
             self.decals, seen,
         )  # fmt: skip
+        live.sensors = self.sensors
+        return live
 
 
 def _with_screwed(scene: PlanningScene, item: CollisionObject) -> PlanningScene:
-    """A scene with an object that is screwed into one that is there; its pose is in that one's frame."""
+    """Return the scene with an added object that is screwed into an object of the scene.
+
+    The pose of the added object is in the frame of the other object. Contact between both is allowed.
+    """
     assert item.thread is not None
     return scene.with_object(screwed(item, scene.objects)).with_allowed(item.name, item.thread.into)
 
@@ -269,19 +284,14 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
         item,
         T_world_object=SE3(yaw @ T.rotation, moved),
         mass=values.get("mass", item.mass),
-        material=replace(item.material, friction=values.get("friction", item.material.friction)),
+        material=_with_friction(item.material, values.get("friction")),
     )
 
 
-@dataclass(frozen=True)
-class CellSummary:
-    """For listings."""
-
-    name: str
-    description: str
-
-
-def built_in_cells() -> list[CellSummary]:
-    return [
-        CellSummary(n, str(read_yaml(LIBRARY / n / CELL_FILE).get("description", ""))) for n in cell_names()
-    ]
+def _with_friction(material: Material, static: float | None) -> Material:
+    """Return the material with another static friction; keep the ratio to the dynamic friction."""
+    if static is None:
+        return material
+    if material.dynamic_friction is None or material.friction == 0:
+        return replace(material, friction=static)
+    return material.scaled(static / material.friction)

@@ -1,4 +1,4 @@
-"""Clearing a bin with a cell's arm and cameras, and counting what really came of it."""
+"""Clears a bin with the arm and cameras of a cell, and counts the objects in the true state."""
 
 from __future__ import annotations
 
@@ -15,21 +15,24 @@ from armcell.sim import SimWorld
 from armcell.tasks import TaskContext
 from armcell.tasks.clearing import ClearSettings, clear_bin
 
-LOST = -1.0  # [m] below this it falls, for ever
+LOST = -1.0  # [m] height; an object below has fallen off the floor
 
 
 def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
     eye: LiveCamera, eye_on_tray: LiveCamera, settings: ClearSettings = ClearSettings(),
 ) -> Outcome:  # fmt: skip
-    """Clear a bin; the evidence says by the simulator's truth how many are `cleared`, `left` and `beside`.
+    """Clear a bin; in physics, count the objects in the tray, in the bin and beside both.
 
-    In physics it is a FAILURE, too, when no camera sees anything more and something is not in the tray.
+    The evidence has the true counts `cleared`, `left` and `beside`. In physics, the outcome is also a FAILURE
+    if the cameras see no more objects but an object is not in the tray.
 
     Args:
-        scene: with every object of the cell, also those that only cameras know.
+        scene: with all objects of the cell, also those whose poses only cameras measure.
+        eye: the camera that looks at the bin.
+        eye_on_tray: the camera that looks at the tray.
     Raises:
-        InputError: the planner knows the things' poses already, or bin or tray have no level floor.
+        InputError: the planner already knows an object's pose, or the bin or tray has no level floor.
     """
     things = [name for name, item in scene.objects.items() if item.movable]
     known = [name for name in things if name in ctx.base.objects]
@@ -38,12 +41,12 @@ def clear_with(
             f"the poses of {', '.join(known[:3])} are known without a camera",
             cure="name them under 'perception: objects' in the cell file",
         )
-    for link in gripper.hand_links:  # in a heap the hand touches what lies there
+    for link in gripper.hand_links:  # in a heap, the hand touches neighboring objects
         ctx.driver.expect_contact(link, things)
 
     def look(camera: LiveCamera) -> CameraImage:
         if not camera.frozen:
-            ctx.advance(1.0 / camera.camera.rate)  # the next picture, of the arm as it stands
+            ctx.advance(1.0 / camera.camera.rate)  # wait for a picture of the arm's present pose
         return camera.take(ctx.advance, rgb=False)
 
     outcome = clear_bin(
@@ -69,7 +72,7 @@ def _where(world: SimWorld, name: str) -> str:
 
 
 def _inside(world: SimWorld, scene: PlanningScene, container: str, things: list[str]) -> list[str]:
-    """The things whose middle is above a container's floor."""
+    """Return the objects whose center is above a container's floor."""
     frame, size_x, size_y = support_surface(scene.object(container))
     found = []
     for name in things:

@@ -1,4 +1,4 @@
-"""The block `disturbances` of a cell file, checked and in SI units."""
+"""Converts the block `disturbances` of a cell file to SI units and checks it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from armcell.model import RobotModel
 
 
 def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbances:
-    """
+    """Return the disturbances of a cell file in SI units.
+
     Raises:
-        UnknownNameError: a joint, link or object that there is not.
-        InputError: a fixed object that is pushed, one screwed in that is moved, a joint that does not turn.
+        UnknownNameError: a joint, link or object does not exist.
+        InputError: a pushed object is fixed, or a moved object is screwed into another object.
     """
     given = spec.disturbances
     fingers = {g.joint_name for g in model.grippers.values()}

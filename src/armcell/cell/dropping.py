@@ -1,4 +1,4 @@
-"""Objects thrown into a bin by physics, one after the other: where they come to rest is a seed's draw."""
+"""Drops objects into a bin in physics; a seed determines their resting poses."""
 
 from __future__ import annotations
 
@@ -13,22 +13,25 @@ from armcell.grasping import support_surface, surface_of
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 
-VERSION = 1  # to be raised when the same drop would end otherwise
-FENCE = 0.3  # [m] height of the fence around the bin while things fall
-FALL = 0.04  # [m] above what lies there already
-WAIT, AT_LAST = 0.35, 1.0  # [s] between two, and after the last
-ROUNDS = 4  # what lies beside the bin is thrown in again
-AWAY = 20.0  # [m] where those wait that have not fallen yet
+VERSION = 1  # raise when the same drop would give other poses
+FENCE = 0.3  # [m] height of the fence around the bin during the drops
+FALL = 0.04  # [m] clearance above the objects in the bin
+WAIT, AT_LAST = 0.35, 1.0  # [s] between two drops, and after the last drop
+ROUNDS = 4  # objects that miss the bin are dropped again
+AWAY = 20.0  # [m] x position of objects that wait for their drop
 FENCES = ("fence 1", "fence 2", "fence 3", "fence 4", "shelf")
 
 
 def dropped(scene: PlanningScene, names: Sequence[str], into: str, seed: int) -> PlanningScene:
-    """The scene with objects at rest in a bin, each dropped with a random pose; kept on disk per seed.
+    """Return the scene with objects at rest in a bin, each dropped with a random pose.
+
+    The poses are cached on disk per seed.
 
     Args:
+        names: the objects to drop.
         into: a fixed object with a level floor.
     Raises:
-        InputError: they do not stay in the bin.
+        InputError: objects do not stay in the bin.
     """
     parts = [f"drop {VERSION} {seed} {into} {PhysicsSettings()}"]
     for name in (*names, into):
@@ -60,7 +63,7 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
     for k, name in enumerate(names):
         fenced = fenced.with_object_pose(name, SE3.from_xyz(AWAY + 0.3 * (k % 6), 0.3 * (k // 6), 0.001))
     world = SimWorld(fenced, settings)
-    world.step(round(AT_LAST / world.timestep))  # until those that wait are at rest
+    world.step(round(AT_LAST / world.timestep))  # until the waiting objects are at rest
     poses: dict[str, SE3] = {}
     left: list[str] = [names[int(i)] for i in rng.permutation(len(names))]
     inside: list[str] = []
@@ -77,7 +80,7 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
         without = scene
         for name in names:
             without = without.with_object_pose(name, poses[name])
-        settled = SimWorld(without, settings)  # the fence is gone
+        settled = SimWorld(without, settings)  # without the fence
         settled.step(round(AT_LAST / settled.timestep))
         poses = {n: settled.object_pose(n) for n in names}
         left = [n for n in names if not _is_in(scene.object(n), poses[n], frame, half)]
@@ -92,7 +95,12 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
 
 
 def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
-    """A fence above a rectangle's edges, and a shelf for what waits."""
+    """Return a fence above a rectangle's edges, and a shelf for objects that wait to drop.
+
+    Args:
+        frame: center of the rectangle, T_world_frame.
+        half: (2,) half the side lengths [m].
+    """
     found, thick = [], 0.05
     for axis in range(2):
         for sign in (1.0, -1.0):
@@ -106,7 +114,13 @@ def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
 
 
 def _above(item: CollisionObject, frame: SE3, half: np.ndarray, top: float, rng: np.random.Generator) -> SE3:
-    """A random pose above what lies there."""
+    """Return a random pose above the objects in the bin.
+
+    Args:
+        frame: center of the bin's floor, T_world_frame.
+        half: (2,) half the side lengths of the floor [m].
+        top: height of the highest object in the bin [m].
+    """
     low, high = item.bounds()
     middle, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     R = SO3.from_quat_wxyz(_unit(rng.normal(size=4)))
@@ -125,7 +139,7 @@ def _top(item: CollisionObject, T: SE3) -> float:
 
 
 def _is_in(item: CollisionObject, T: SE3, frame: SE3, half: np.ndarray) -> bool:
-    """Whether the middle of an object is above a rectangle, and not below it."""
+    """Return whether the center of an object at pose `T` is above a rectangle, within its edges."""
     low, high = item.bounds()
     local = frame.inv().apply(T.apply((low + high) / 2))
     return bool(np.all(np.abs(local[:2]) < half) and local[2] > 0)

@@ -1,5 +1,8 @@
-"""Is P(success) of a proof borne out? A whole robot picks, with grasps drawn at random, what differs a little
-from what it was planned for: in pose, friction and mass, by as much as the proof says that it may."""
+"""Validates the predicted grasp success P by simulated picks with random grasps.
+
+The true pose, friction and mass of the object differ from the believed ones by the noise that the
+prediction assumes.
+"""
 
 from __future__ import annotations
 
@@ -20,25 +23,25 @@ from armcell.sim import PhysicsSettings, SimWorld
 from armcell.tasks import Stage, TaskContext, TaskSettings, as_it_may_be, hold, pick_stages, prove, varied
 from armcell.tasks.proof import MAX_SLIP, MAX_TURN
 from armcell.tasks.recipes import planned
-from armcell.tasks.stages import Close, Do
+from armcell.tasks.stages import Close, RunSteps
 from armcell.tasks.steps import DONE, perform_all
 
-POOL = 40  # grasps that differ, of which some are drawn
-IN_VAIN = 3  # times as many are drawn as are wanted, since some have no way to them
+POOL = 40  # distinct grasps to draw from
+IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
 
 
 @dataclass(frozen=True)
 class Held:
-    """What became of an object that was picked and held."""
+    """The result of picking and holding an object."""
 
     to_the_end: bool
-    slip_m: float | None = None  # since the hand closed, of the object's point between the pads
+    slip_m: float | None = None  # of the object's point between the pads, since the hand closed
     turn_rad: float | None = None
     reason: str = ""
 
     @property
     def firmly(self) -> bool:
-        """As a proof counts it: what has moved farther in the hand cannot be placed well."""
+        """Whether the object was held to the end within the slip and turn limits of the grasp proof."""
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
         return self.slip_m <= MAX_SLIP and self.turn_rad <= MAX_TURN
@@ -46,10 +49,10 @@ class Held:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What was predicted of a grasp, and what happened."""
+    """The predicted success of a grasp and the observed result."""
 
     grasp: str
-    probability: float  # by the proof
+    probability: float  # predicted by trials of the hand alone
     epsilon: float
     success: bool  # `Held.firmly`
     held: Held
@@ -59,16 +62,16 @@ def predictions(
     scene: PlanningScene, item: CollisionObject, gripper: Gripper, grasps: Sequence[Grasp],
     settings: TaskSettings, count: int, duration: float, seed: Sequence[int],
 ) -> list[Prediction]:  # fmt: skip
-    """A trial with each of so many grasps, drawn from those that differ; fewer where few have a way to them.
+    """Run up to `count` trials, each with a randomly drawn grasp; skip unreachable grasps.
 
     Args:
-        scene: as it is believed to be, with the object.
-        duration: [s] that the object is held after the lift.
-        seed: of the draw and of what the object really is, by itself: the proofs must not have seen it.
+        scene: the believed planning scene, with the object.
+        duration: time [s] for which the object is held after the lift.
+        seed: seeds the grasp draw and the object's true properties; independent of the proofs' seed.
     """
     rng, pool = np.random.default_rng(seed), varied(grasps, POOL)
     drawn = [pool[i] for i in rng.permutation(len(pool))[: IN_VAIN * count]]
-    truths = as_it_may_be(item, len(drawn) + 1, rng)[1:]  # the first is as believed
+    truths = as_it_may_be(item, len(drawn) + 1, rng)[1:]  # the first has the believed properties
     found: list[Prediction] = []
     for grasp, truth in zip(drawn, truths, strict=True):
         if len(found) == count:
@@ -86,9 +89,15 @@ def held_in_truth(
     scene: PlanningScene, truth: CollisionObject, gripper: Gripper, grasp: Grasp, settings: TaskSettings,
     duration: float,
 ) -> Held | None:  # fmt: skip
-    """Pick, lift and hold an object [s] with one grasp, planned in a scene that has it otherwise than it is.
+    """Pick, lift and hold an object whose true properties differ from the planning scene.
 
-    The robot goes by the scene, as a real one goes by what a camera saw. None where it finds no way.
+    Like a real robot that relies on a camera, the simulated robot knows only the planning scene.
+
+    Args:
+        truth: the object with its true properties.
+        duration: time [s] for which the object is held after the lift.
+    Returns:
+        The result; None if the planner finds no motion to the grasp.
     """
     name = truth.name
     believed = scene.object(name)
@@ -100,31 +109,31 @@ def held_in_truth(
         seen.poses[name] = believed.T_world_object
         live.ctx.change_scene(seen.put_into)
         hand = _Hand(driver.world, gripper, name)
-        draft, _ = planned(live.ctx, _stages(live.ctx, name, gripper, grasp, hand), f"pick {name}")
-        if draft is None:
+        solution, _ = planned(live.ctx, _stages(live.ctx, name, gripper, grasp, hand), f"pick {name}")
+        if solution is None:
             return None
-        outcome = perform_all(live.ctx, draft.steps)
+        outcome = perform_all(live.ctx, solution.steps)
         if outcome.ok:
             outcome = hold(live.ctx, duration)
         return hand.held(outcome)
 
 
 def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _Hand) -> list[Stage]:
-    """Those of a pick with one grasp; between closing and lifting it is noted how the object lies."""
+    """Return the stages of a pick with one grasp; a step records the object's pose in the hand."""
     stages = pick_stages(ctx.scene(), item, gripper, ctx.settings, among=(grasp.name,))
     closed = next(i for i, stage in enumerate(stages) if isinstance(stage, Close))
-    return [*stages[: closed + 1], Do("closed", (hand,)), *stages[closed + 1 :]]
+    return [*stages[: closed + 1], RunSteps("closed", (hand,)), *stages[closed + 1 :]]
 
 
 class _Hand:
-    """How an object really lies in a hand, which no planner is told."""
+    """Measures the true pose of an object in a hand; planners do not see it."""
 
     def __init__(self, world: SimWorld, gripper: Gripper, item: str):
         self._world, self._gripper, self._item = world, gripper, item
         self._closed: SE3 | None = None  # T_tcp_object
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        """A step: from here on it is measured."""
+        """Record the pose of the object in the hand as the reference (a task step)."""
         self._closed = self._now()
         return DONE
 
@@ -132,10 +141,10 @@ class _Hand:
         return self._world.link_pose(self._gripper.tcp_link).inv() @ self._world.object_pose(self._item)
 
     def held(self, outcome: Outcome) -> Held:
-        """What became of it, after the lift and the hold."""
+        """Return the result after the lift and the hold: whether the object is held, slip and turn."""
         if self._closed is None:
             return Held(False, reason=outcome.message)
-        moved = self._now() @ self._closed.inv()  # in the tcp's frame
+        moved = self._now() @ self._closed.inv()  # in the TCP frame
         slip, turn = moved.distance_to(SE3.identity())
         between = self._world.gripper_state(self._gripper.name).held == self._item
         reason = outcome.message or ("" if between else "nothing is between the fingers")

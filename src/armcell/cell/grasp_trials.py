@@ -1,4 +1,4 @@
-"""Picking and placing one object after the other with a whole robot in physics: how often grasps hold."""
+"""Grasp benchmark: a simulated robot picks and places one object after the other in physics."""
 
 from __future__ import annotations
 
@@ -35,29 +35,29 @@ from armcell.tasks.stages import ChoosePlacement
 
 Array = NDArray[np.float64]
 
-LIFT, HOLD, NEAR_ENOUGH = 0.20, 5.0, 0.01  # [m], [s], [m] of what a trial asks for
-SHARE = 0.75  # of the gripper's opening that a scaled object's narrowest side takes
-FRICTION = 0.5  # of objects from files, which say nothing of it
-REACH = {"panda": 0.5}  # [m] in front of the base
+LIFT, HOLD, NEAR_ENOUGH = 0.20, 5.0, 0.01  # [m], [s], [m]: lift height, hold time, largest placement error
+SHARE = 0.75  # narrowest side of a scaled object, as share of the gripper's opening
+FRICTION = 0.5  # of objects from mesh and URDF files, which have no friction
+REACH = {"panda": 0.5}  # [m] from the base to the table's center
 TABLE, OBJECT = "table", "object"
-AT_REST = 5e-4  # [m] in half a second; ten times that in radians
+AT_REST = 5e-4  # [m] and 10 [rad] of motion in 0.5 s: an object below both is at rest
 
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """What is asked of the trials."""
+    """Options of the grasp benchmark."""
 
     robot: str = "panda"
-    candidates: int = 16  # proven in physics before one is chosen
+    candidates: int = 16  # grasps tried in physics before one is chosen
     proof_trials: int = 8
     seed: int = 0
-    predictions: int = 6  # trials with grasps drawn at random per object: how well does P predict them?
-    recovery: bool = True  # where the first attempt fails, once more with three attempts
+    predictions: int = 6  # trials with random grasps per object, to validate P
+    recovery: bool = True  # if the first attempt fails, repeat with three attempts
 
 
 @dataclass
 class Row:
-    """What happened to one object."""
+    """Benchmark results of one object: grasps, attempts, predictions and times."""
 
     name: str
     scale: float
@@ -69,18 +69,18 @@ class Row:
     interval: tuple[float, float] | None = None
     epsilon: float | None = None
     grasp: str = ""
-    error_m: float | None = None  # of the place
+    error_m: float | None = None  # placement error
     slip_m: float | None = None  # during the hold
     candidates: int = 0
     generation_s: float = 0.0  # CPU
     proof_s: float = 0.0  # wall
-    cpu_s: float = 0.0  # of all of it, all threads
+    cpu_s: float = 0.0  # CPU time of the whole row, all threads
     predictions: list[Prediction] = field(default_factory=list)
 
 
 # --- objects ---
 def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
-    """The library's objects as they are."""
+    """Yield the library objects, unscaled: name, object, scale 1."""
     for kind in object_names():
         yield kind, library_object(kind), 1.0
 
@@ -88,14 +88,18 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
-    """Objects of the mesh files of a folder, or of its URDFs where there are any, scaled to fit the gripper;
-    of a file that cannot be read, why not.
+    """Yield the objects of a folder's URDF or mesh files, scaled down to fit the gripper.
+
+    If the folder has URDFs, mesh files are ignored. An unreadable file yields its error as the object.
 
     Args:
-        count: of the files, by name.
-        skip: so many of them first.
+        count: number of files, in alphabetical order.
+        scale: scale of the mesh files before the objects are fitted to the gripper.
+        skip: number of files to skip first.
+    Yields:
+        Name, object or error, and the scale that fits the object to the gripper.
     Raises:
-        InputError: no such folder, nothing in it, or all of it skipped.
+        InputError: the folder does not exist, contains no suitable file, or all files are skipped.
     """
     if not folder.is_dir():
         raise InputError("is not a folder", file=folder)
@@ -116,7 +120,7 @@ def objects_of(
             low, high = item.bounds()
             shrink = min(1.0, limit / float((high - low).min()))
             yield file.stem, item if shrink == 1.0 else _scaled(item, shrink), shrink
-        except InputError as error:  # the others are worth their trials
+        except InputError as error:  # continue with the other files
             yield file.stem, error, 1.0
 
 
@@ -140,7 +144,7 @@ def _scaled(item: CollisionObject, scale: float) -> CollisionObject:
 
 # --- one object ---
 class Bench:
-    """A robot at a table on which one object after the other is tried."""
+    """The grasp benchmark: a robot at a table that picks and places one object after the other."""
 
     def __init__(self, options: TrialOptions):
         self.options = options
@@ -153,11 +157,11 @@ class Bench:
         self.settings = TaskSettings(
             lift_distance=LIFT, lower_distance=0.06, retreat_distance=0.08, attempts=1,
             prove_grasps=options.candidates, proof_trials=options.proof_trials,
-            planning_budget=600.0,  # a trial is not to fail because the machine is busy
+            planning_budget=600.0,  # large, so that no trial fails on a busy machine
         )  # fmt: skip
 
     def run(self, name: str, item: CollisionObject | InputError, scale: float) -> Row:
-        """Everything about one object: its grasps, the attempts, the predictions."""
+        """Run the grasp benchmark for one object: grasps, attempts and predictions; return the row."""
         if isinstance(item, InputError):
             return Row(name, scale, False, str(item))
         began = time.process_time()
@@ -199,13 +203,13 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Trials of grasps drawn at random, of each object with draws of its own."""
+        """Run trials with randomly drawn grasps of one object; its name determines the seed."""
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())
         return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
     def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
-        """Pick, lift, hold, place; friction only. The evidence has what was measured."""
+        """Pick, lift, hold and place the object by friction only; the evidence has the measurements."""
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
             outcome = Outcome(ErrorCode.FAILURE, "not tried")
@@ -245,17 +249,21 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """With a grasp from which it can be put down where it shall be; with any where there is none."""
+        """Pick with a grasp that can also reach the goal placement, else with any grasp."""
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
         picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
-        """The object where physics leaves it, put down on one of its firmest sides; None if it rolls away."""
+        """Return the object at its resting pose in physics, on one of its three most stable sides.
+
+        Returns:
+            The object at rest; None if it rolls away from all three sides.
+        """
         for rest in rests(item)[:3]:
             R = SO3.between(rest.up, (0.0, 0.0, 1.0))
-            corners = R.matrix @ rest.foot.mean(0)  # above the spot: the foot, not the origin
+            corners = R.matrix @ rest.foot.mean(0)  # center the foot, not the origin
             start = item.at(SE3(R, np.array([*(np.array(self.spot) - corners[:2]), rest.height + 2e-4])))
             world = SimWorld(self.table.with_object(start))
             world.step(int(1.0 / world.timestep))
@@ -268,12 +276,12 @@ class Bench:
         return None
 
 
-# --- what comes of it ---
+# --- results ---
 def summary(rows: Sequence[Row], recovery: bool = True) -> dict[str, Any]:
-    """Shares with Wilson's intervals, times, and how well successes were predicted.
+    """Summarize grasp benchmark rows: success rates with intervals, times, prediction scores.
 
     Args:
-        recovery: whether those that failed were tried again.
+        recovery: whether failed first attempts were repeated with recovery.
     """
     tried = [r for r in rows if r.graspable]
     first = sum(bool(r.success) for r in tried)

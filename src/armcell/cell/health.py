@@ -1,9 +1,9 @@
-"""A cell's layers in the order they start, each with a check; and how they are while it runs.
+"""Starts the layers of a cell in order, checks each layer, and reports their state.
 
-description (model, objects) -> controllers (what moves which joints) -> drivers (connected, states come) ->
-planner -> task. A layer starts only when all before it are well, so what fails is named where it is, and
-before anything moves. What dies later: the supervisor of real arms stops them all (`control.safety`), a
-gripper's connection is made anew, a process of `ur_rtde` at the next `resume()`.
+Order: description (model, objects), controllers (which control which joints), drivers (connected and
+publishing states), planner, task. A layer starts only if all earlier layers are ok, so a failure is reported
+at its cause and before any motion. For later failures: the supervisor of real arms stops all arms
+(`control.safety`), a gripper reconnects, and the next `resume()` restarts a process of `ur_rtde`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from armcell.cell.cell import Cell, load
+from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
+from armcell.cell.loading import load
 from armcell.cell.script import load_script
 from armcell.control import drivers
 from armcell.control.drivers.ur.settings import real_settings
@@ -29,10 +30,10 @@ OK, WAITING = "ok", "waiting"
 
 
 class Health:
-    """How each layer is: "waiting", "ok", or "failed: why".
+    """The start state of each layer of a cell: "waiting", "ok", or "failed: reason".
 
     Args:
-        tell: gets a line for every layer that has started or failed.
+        tell: receives one line for every layer that has started or failed.
     """
 
     def __init__(self, tell: Callable[[str], None] = lambda line: None):
@@ -41,11 +42,11 @@ class Health:
 
     @contextmanager
     def layer(self, name: str) -> Iterator[list[str]]:
-        """Start a layer; what is put into the list is told with it.
+        """Start a layer in a `with` block and report it, with texts appended to the yielded list.
 
         Raises:
-            InputError: a layer before it has not started.
-            Whatever the start raised; it is noted.
+            InputError: an earlier layer has not started.
+            ArmcellError: the start failed; the state of the layer becomes "failed: reason".
         """
         missing = [n for n in LAYERS[: LAYERS.index(name)] if self.states[n] != OK]
         if missing:
@@ -61,18 +62,21 @@ class Health:
         self.tell(f"{name}: ok" + (f" ({', '.join(said)})" if said else ""))
 
     def now(self, live: LiveCell) -> dict[str, str]:
-        """The states while it runs: a driver that has stopped its arms says why."""
+        """Return the state of each layer of a running cell.
+
+        The state of "drivers" has the reason if the driver has stopped its arms.
+        """
         stopped = live.driver.fault() if offers(live.driver, Follower) else None
         return {**self.states, **({"drivers": f"stopped: {stopped}"} if stopped is not None else {})}
 
 
 def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tuple[Cell, Health]:
-    """What starts before anything runs: the description and the controllers, told once both have.
+    """Start the layers that need no connection, description and controllers; report both.
 
     Raises:
         InputError: see `check_description` and `check_controllers`.
     """
-    started: list[str] = []  # a mistake is one line
+    started: list[str] = []  # collected, so that an error prints only its own line
     health = Health(started.append)
     with health.layer("description") as said:
         loaded = load(cell)
@@ -85,10 +89,10 @@ def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tu
 
 
 def check_description(cell: Cell) -> str:
-    """What there is to move.
+    """Return a summary of the robot: name, number of joints and planning groups.
 
     Raises:
-        InputError: no planning group with a tip: nothing could be planned for.
+        InputError: the model has no planning group with a tip, so nothing can be planned.
     """
     arms = [g.name for g in cell.model.groups.values() if g.tip_link]
     if not arms:
@@ -101,11 +105,11 @@ def check_description(cell: Cell) -> str:
 
 
 def check_controllers(cell: Cell, mode: str) -> str:
-    """What moves the joints in this mode.
+    """Return a summary of the joint control in a mode ("sim", "fake" or "real").
 
     Raises:
-        UnknownNameError: no such mode, or an arm of the block `real` that the model does not have.
-        InputError: what else is wrong with the block `real`.
+        UnknownNameError: the mode does not exist, or the block `real` names an arm that the model lacks.
+        InputError: the block `real` has another error.
     """
     drivers[mode]
     if mode != "real":
@@ -121,10 +125,10 @@ def check_controllers(cell: Cell, mode: str) -> str:
 
 
 def check_driver(live: LiveCell) -> str:
-    """That states come, of all joints.
+    """Check that the driver reports finite positions of all joints; return a summary.
 
     Raises:
-        InputError: a state is missing or no number, or the driver has stopped its arms.
+        InputError: a position is missing or not finite, or the driver has stopped its arms.
     """
     state = live.driver.joint_state()
     bad = [n for n, q in zip(state.joint_names, state.positions) if not np.isfinite(q)]
@@ -140,9 +144,10 @@ def check_driver(live: LiveCell) -> str:
 
 
 def check_planner(live: LiveCell) -> str:
-    """Plans for every arm from where it is to where it is, which finds a planner that cannot begin there.
+    """Plan for every arm from its present state to itself, and return a summary.
 
-    It only tells: a task may begin by what needs no planner.
+    This finds start states from which the planner cannot start. They are only reported: a task may begin with
+    steps that need no planner.
     """
     name, told = live.ctx.settings.planner_id, []
     scene = live.scene()
@@ -155,7 +160,8 @@ def check_planner(live: LiveCell) -> str:
 
 
 def check_task(cell: Cell) -> str:
-    """
+    """Return a summary of the cell's task or script.
+
     Raises:
         InputError: the cell has no task, or its script cannot be loaded.
     """

@@ -1,4 +1,4 @@
-"""Whether two cells are about the same thing: hashes of all that a cell says, part by part."""
+"""Content hashes of a cell, part by part, to detect changes between two cells."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ from armcell.cell.versions import versions
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell
 
-ADDRESSES = ("host", "port", "own_host")  # of a real arm: where it is changes nothing of what it does
+ADDRESSES = ("host", "port", "own_host")  # network addresses of a real arm; no effect on motions
 
 
 def content_hashes(cell: Cell) -> dict[str, str]:
-    """Of the parts that decide a run, by name; the same in every process.
+    """Return the content hash of every part of a cell that influences a run, by name.
 
-    The names are those of the cell file's keys (`task`, `objects.cube`, `physics`), `robot` (with its
-    meshes), `code` (armcell's own) and `versions.<library>`. A script counts with what is in it.
+    The names are the cell file's keys (`task`, `objects.cube`, `physics`), `robot` (with its meshes), `code`
+    (armcell's source) and `versions.<library>`. The hash of a script includes the file content. The hashes
+    are equal in all processes.
     """
     spec = cell.spec.model_dump(mode="json")
     objects = cell.scene().objects
     parts: dict[str, Any] = {
         "robot": {k: v for k, v in _fields(cell.model).items() if k != "source"},
         **{f"objects.{n}": (entry, objects[n].shapes) for n, entry in spec["objects"].items()},
-        "objects": list(spec["objects"]),  # physics depends on their order
+        "objects": list(spec["objects"]),  # the result of physics depends on their order
         "task": (spec["task"], _script(cell)),
         "settings": cell.settings,
         "physics": cell.physics,
@@ -41,15 +42,16 @@ def content_hashes(cell: Cell) -> dict[str, str]:
         **{f"versions.{name}": version for name, version in versions().items()},
     }
     by_task = any(step.camera for step in cell.spec.task)
-    looked_at = by_task or cell.spec.perception is not None or cell.spec.script is not None  # which may look
-    passed_over = {"description", "script", *(() if looked_at else ("cameras", "markers"))}
+    # a script may use cameras
+    looked_at = by_task or cell.spec.perception is not None or cell.spec.script is not None
+    passed_over = {"description", "script", "controllers", *(() if looked_at else ("cameras", "markers"))}
     rest = {k: v for k, v in spec.items() if k not in parts and k not in passed_over}
     return {name: _hash(part) for name, part in {**parts, **rest}.items()}
 
 
 @cache
 def code_hash() -> str:
-    """Of armcell's own source."""
+    """Return the hash of armcell's own source code."""
     root, digest = Path(armcell.__file__).parent, hashlib.sha256()
     for file in sorted(f for f in root.rglob("*") if f.suffix in (".py", ".script")):
         digest.update(f"{file.relative_to(root)} ".encode())
@@ -81,7 +83,7 @@ def _fields(value: Any) -> dict[str, Any]:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Type and content of a value, unambiguously."""
+    """Feed the type and the content of a value into a hash, unambiguously."""
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype} {value.shape} ".encode())
         digest.update(np.ascontiguousarray(value).tobytes())
@@ -105,7 +107,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Without what differs between processes: the order of sets, addresses."""
+    """Return a value in a form that is equal in all processes: sorted sets, no memory addresses."""
     if isinstance(value, frozenset):
         return tuple(sorted(value))
     if isinstance(value, Enum):

@@ -1,4 +1,4 @@
-"""A connected cell: its arms by name, each with pick, place and moves."""
+"""A connected cell: its arms by name, with methods to pick, place and move."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from armcell.core import (
 )
 from armcell.core.pauses import no_long_pauses
 from armcell.core.protocols import offers
-from armcell.perception import LookSettings, MapSettings, Sight
+from armcell.perception import LookSettings, MapSettings, Sensors3d, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal
@@ -51,7 +51,7 @@ from armcell.tasks.arms import (
     ArmContext,
     Carrying,
     CarrySettings,
-    Pace,
+    CycleTimes,
     ScrewSettings,
     SideBySide,
     hand_over,
@@ -66,7 +66,10 @@ from armcell.tasks.steps import Motion, perform_all
 
 
 class Arm:
-    """One arm of a live cell. Every method returns an `Outcome`, true when it succeeded."""
+    """One arm of a connected cell.
+
+    The methods that command the arm return an `Outcome`, which is true if the command succeeded.
+    """
 
     def __init__(self, ctx: TaskContext, group: str):
         self._ctx, self.group = ctx, group
@@ -84,11 +87,13 @@ class Arm:
         up: tuple[float, float, float] | None = None,
         lean: float | None = None,
     ) -> Outcome:
-        """Put a held object on another one, `at` [m] from the middle of its surface.
+        """Place a held object on another object.
 
         Args:
-            up: direction in the object's frame that shall be up; without it, it stands as it does now.
-            lean: how far it may lean on the way [rad], as a full cup.
+            on: the object that supports the placed object.
+            at: target position [m] on the support surface, from its center.
+            up: direction in the object's frame that must point up; default: the object's current orientation.
+            lean: largest tilt of the object during the motion [rad], e.g. for a full cup.
         """
         return place(self._ctx, item, on, at, up, lean)
 
@@ -101,26 +106,29 @@ class Arm:
         look: Callable[[], Outcome] | None = None,
         settings: RecoverySettings = RecoverySettings(),
     ) -> Outcome:
-        """Pick an object and put it on another one, until it lies there: what is dropped is picked up again.
+        """Pick an object and place it on another one; recover from failures such as a drop.
 
         Args:
-            look: for objects that only cameras know, e.g. `lambda: cell.look("above")`.
+            on: the object that supports the placed object.
+            at: target position [m] on the support surface, from its center.
+            up: direction in the object's frame that must point up; default: the object's current orientation.
+            look: finds the object again if only cameras measure its pose, e.g. `lambda: cell.look("above")`.
         """
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return transfer(self._ctx, item, gripper, on, at, up, look, settings)
 
     def move_to(self, target: Target) -> Outcome:
-        """Move to a named state, a pose of the tip (world frame), joint values, or any goal."""
+        """Move the arm to a named state, a tip pose (world frame), joint values, or any other goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
 
     def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
-        """Play a planned motion of this arm: what `plan` returned, or a trajectory.
+        """Execute a planned motion of this arm: a `PlanResult` or a trajectory.
 
-        The motion gate proves it against the world as it is now; a motion that would touch something is not
-        started, and the outcome names the pair, the place and the time.
+        The motion gate checks the motion against the current scene. If the motion would collide, the gate
+        does not start it, and the outcome names the colliding pair, the place and the time.
 
         Raises:
-            InputError: there is no motion in it, or it moves joints of other arms.
+            InputError: the result contains no trajectory, or the trajectory moves joints of other arms.
         """
         planner = motion.planner_id if isinstance(motion, PlanResult) else ""
         trajectory = motion.trajectory if isinstance(motion, PlanResult) else motion
@@ -132,60 +140,64 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
-        """Grasp an object that moves at a steady speed, as on a belt, and lift it."""
+        """Grasp an object that moves at a constant speed, e.g. on a conveyor belt, and lift it."""
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
 
     def grasp(self, item: str) -> Outcome:
-        """Take hold of an object where it is, without lifting it."""
+        """Grasp an object where it is, without lifting it."""
         return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def let_go(self, item: str) -> Outcome:
-        """Open the hand that holds an object and draw it straight back."""
+        """Open the gripper that holds an object and retreat straight back."""
         return let_go(self._ctx, item)
 
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
     ) -> Outcome:
-        """Turn a held object clockwise about the tool's axis, pressing with a force [N] along it."""
+        """Turn a held object clockwise about the tool's axis and press it with `force` [N]."""
         return screw(self._ctx, item, turns, force, settings)
 
     @property
     def joints(self) -> JointGoal:
-        """Where the arm is now, to come back to: `ready = arm.joints; ...; arm.move_to(ready)`."""
+        """The measured joint positions as a goal: `ready = arm.joints; ...; arm.move_to(ready)`."""
         names = self._ctx.scene().model.group(self.group).joint_names
         return JointGoal(self._ctx.driver.joint_state().reindexed(names))
 
     def open(self) -> Outcome:
-        """Open the gripper fully and forget what it held."""
+        """Open the gripper fully and release the object that it held."""
         return release(self._ctx, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def hold(self, duration: float) -> Outcome:
-        """Stand still [s]."""
+        """Keep the arm still for `duration` [s]."""
         return hold(self._ctx, duration)
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """`with arm.reserve("bin"):` of two arms that work side by side only one is in there."""
+        """Reserve a zone: inside `with arm.reserve("bin"):` the other arm cannot hold the zone."""
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Of what is left to do, the first whose zone the other arm is not at or going to; else the first."""
+        """Return the first item whose zone the other arm neither occupies nor approaches.
+
+        If the other arm occupies or approaches all zones, return the first item.
+        """
         return self._ctx.choose(items, zone)
 
-    def meet(self, name: str) -> None:
-        """Wait until the other arm's program gets to the same point."""
-        self._ctx.meet(name)
+    def rendezvous(self, name: str) -> None:
+        """Wait until the other arm's program reaches the rendezvous with the same name."""
+        self._ctx.rendezvous(name)
 
 
 class LiveCell:
-    """A cell with its driver connected, inside a `with` block.
+    """A cell with a connected driver, for use in a `with` block.
 
     Attributes:
-        driver: the robot, simulated or real.
-        scene_at_start: the planning scene before anything has moved.
+        driver: the driver of the robot, simulated or real.
+        scene_at_start: the planning scene before the first motion.
         ctx: the running task: scene, reports, events.
-        cameras: by name.
-        seen: the objects that only cameras tell of, if there are such.
+        cameras: the cameras by name.
+        seen: the objects whose poses only cameras measure; None if there are none.
+        sensors: sensors whose point clouds and depth images build the octomap; None if there are none.
     """
 
     def __init__(
@@ -202,6 +214,7 @@ class LiveCell:
     ):
         self.name, self.driver, self.scene_at_start = name, driver, scene
         self.seen = seen
+        self.sensors: Sensors3d | None = None
         self.cameras = live_cameras(cameras, driver, scene, decals)
         known = scene if seen is None else seen.taken_from(scene)
         self.ctx = TaskContext(driver, known, settings, observers, seed)
@@ -212,16 +225,16 @@ class LiveCell:
         with ExitStack() as opening:
             for camera in self.cameras.values():
                 opening.callback(camera.renderer.close)
-            if not self.driver.is_simulated:  # what takes long comes before real arms wait
+            if not self.driver.is_simulated:  # slow preparations run before real arms connect
                 for group in self.arms:
-                    prepare(self.scene_at_start, group)  # compiled code to load
+                    prepare(self.scene_at_start, group)  # loads compiled code
                 opening.enter_context(no_long_pauses())
             opening.enter_context(self.driver)
             if not self.driver.is_simulated:
                 opening.callback(_interrupts.last_will(self.driver.stop, urgent=True))
             self.ctx.observe()
             for group in self.arms:
-                prepare(self.ctx.scene(), group)  # not on the time of the first plan
+                prepare(self.ctx.scene(), group)  # so that the first plan is fast
             self._inside = opening.pop_all()
         return self
 
@@ -231,17 +244,17 @@ class LiveCell:
 
     @property
     def arms(self) -> dict[str, Arm]:
-        """Arms by planning group: those that carry a gripper, else every chain."""
+        """The arms by planning group: the arms that carry a gripper; without grippers, every chain."""
         groups = [g.arm_group for g in self.model.grippers.values()]
         groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
         return {name: Arm(self.ctx, name) for name in groups}
 
     @property
     def arm(self) -> Arm:
-        """The only arm.
+        """The only arm of the cell.
 
         Raises:
-            InputError: the cell has none or several.
+            InputError: the cell has no arm or several arms.
         """
         arms = self.arms
         if len(arms) != 1:
@@ -256,7 +269,7 @@ class LiveCell:
         return self.arms[group]
 
     def side_by_side(self, **programs: Callable[[Arm], Outcome | None]) -> SideBySide:
-        """Two arms at work, each at its own pace: a function per arm, which gets the `Arm`.
+        """Run one program per arm, each at its own pace. A program is a function of its `Arm`.
 
         Example: `cell.side_by_side(left_arm=sort_left, right_arm=sort_right)`
         """
@@ -269,49 +282,55 @@ class LiveCell:
         return side_by_side(self.ctx, {group: program(group) for group in programs})
 
     def orders(
-        self, to: Callable[[str], str], pace: Pace = Pace(), **streams: Sequence[str]
+        self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
-        """By arm, the order to bring its things in, so that both are done early and do not wait for a zone.
+        """Return for each arm the order of its objects with which both arms finish early.
+
+        With these orders, the arms rarely wait for each other at a zone.
 
         Example: `cell.orders(tray_of, left_arm=left_cubes, right_arm=right_cubes)["left_arm"]`
 
         Args:
-            to: the object that a thing goes to, which one arm at a time reserves.
+            to: the destination of an object: a zone that only one arm at a time may reserve.
+            streams: the objects of each arm, by planning group.
         """
         for group in streams:
             _ = self[group]
-        return orders(self.scene(), streams, to, self.ctx.settings, pace)
+        return orders(self.scene(), streams, to, self.ctx.settings, cycle_times)
 
     def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
-        """An object for two arms: by arm, the object's subframe that it takes hold of.
+        """Return a task with which two arms carry one object.
 
         Example: `cell.carry("rod", left_arm="left_end", right_arm="right_end")`
+
+        Args:
+            ends: for each arm, the subframe of the object that the arm grasps.
         """
         for group in ends:
             _ = self[group]
         return Carrying(self.ctx, self._both(ends), item, ends, settings)
 
     def hand_over(self, item: str, to: str, at: Sequence[SE3] = ()) -> Outcome:
-        """The arm that holds an object gives it to another one, in the air.
+        """Hand an object from the arm that holds it to another arm, in the air.
 
         Args:
-            to: the group of the arm that takes it.
-            at: poses T_world_object to meet at, the best first; by default half-way between the arms.
+            to: the planning group of the receiving arm.
+            at: candidate poses T_world_object, best first; default: half-way between the arms' bases.
         """
         _ = self[to]
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Two arms to a target each; they start and arrive together."""
+        """Move two arms, each to its own target; both start and arrive at the same time."""
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
         return move_together(self.ctx, self._both(targets), goals)
 
     def _both(self, groups: Iterable[str]) -> str:
-        """The group of several arms' joints.
+        """Return the planning group that contains exactly the joints of several groups.
 
         Raises:
-            InputError: there is none.
+            InputError: the model has no such group.
         """
         wanted = {n for group in groups for n in self.model.group(group).joint_names}
         for group in self.model.groups.values():
@@ -321,22 +340,22 @@ class LiveCell:
 
     @property
     def reports(self) -> list[StageReport]:
-        """The stages performed so far."""
+        """The reports of the stages performed so far."""
         return self.ctx.reports
 
     def stop(self) -> None:
-        """Stop the running motion, from any thread. Until `resume()` every call is PREEMPTED."""
+        """Stop the running motion, from any thread. Until `resume()`, every call returns PREEMPTED."""
         self.ctx.cancel.set()
 
     def resume(self) -> Outcome:
-        """Make the cell ready to move again: after `stop()`, a protective stop, a lost link. From any thread.
+        """Make a stopped cell ready for motions: after `stop()`, a fault or a lost connection.
 
-        Real arms whose link was lost are connected again. Nothing moves; old goals are forgotten. Where
-        nothing has stopped the cell nothing happens, also while it moves.
+        Call it from any thread. It reconnects real arms whose connection was lost. It starts no motion and
+        discards old goals. If the cell is not stopped, it does nothing, also during a motion.
 
         Returns:
-            SUCCESS: the cell is ready. Else it stays stopped: the message names the arm, what is wrong and
-            what to do before the next `resume()`.
+            SUCCESS if the cell is ready. Otherwise the cell stays stopped, and the message names the arm, the
+            cause and the remedy to apply before the next `resume()`.
         """
         try:
             self.driver.resume()
@@ -345,38 +364,40 @@ class LiveCell:
             return Outcome(ErrorCode.CONTROL_FAILED if fault is None else fault.code, str(error))
         if (
             self.ctx.cancel.is_set()
-        ):  # what runs keeps the one that was set: no resume is too early for a stop
+        ):  # a running motion keeps the event that is set, so an early resume cannot undo the stop
             self.ctx.cancel = threading.Event()
         return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
-        """The planning scene as measured now, from any thread."""
+        """Return the planning scene as measured now. Call it from any thread."""
         return self.ctx.scene()
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change what planners know of the world: at any time and from any thread, also while the arm moves.
+        """Change the planning scene, from any thread and at any time, also during a motion.
 
-        What is planned afterwards keeps to it. A motion across whose rest something has come stops with
-        MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE and names it; others go on. Physics is not changed.
+        Later plans use the changed scene. If the change blocks the rest of a running motion, the motion stops
+        with MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE and names the obstacle; other motions continue.
+        Physics does not change.
 
         Example: `cell.change_scene(lambda scene: scene.with_object(box))`, or a diff: `diff.applied_to`
 
         Args:
-            make: makes another scene of the present one; quickly, others wait for it.
+            make: returns the changed scene for the current one. It must be fast: other threads wait for it.
         Returns:
-            The scene as it is then.
+            The changed scene.
         Raises:
-            InputError: an object that is held would be gone; or what `make` raises. Nothing is changed then.
+            InputError: the change removes a held object. Errors that `make` raises pass through. In both
+                cases, the scene stays unchanged.
         """
         return self.ctx.change_scene(make)
 
     # --- cameras ---
     def camera(self, name: str | None = None) -> LiveCamera:
-        """A camera by name; without one, the only one.
+        """Return a camera by name; without a name, the only camera of the cell.
 
         Raises:
-            UnknownNameError: no such camera.
-            InputError: none, or several and no name.
+            UnknownNameError: no camera has this name.
+            InputError: no name was given, and the cell has no camera or several cameras.
         """
         if name is None and len(self.cameras) != 1:
             raise InputError(
@@ -389,11 +410,13 @@ class LiveCell:
         return self.cameras[name]
 
     def look(self, camera: str | None = None, settings: LookSettings | None = None) -> Sight:
-        """Look for the movable objects with a camera. Those whose poses come from cameras only are put into
-        the planning scene where they are seen; an outcome without them says why.
+        """Detect the movable objects with a camera and update the planning scene.
+
+        Objects whose poses come only from cameras are set to their detected poses. If an object is not found,
+        the outcome states the reason.
 
         Args:
-            settings: by default those of `perception` in the cell file.
+            settings: default: the `perception` settings of the cell file.
         """
         eye = self.camera(camera)
         return look_with(eye, self.ctx, self.seen, settings)
@@ -402,14 +425,15 @@ class LiveCell:
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
         settings: ClearSettings = ClearSettings(),
     ) -> Outcome:  # fmt: skip
-        """Take everything out of a bin, with no knowledge of what it is but two cameras', into another one.
+        """Move all objects from a bin into another container, using only two cameras.
 
         Args:
-            table: that both stand on; what falls beside them is picked up from it.
-            camera, tray_camera: look at the bin and at `into`.
+            into: the container for the objects.
+            table: the object that supports both containers; fallen objects are picked up from it.
+            camera, tray_camera: the cameras that look at the bin and at `into`.
         Returns:
-            SUCCESS when the cameras see nothing any more and, in physics, nothing lies elsewhere than in
-            `into`; the evidence has the counts.
+            SUCCESS if the cameras see no object outside `into` and, in physics, all objects are in `into`;
+            the evidence has the counts.
         """
         gripper = self.model.gripper(arm_group=self.arm.group)
         eyes = self.camera(camera), self.camera(tray_camera)
@@ -419,7 +443,7 @@ class LiveCell:
         self, into: Mapping[str, str], camera: str, by: str | Kind = "colour",
         settings: SortSettings = SortSettings(),
     ) -> Outcome:  # fmt: skip
-        """Put every thing that a camera sees on the object for its colour (or "shape").
+        """Place every object that a camera sees on the target for its color (or "shape").
 
         Example: `cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above")`
         """
@@ -429,5 +453,5 @@ class LiveCell:
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0
     ) -> CameraWatch:
-        """Keep the planning scene's octomap true to what a camera sees, `rate` [Hz] times a second."""
+        """Keep the octomap of the planning scene up to date from a camera, at `rate` [Hz]."""
         return CameraWatch(self.ctx, self.camera(camera), settings, rate)

@@ -1,4 +1,4 @@
-"""Objects from YAML and to YAML: the `objects:` of a cell file, also as a file of their own."""
+"""Reads and writes objects as YAML: the block `objects` of a cell file, or a separate file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from armcell.cell.schema import CellSpec, ObjectSpec, ShapeSpec, validated
+from armcell.cell.schema import CellSpec, FrictionSpec, ObjectSpec, ShapeSpec, validated
 from armcell.core import (
     SE3,
     Box,
@@ -40,7 +40,11 @@ from armcell.scene import (
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
-    """The object that a checked entry describes; files in it are relative to `folder`."""
+    """Return the object for a validated cell file entry.
+
+    Args:
+        folder: folder for relative file names in the entry.
+    """
     given: dict[str, Any] = {
         "subframes": {n: SE3.from_mapping(pose, f"subframes/{n}") for n, pose in spec.subframes.items()},
         "type": ObjectType(spec.type.key, spec.type.db),
@@ -53,7 +57,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
     if spec.mass is not None:
         given["mass"] = spec.mass
     if spec.friction is not None:
-        given["material"] = Material(spec.friction)
+        given["material"] = material_of(spec.friction)
     pose = SE3.from_mapping(spec.pose, "pose")
     if spec.model is not None:
         item = library_object(spec.model, name, pose, scale=spec.mesh_scale, sizes=spec.sizes, **given)
@@ -63,6 +67,17 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         )
         item = CollisionObject(name, tuple(shapes), pose, **given)
     return item if spec.density is None else replace(item, mass=spec.density * item.volume)
+
+
+def material_of(friction: float | FrictionSpec) -> Material:
+    """Return the material for the `friction` value of a cell file.
+
+    Raises:
+        InputError: see `Material`.
+    """
+    if isinstance(friction, FrictionSpec):
+        return Material(friction.static, dynamic_friction=friction.dynamic)
+    return Material(friction)
 
 
 def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
@@ -84,10 +99,10 @@ def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
 
 
 def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
-    """The objects of a YAML file with `objects:` as in a cell file.
+    """Load the objects of a YAML file that contains only an `objects` block, as in a cell file.
 
     Raises:
-        InputError: with file, element and reason.
+        InputError: the file is invalid; the error has the file, the element and the reason.
     """
     file = Path(path)
     data = read_yaml(file)
@@ -107,10 +122,14 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
 
 
 def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
-    """An object with a thread in the world; its pose as in a file, in the frame of what it is screwed into.
+    """Return an object with a thread, with its pose converted to the world frame.
 
+    The given pose is in the frame of the object into which it is screwed, as in a cell file.
+
+    Args:
+        others: objects by name, with poses in the world frame.
     Raises:
-        InputError: what it is screwed into is not among `others`, or it is not movable.
+        InputError: `others` lacks the object into which it is screwed, or the object is not movable.
     """
     assert item.thread is not None
     into = item.thread.into
@@ -123,25 +142,42 @@ def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> Col
 
 
 def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
-    """Write objects so that `load_objects` and a cell file's `objects:` read the same again.
+    """Write objects to a YAML file for `load_objects` or for the block `objects` of a cell.
 
-    Meshes and clouds go to files beside it, named after the file, the object and the shape's number.
-    Of a material only the sliding friction is written: cell files have no other.
+    Meshes and clouds are written to files in the same folder, named after the file, the object and the
+    shape's index. Of a material, only the static and dynamic friction are written, as cell files have no
+    other.
 
     Raises:
-        InputError: an object that is screwed into one that is not among them.
+        InputError: an object is screwed into an object that is not in `objects`.
     """
-    file, entries, stems = Path(path), {}, set()
-    every = sorted(objects, key=lambda item: item.thread is not None)  # after what they are screwed into
+    file = Path(path)
+    file.write_text(objects_text(object_entries(objects, file)), encoding="utf-8")
+
+
+def objects_text(entries: Mapping[str, Any]) -> str:
+    """Return the YAML text of the block `objects` for the given entries."""
+    return yaml.safe_dump({"objects": dict(entries)}, sort_keys=False, default_flow_style=None, width=110)
+
+
+def object_entries(objects: Iterable[CollisionObject], file: Path) -> dict[str, Any]:
+    """Return objects as cell file entries; write each mesh and cloud once.
+
+    Meshes and clouds are written to the folder of `file`.
+
+    Raises:
+        InputError: an object is screwed into an object that is not in `objects`.
+    """
+    entries, stems, written = {}, set(), {}
+    every = sorted(objects, key=lambda item: item.thread is not None)  # threaded objects last
     named = {item.name: item for item in every}
     for item in every:
         stem = re.sub(r"\W+", "_", f"{file.stem}_{item.name}")
-        while stem in stems:  # of names that differ in what file names leave out
+        while stem in stems:  # names may be equal without special characters
             stem += "_"
         stems.add(stem)
-        entries[item.name] = _entry(item, named, file.parent / stem)
-    text = yaml.safe_dump({"objects": entries}, sort_keys=False, default_flow_style=None, width=110)
-    file.write_text(text, encoding="utf-8")
+        entries[item.name] = _entry(item, named, file.parent / stem, written)
+    return entries
 
 
 def _pose(T: SE3) -> Any:
@@ -150,12 +186,21 @@ def _pose(T: SE3) -> Any:
     return {"xyz": T.translation.tolist(), "quat_xyzw": T.quat_xyzw.tolist()}
 
 
-def _entry(item: CollisionObject, every: Mapping[str, CollisionObject], beside: Path) -> dict[str, Any]:
-    """An object as a cell file has it; `beside` begins the names of files for what is large."""
-    shapes = [
-        {**_shape_entry(shape, beside.with_name(f"{beside.name}_{i}")), "pose": _pose(T)}
-        for i, (shape, T) in enumerate(item.shapes)
-    ]
+def _entry(
+    item: CollisionObject, every: Mapping[str, CollisionObject], beside: Path, written: dict[int, Any]
+) -> dict[str, Any]:
+    """Return an object as a cell file entry.
+
+    Args:
+        every: all objects to write, by name.
+        beside: common start of the file paths for meshes and clouds.
+        written: entries of already written shapes, by `id` of the shape: shared meshes are written once.
+    """
+    shapes = []
+    for i, (shape, T) in enumerate(item.shapes):
+        if id(shape) not in written:
+            written[id(shape)] = _shape_entry(shape, beside.with_name(f"{beside.name}_{i}"))
+        shapes.append({**written[id(shape)], "pose": _pose(T)})
     T, thread = item.T_world_object, item.thread
     if thread is not None:
         if thread.into not in every:
@@ -175,7 +220,7 @@ def _entry(item: CollisionObject, every: Mapping[str, CollisionObject], beside: 
     if item.mass is not None:
         entry["mass"] = float(item.mass)
     if item.material != Material():
-        entry["friction"] = float(item.material.friction)
+        entry["friction"] = _friction_entry(item.material)
     if item.subframes:
         entry["subframes"] = {name: _pose(T) for name, T in item.subframes.items()}
     if thread is not None:
@@ -185,8 +230,18 @@ def _entry(item: CollisionObject, every: Mapping[str, CollisionObject], beside: 
     return entry
 
 
+def _friction_entry(material: Material) -> float | dict[str, float]:
+    if material.dynamic_friction is None:
+        return float(material.friction)
+    return {"static": float(material.friction), "dynamic": float(material.dynamic_friction)}
+
+
 def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
-    """A shape as a cell file has it; `beside` is the name, less the suffix, of a file for what is large."""
+    """Return a shape as a cell file entry; write a mesh or cloud to a file.
+
+    Args:
+        beside: path of that file without the suffix.
+    """
     match shape:
         case Box():
             return {"box": [float(shape.x), float(shape.y), float(shape.z)]}

@@ -1,4 +1,4 @@
-"""Object poses from cameras only: a driver that does not know where they are until somebody has looked."""
+"""A driver that reports object poses only after a camera has detected the objects."""
 
 from __future__ import annotations
 
@@ -17,17 +17,24 @@ from armcell.perception import LookSettings, Sight, look
 from armcell.scene import OCTOMAP, CollisionObject, PlanningScene
 from armcell.tasks import StageReport, TaskContext
 
-_REACH = 0.03  # [m] a closed gripper's tcp is within so much of the object that it holds
+_REACH = 0.03  # [m] largest distance from a closed gripper's TCP to the object that it holds
 
 
 @dataclass
 class Seen:
-    """What cameras have told: poses of the objects that are looked for. `known` has their shapes."""
+    """Poses of the objects that only cameras measure.
+
+    Attributes:
+        known: the objects to detect, with their shapes, by name.
+        surface: the object that supports them.
+        poses: the last detected poses T_world_object, by name.
+        told: initial poses T_world_object that the planner uses before the first detection.
+    """
 
     known: dict[str, CollisionObject]
     surface: str | None = None
-    poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object, of those that were seen
-    told: Mapping[str, SE3] = field(default_factory=dict)  # and of those believed somewhere before that
+    poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object
+    told: Mapping[str, SE3] = field(default_factory=dict)  # T_world_object
 
     def __post_init__(self) -> None:
         self.poses.update(self.told)
@@ -38,19 +45,19 @@ class Seen:
 
     @property
     def unknown(self) -> dict[str, CollisionObject]:
-        """Those whose poses nobody but a camera tells, where they were seen last."""
+        """The objects without an initial pose, at their last detected poses."""
         names = (n for n in self.known if n not in self.told)
         return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
     def taken_from(self, scene: PlanningScene) -> PlanningScene:
-        """A scene without the objects that nobody has seen yet."""
+        """Return the scene without the objects that have no pose yet."""
         for name in self.known:
             if name in scene.objects and name not in self.poses:
                 scene = scene.without_object(name)
         return scene
 
     def put_into(self, scene: PlanningScene) -> PlanningScene:
-        """A scene with what was seen where it was seen; what is held is known better by the hand."""
+        """Return the scene with objects at their detected poses; attached objects are unchanged."""
         for name, T in self.poses.items():
             if name not in scene.attached:
                 scene = scene.with_object(self.known[name].at(T))
@@ -58,9 +65,10 @@ class Seen:
 
 
 class PerceivingDriver:
-    """A driver whose objects are where cameras saw them last, or in the gripper that closed around them.
+    """A driver that reports an object at its last detected pose or in the gripper holding it.
 
-    What a gripper holds is taken from its width and from where the object was seen, as with a real one.
+    As with a real gripper, the held object is inferred from the gripper's width and force and from the last
+    detected poses.
     """
 
     def __init__(self, driver: Driver, model: RobotModel, seen: Seen):
@@ -89,26 +97,26 @@ class PerceivingDriver:
     def gripper(self, gripper: str) -> GripperReading:
         reading = self._driver.gripper(gripper)
         if reading.held is not None and reading.held not in self._seen.known:
-            return reading  # the driver knows where that is
+            return reading  # the driver measures this object's pose itself
         blocked = reading.force_per_finger > 1.0 and reading.width > 1e-3
         if gripper not in self._held and blocked:
             near = self._near(gripper)
             if near is not None:
                 self._held[gripper] = (near, self._tcp(gripper).inv() @ self._seen.poses[near])
-        if gripper in self._held and not blocked:  # closed on nothing: it has been lost
+        if gripper in self._held and not blocked:  # the fingers closed completely: the object is lost
             self._follow()
             self._held.pop(gripper)
         held = self._held.get(gripper)
         return replace(reading, held=held[0] if held else None)
 
     def object_poses(self) -> dict[str, SE3]:
-        """T_world_object of what was seen; other movable objects as the driver has them."""
+        """Return T_world_object by name: detected poses, else the driver's poses."""
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
 
     def true_poses(self) -> dict[str, SE3]:
-        """T_world_object of movable objects as physics has them."""
+        """Return the true T_world_object of the movable objects, from physics."""
         return self._driver.object_poses()
 
     def _follow(self) -> None:
@@ -116,7 +124,7 @@ class PerceivingDriver:
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
 
     def _near(self, gripper: str) -> str | None:
-        """The object that the tcp is in, or next to."""
+        """Return the object that contains or is nearest to a gripper's TCP; None if too far away."""
         tcp, best, found = self._tcp(gripper).translation, _REACH, None
         for name, T in self._seen.poses.items():
             low, high = self._seen.known[name].bounds()
@@ -134,7 +142,7 @@ class PerceivingDriver:
 def look_with(
     camera: LiveCamera, ctx: TaskContext, seen: Seen | None, settings: LookSettings | None
 ) -> Sight:
-    """Look and tell the planning scene; what is held is where the gripper is and is not looked for."""
+    """Detect objects with a camera and update the planning scene; held objects are skipped."""
     scene = ctx.scene()
     settings = settings or LookSettings(surface=seen.surface if seen is not None else None)
     known = {n: o for n, o in scene.objects.items() if o.movable and n != OCTOMAP}
@@ -144,7 +152,7 @@ def look_with(
     report = StageReport(f"look with {camera.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     sight = look(camera.take(ctx.advance), scene, wanted, settings, ctx.driver.now)
-    report.ok = not sight.missing and sight.plane is not None  # without a plane nothing was looked at
+    report.ok = not sight.missing and sight.plane is not None  # without a plane, no detection
     report.error = "" if report.ok else sight.message
     report.planning_time_s = sight.cpu_time
     ctx.reports.append(report)

@@ -1,4 +1,4 @@
-"""Pictures of a run for people: at the end of each stage, and when something first touches."""
+"""Pictures of a run for reports: at the end of each stage, and at the first contact."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ logger = logging.getLogger(__name__)
 
 Picture = NDArray[np.uint8]
 
-FROM = np.array([0.75, -0.6, 0.45])  # of the radius: where one stands who looks at a robot
+FROM = np.array([0.75, -0.6, 0.45])  # direction from the scene's center to the viewer
 FIELD = 45.0  # [deg]
 
 
 def overview(scene: PlanningScene) -> Camera:
-    """From the side in front, with the robot and what is around it in view."""
+    """Return a camera in front and to the side that shows the robot and all objects around it."""
     middle, radius = extent(scene)
     away = 1.3 * radius / np.sin(np.deg2rad(FIELD / 2))
     eye = middle + away * FROM / np.linalg.norm(FROM)
@@ -32,17 +32,19 @@ def overview(scene: PlanningScene) -> Camera:
 
 
 class Pictures:
-    """An observer of a run in physics. It looks through the cell's first camera that stands still; without
-    one, from the side in front. Where the driver keeps to the wall's clock, its pictures come when they are
-    drawn, in another thread (`CellRenderer`).
+    """An observer that takes pictures of a run in physics.
+
+    It uses the cell's first camera that is not mounted on a link; without such a camera, an overview from the
+    side in front. If the driver runs in real time, another process draws the pictures and they arrive later,
+    in another thread (`CellRenderer`).
 
     Args:
-        take: gets time [s], what it shows in words, and the picture (h, w, 3).
-        stages: whether at the end of each stage, too.
+        take: receives the time [s], a description and the picture (h, w, 3).
+        stages: also take a picture at the end of each stage.
     """
 
     def __init__(self, live: LiveCell, take: Callable[[float, str, Picture], None], stages: bool = True):
-        self._driver: Any = live.driver  # one that has a world once it is connected
+        self._driver: Any = live.driver  # has a `world` once it is connected
         self._scene, self._take, self._stages = live.scene_at_start, take, stages
         self._touched = self._broken = False
         self._renderer = next((c.renderer for c in live.cameras.values()), None)
@@ -72,7 +74,7 @@ class Pictures:
             return
         try:
             picture = self.now()
-        except Exception as error:  # graphics are the machine's matter: the run goes on without
+        except Exception as error:  # the run continues on machines without graphics
             self._broken = True
             logger.warning("no more pictures of this run: %s", error)
         else:

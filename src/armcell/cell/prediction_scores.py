@@ -1,7 +1,8 @@
-"""How well successes were predicted: Brier score, log loss, area under the curve, reliability.
+"""Scores of predicted grasp success: Brier score, log loss, AUC and reliability.
 
-A probability is judged as it is. Epsilon is none, so a logistic curve makes it one. The curve and the plain
-share of successes are fitted to all other objects, since the trials of one object are alike.
+The proof's probability P is scored directly. The grasp quality epsilon is not a probability, so a logistic
+curve maps it to one. This curve and the base rate (share of successes) are fitted to all other objects,
+because the trials of one object are correlated.
 """
 
 from __future__ import annotations
@@ -14,19 +15,22 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-EDGES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0)  # of the bins of P in the table of reliability
-LEAST = 1e-3  # probability that the log loss takes for 0, and 1 less it for 1
-RIDGE = 0.05  # of the curve's coefficients, so that it is found where successes and failures do not mix
-RESAMPLED = 2000  # times, of the objects, for the interval of the lead
+EDGES = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0)  # edges of the bins of P in the reliability table
+LEAST = 1e-3  # the log loss clips probabilities to [LEAST, 1 - LEAST]
+RIDGE = 0.05  # ridge penalty: keeps the fit finite if epsilon separates successes from failures
+RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the lead
 
 
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Scores of P by proofs, of epsilon alone and of the share of successes, a value each per trial.
+    """Score three predictors of grasp success: P of proofs, epsilon alone, and the base rate.
 
-    `brier_lead` is how much smaller P's Brier score is than epsilon's, `brier_lead_interval` where it lies
-    with 95 %, by resampling the objects. An area under the curve is None without successes or failures.
+    `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
+    interval over objects. An area under the curve is None without successes or without failures.
+
+    Args:
+        objects, probability, epsilon, success: one value per trial.
     """
     names, p, happened = np.array(objects), np.array(probability, float), np.array(success, float)
     means = left_out_mean(names, happened)
@@ -48,7 +52,7 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Of each bin of P with something in it: how many, the mean prediction, the share of successes."""
+    """Return the edges, count, mean prediction and success share of each non-empty bin of P."""
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
     for k in np.unique(bins):
@@ -63,7 +67,10 @@ def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
 
 
 def area_under_curve(score: Array, happened: Array) -> float | None:
-    """How likely a success has a greater score than a failure; ties count half."""
+    """Return the probability that a success has a higher score than a failure; ties count half.
+
+    None if there are no successes or no failures.
+    """
     good, bad = score[happened > 0.5], score[happened <= 0.5]
     if not len(good) or not len(bad):
         return None
@@ -73,7 +80,7 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
 
 
 def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
-    """The share of successes among the trials of all other objects; 0.5 where there are none."""
+    """Return per trial the share of successes among all other objects; 0.5 if there are none."""
     found = np.full(len(happened), 0.5)
     for name in np.unique(objects):
         own = objects == name
@@ -83,7 +90,7 @@ def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
 
 
 def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
-    """P(success) by epsilon alone: a logistic curve fitted to the trials of all other objects."""
+    """Return P(success) per trial from epsilon alone, by a logistic fit to all other objects."""
     from scipy.optimize import minimize
 
     x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
@@ -101,7 +108,7 @@ def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -
 
 
 def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Of the mean, 95 %, by drawing objects with all their trials again and again."""
+    """Return the 95 % bootstrap interval of the mean lead, resampling objects with all trials."""
     names, index = np.unique(objects, return_inverse=True)
     total, count = np.bincount(index, lead), np.bincount(index)
     drawn = np.random.default_rng(0).integers(len(names), size=(RESAMPLED, len(names)))

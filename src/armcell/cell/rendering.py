@@ -1,4 +1,4 @@
-"""Cameras of a cell whose clock keeps to the wall's: drawn in another process, never waited for."""
+"""Draws the cameras of a real-time cell in another process, without blocking the cell."""
 
 from __future__ import annotations
 
@@ -16,25 +16,27 @@ from armcell.sim.render_process import MeasuredState, Order, PhysicsState, Rende
 logger = logging.getLogger(__name__)
 Give = Callable[[CameraImage], None]
 
-MOST_KEPT = 64  # pictures of key moments that wait
+MOST_KEPT = 64  # queued pictures of key moments
 GIVES_UP_AFTER = 3  # failures in a row
-CLOSE = 10.0  # [s] for the key moments that wait when the cell is closed
+CLOSE = 10.0  # [s] to draw the queued key moments when the cell closes
 
 
 @dataclass(frozen=True, eq=False)
 class _Request:
     order: Order
-    time: float  # [s] of the driver's clock, of the state
+    time: float  # [s] time of the state, driver's clock
     give: Give
     keep: bool
 
 
 class CellRenderer:
-    """Draws what a driver's cameras see. Its thread and process begin with the first picture asked for.
+    """Draws camera pictures of a driver's state in another process.
+
+    The thread and the process start with the first request.
 
     Attributes:
-        ready: whether a picture has come: the process has started and has built the scene.
-        broken: why no more pictures come; else empty. Motions go on.
+        ready: True after the first picture: the process has started and has built the scene.
+        broken: the reason why no more pictures come; empty if there is none. Motions continue.
     """
 
     def __init__(self, driver: Driver, scene: PlanningScene, decals: Sequence[Decal] = ()):
@@ -51,20 +53,22 @@ class CellRenderer:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that draws, while there is one."""
+        """The process id of the drawing process; None if it does not run."""
         return self._process.pid
 
     def ask(
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Have the present state drawn; returns at once. To be called from the thread that steps the driver.
+        """Request a picture of the present state and return at once.
+
+        Call this method from the thread that steps the driver.
 
         Args:
-            key: whose picture. One that waits under the same key is replaced: the newest state is drawn, as
-                often as the machine can. Keys take turns.
-            give: gets the picture, stamped with the state's time, in the renderer's thread.
-            keep: a key moment, which is drawn even when the cell is closed meanwhile.
+            key: identifies the request. A new request replaces a waiting one with the same key, so the newest
+                state is drawn. Requests are drawn in the order of their keys' first request.
+            give: receives the picture, stamped with the time of the state, in the renderer's thread.
+            keep: marks a key moment, which is also drawn if the cell closes in the meantime.
         """
         if self.broken or self._closing:
             return
@@ -80,7 +84,7 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End the process. Key moments that wait are drawn before."""
+        """End the process after the waiting key moments are drawn."""
         with self._wake:
             self._closing = True
             self._waiting = {k: r for k, r in self._waiting.items() if r.keep}
@@ -94,7 +98,7 @@ class CellRenderer:
                 thread.join(1.0)
         self._setup = None
 
-    # --- how ---
+    # --- implementation ---
     def _state(self) -> tuple[Setup, PhysicsState | MeasuredState]:
         world = getattr(self._driver, "world", None)
         if isinstance(world, SimWorld):
@@ -107,7 +111,7 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """One picture is drawn while the last one is given on."""
+        """Draw the requests; the process draws the next picture while `give` handles the last one."""
         try:
             request = self._next(wait=True)
             while request is not None:
@@ -120,7 +124,13 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Begin what has waited longest; None where nothing waits, or when the renderer is closed."""
+        """Start to draw the oldest waiting request and return it.
+
+        Args:
+            wait: wait for a request.
+        Returns:
+            The request; None if none waits, or if the renderer is closed or broken.
+        """
         with self._wake:
             if wait:
                 self._wake.wait_for(lambda: self._waiting or self._closing or self.broken)
@@ -142,7 +152,7 @@ class CellRenderer:
     def _give(self, request: _Request, image: CameraImage) -> None:
         try:
             request.give(image)
-        except Exception:  # who gets pictures must not end those of others
+        except Exception:  # an error in one receiver must not stop the pictures of others
             logger.exception("a picture of %s could not be used", image.camera)
 
     def _failed(self, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""Running a cell's task and telling how it went, as data."""
+"""Runs the task of a cell and returns the result as JSON-ready data."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ PLACEMENT_TOLERANCE = 0.005  # [m]
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
-    """Perform the cell's task on a live cell.
+    """Perform the task of a cell on the connected cell.
 
     Args:
-        seed: the draw that the cell was connected with; None where things are as the cell file says.
+        seed: the seed that the cell was connected with; None for the nominal cell.
     Returns:
-        The run as JSON-ready data; the same seed gives the same but for `*planning_time_s` and `wall_time_s`.
+        The result as JSON-ready data. The same seed gives the same data except for `*planning_time_s` and
+        `wall_time_s`.
     Raises:
         InputError: the cell has no task.
     """
@@ -45,7 +46,7 @@ def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[st
     for step in cell.spec.task:
         try:
             outcome = _perform(live, step)
-        except InputError as error:  # the run so far is worth its report
+        except InputError as error:  # keep the report of the steps performed so far
             outcome = Outcome(ErrorCode.FAILURE, str(error))
         if step.goal and isinstance(target := outcome.evidence.get("placement"), Placement):
             placements.append((step.goal.object, target))
@@ -62,7 +63,7 @@ def _run_script(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict
         outcome = found if isinstance(found, Outcome) else Outcome(ErrorCode.SUCCESS)
     except TaskFailed as failed:
         outcome = failed.outcome
-    except InputError as error:  # the run so far is worth its report
+    except InputError as error:  # keep the report of the stages performed so far
         outcome = Outcome(ErrorCode.FAILURE, str(error))
     result = result_of(cell, live, seed, mode, outcome, time.monotonic() - began)
     result["measures"] = {k: v for k, v in outcome.evidence.items() if isinstance(v, int | float | str)}
@@ -86,7 +87,7 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _move(live: LiveCell, state: str) -> Outcome:
-    """Move to a named state; of several arms, each that has the state, one after the other."""
+    """Move to a named state; of several arms, move each that has the state, in turn."""
     tables = live.model.named_states
     arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
     outcome = Outcome(ErrorCode.SUCCESS)
@@ -101,17 +102,17 @@ def result_of(
     cell: Cell, live: LiveCell, seed: int | None, mode: str, outcome: Outcome, wall: float,
     placements: Sequence[tuple[str, Placement]] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """How a run ended, as `run_task` tells it, for one that another program has led.
+    """Return the result of a run that another program controlled, as `run_task` does.
 
     Args:
-        live: still connected; to be called in the thread that steps it.
-        outcome: success is taken back where physics saw unwanted contacts.
-        wall: [s] that it took.
-        placements: objects, and where they should lie now.
+        live: the connected cell; call this function in the thread that steps it.
+        outcome: the outcome of the run; unwanted contacts in physics turn a success into a failure.
+        wall: duration of the run [s], wall clock.
+        placements: objects and their goal placements.
     """
     live.ctx.report_news()
     poses = live.driver.object_poses()
-    if isinstance(live.driver, PerceivingDriver):  # judged by where it is, not by where the task believes it
+    if isinstance(live.driver, PerceivingDriver):  # evaluate the true poses, not the task's estimates
         truth = live.driver.true_poses()
         poses |= {name: truth[name] for name in cell.moved_unseen(mode)}
     errors = [
@@ -140,7 +141,7 @@ def result_of(
         "seed": seed,
         "randomized": {} if seed is None else cell.draw(seed),
         "stages": reports,
-        "slip_m": max(held) if held else None,  # during the hold
+        "slip_m": max(held) if held else None,  # while the arm holds still
         "max_stage_slip_m": max(slips) if slips else None,
         "placement_error_m": max(errors) if errors else None,
         "unwanted_contacts": unwanted,
@@ -164,13 +165,13 @@ def result_of(
 
 
 def contact_in_words(contact: Mapping[str, Any]) -> str:
-    """An unwanted contact of a run's result in one line."""
+    """Return a one-line description of an unwanted contact from a result."""
     pair, time = f"{contact['body_a']} touched {contact['body_b']}", contact["time_s"]
     return f"{pair} at {time:.2f} s, {contact['depth_m'] * 1000:.1f} mm deep"
 
 
 def complaints(result: Mapping[str, Any]) -> list[str]:
-    """What makes a run fail whatever its task or script returned: unwanted contacts and lost objects."""
+    """Return the failures that override a task's outcome: unwanted contacts and lost objects."""
     contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result.get("unwanted_contacts", ())]
     return contacts + [f"lost object: {row['how']}" for row in result.get("lost", ())]
 
@@ -178,10 +179,10 @@ def complaints(result: Mapping[str, Any]) -> list[str]:
 def _failed_at(
     outcome: Outcome, reports: list[dict[str, Any]], unwanted: list[dict[str, Any]]
 ) -> dict[str, str]:
-    """The stage and the pair of bodies that a failure is of, as far as there are such.
+    """Return the stage and the pair of bodies that caused a failure; empty texts if unknown.
 
-    Where planning failed, the stage that found nothing, and what touches at the start or goal; else the stage
-    that was carried out last of those that failed, and what touched first of what should not.
+    After a planning failure: the stage without a solution and the contact at the start or goal. Otherwise:
+    the last failed stage and the first unwanted contact.
     """
     empty = [row["stage"] for row in outcome.evidence.get("stages", ()) if not row["passed"]]
     broken = empty or [report["name"] for report in reversed(reports) if not report["ok"]]
@@ -197,7 +198,7 @@ def _failed_at(
 def _judged(
     outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]]
 ) -> Outcome:
-    """A run with an unwanted contact, a lost object or a misplaced one did not succeed."""
+    """Return a failure if a run has unwanted contacts, lost objects or misplaced objects."""
     if not outcome.ok:
         return outcome
     if unwanted:

@@ -1,15 +1,17 @@
-"""The cell file: what may stand in cell.yaml, checked with messages that name the place."""
+"""The schema of the cell file (cell.yaml); error messages name the file and the key."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AliasChoices,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
+    Tag,
     ValidationError,
     field_validator,
     model_validator,
@@ -28,7 +30,7 @@ SCALE = Field(1.0, gt=0, validation_alias=AliasChoices("mesh_scale", "scale"))
 
 
 class ShapeSpec(Strict):
-    """One shape: exactly one of the keys. Sizes in metres; lengths are full lengths."""
+    """One shape of an object: exactly one of the shape keys. Lengths in meters, full lengths."""
 
     box: tuple[float, float, float] | None = None
     sphere: float | None = None  # radius
@@ -39,7 +41,7 @@ class ShapeSpec(Strict):
     mesh: str | None = None  # file, relative to the cell folder, or package://
     mesh_scale: float = SCALE
     cloud: str | None = None  # file of points (.ply, .pcd, .xyz, .npy) or an octomap (.bt, .ot)
-    radius: float | None = Field(None, gt=0)  # [m] of a cloud's points
+    radius: float | None = Field(None, gt=0)  # [m] radius of a cloud's points
     pose: Any = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -56,23 +58,43 @@ SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "cone", "plane", "mesh", "
 
 
 class TypeSpec(Strict):
-    """What an object is an instance of: a key in a database."""
+    """The type of an object: a key in a database, as in ROS's object_recognition_msgs."""
 
     key: str = ""
     db: str = ""
 
 
 class ThreadSpec(Strict):
-    """A thread: the object turns about its z axis and goes in by `pitch` per turn."""
+    """A screw thread: the object turns about its z axis and advances by `pitch` per turn."""
 
-    into: str  # an object that stands before it in the file
+    into: str  # an object defined earlier in the file
     pitch: float = Field(gt=0)  # [m]
     travel: float = Field(gt=0)  # [m]
-    torque: float = Field(0.2, ge=0)  # [Nm] of friction
+    torque: float = Field(0.2, ge=0)  # [Nm] friction torque
+
+
+class FrictionSpec(Strict):
+    """Coulomb friction coefficients: static and dynamic."""
+
+    static: float = Field(ge=0)
+    dynamic: float = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _ordered(self):
+        if self.dynamic > self.static:
+            raise ValueError(f"dynamic ({self.dynamic:g}) is above static ({self.static:g})")
+        return self
+
+
+Friction = Annotated[
+    Annotated[float, Tag("<number>")] | Annotated[FrictionSpec, Tag("<both>")],
+    Discriminator(lambda value: "<both>" if isinstance(value, dict | FrictionSpec) else "<number>"),
+]
+"""Friction: one coefficient, or a static and a dynamic one."""
 
 
 class ObjectSpec(Strict):
-    """An object: one shape given directly, several under `shapes`, or one of the library's by `model`."""
+    """An object: one shape, several under `shapes`, or a library object by `model`."""
 
     box: tuple[float, float, float] | None = None
     sphere: float | None = None
@@ -81,22 +103,22 @@ class ObjectSpec(Strict):
     cone: tuple[float, float] | None = None
     plane: Literal[True] | None = None
     mesh: str | None = None
-    mesh_scale: float = SCALE  # of a mesh or of a library object
+    mesh_scale: float = SCALE  # scale of a mesh or a library object
     cloud: str | None = None
     radius: float | None = Field(None, gt=0)
     shapes: list[ShapeSpec] = []
     model: str | None = None  # name of a library object
-    sizes: dict[str, float] = {}  # [m] of the library object
+    sizes: dict[str, float] = {}  # [m] sizes of the library object, by name
     subframes: dict[str, Any] = {}  # name -> pose in the object's frame
     type: TypeSpec = TypeSpec()
-    belt: tuple[float, float, float] | None = None  # [m/s] of a fixed object's surface, in its frame
-    thread: ThreadSpec | None = None  # then the pose is in the frame of the object it is screwed into
+    belt: tuple[float, float, float] | None = None  # [m/s] surface velocity of a fixed object, object frame
+    thread: ThreadSpec | None = None  # if set, the pose is in the frame of `thread.into`
     pose: Any = (0.0, 0.0, 0.0)
     color: tuple[float, float, float, float] | tuple[float, float, float] | None = None
     movable: bool = False
     mass: float | None = None  # [kg]
-    density: float | None = Field(None, gt=0)  # [kg/m^3], where no mass is given
-    friction: float | None = None
+    density: float | None = Field(None, gt=0)  # [kg/m^3], instead of a mass
+    friction: Friction | None = None
 
     def shape_specs(self) -> list[ShapeSpec]:
         own = {k: getattr(self, k) for k in SHAPE_KEYS if getattr(self, k) is not None}
@@ -118,7 +140,10 @@ class ObjectSpec(Strict):
 
 
 class RandomSpec(Strict):
-    """Ranges [low, high] drawn uniformly per seed. Offsets are added to the object's pose."""
+    """Ranges [low, high] for the random values of an object, drawn uniformly per seed.
+
+    The offsets are added to the object's pose.
+    """
 
     dx: Range | None = None  # [m]
     dy: Range | None = None  # [m]
@@ -144,7 +169,7 @@ class RobotSpec(Strict):
 
 
 class IntrinsicsSpec(Strict):
-    """Focal lengths and principal point [px]; pixels have whole numbers at their centres."""
+    """Focal lengths and principal point [px]; pixel centers have integer coordinates."""
 
     fx: float = Field(gt=0)
     fy: float = Field(gt=0)
@@ -153,7 +178,7 @@ class IntrinsicsSpec(Strict):
 
 
 class NoiseSpec(Strict):
-    """Fields of sim.DepthNoise."""
+    """Depth noise of a camera; the fields are those of `sim.DepthNoise`."""
 
     floor: float = Field(0.0, ge=0)  # [m]
     growth: float = Field(0.0, ge=0)  # [1/m]
@@ -166,9 +191,11 @@ class NoiseSpec(Strict):
 
 
 class CameraSpec(Strict):
-    """A camera that looks from `eye` at `target` [m], or has a `pose` (optical frame: z forward, y down).
+    """A camera given by `eye` and `target` [m] or by a `pose`.
 
-    With `on`, these are in that link's frame and the camera moves with it.
+    The pose is that of the optical frame (z forward, y down).
+
+    With `on`, these values are in the frame of that link, and the camera moves with the link.
     """
 
     eye: tuple[float, float, float] | None = None
@@ -179,7 +206,7 @@ class CameraSpec(Strict):
     height: int = Field(480, ge=16, le=4096)
     fovy_deg: float = Field(45.0, gt=1, lt=170)
     intrinsics: IntrinsicsSpec | None = None  # instead of fovy_deg
-    info: str | None = None  # file of ROS's camera_calibration, instead of size and fovy_deg
+    info: str | None = None  # file from ROS's camera_calibration, instead of size and fovy_deg
     rate: float = Field(30.0, gt=0, le=1000)  # [Hz]
     depth: bool = True
     noise: Literal["none", "stereo"] | NoiseSpec = "none"
@@ -199,25 +226,28 @@ class CameraSpec(Strict):
 
 
 class MarkerSpec(Strict):
-    """An ArUco marker or AprilTag, for cameras. Its frame: x right, y up in its picture, z out of it."""
+    """An ArUco marker or AprilTag for cameras.
+
+    Marker frame: x to the right and y up in the picture, z out of the picture.
+    """
 
     family: str
     id: int = Field(ge=0)
-    size: float = Field(gt=0, le=2.0)  # [m] edge of the black square
+    size: float = Field(gt=0, le=2.0)  # [m] edge length of the black square
     on: str = "world"  # link, object or "world"
-    pose: Any = (0.0, 0.0, 0.0)  # in that frame
+    pose: Any = (0.0, 0.0, 0.0)  # in the frame `on`
 
 
 class PerceptionSpec(Strict):
-    """Objects whose poses come from a camera only: the planner does not know of them before a `look`."""
+    """Objects whose poses come only from a camera; unknown before the first `look`."""
 
     camera: str
     objects: list[str] = Field(min_length=1)
-    surface: str | None = None  # fixed object that they stand on
+    surface: str | None = None  # fixed object that supports them
 
 
 class DropSpec(Strict):
-    """Objects that physics drops into a bin before the task begins, otherwise with each seed."""
+    """Objects that physics drops into a bin before the task begins; each seed gives other poses."""
 
     into: str  # fixed object with a level floor
     objects: list[str] = Field(min_length=1)
@@ -226,22 +256,22 @@ class DropSpec(Strict):
 class PlaceSpec(Strict):
     object: str
     on: str
-    at: tuple[float, float] | None = None  # [m] on the surface, from its centre
-    up: tuple[float, float, float] | None = None  # in the object's frame; None: as it stands
+    at: tuple[float, float] | None = None  # [m] on the support surface, from its center
+    up: tuple[float, float, float] | None = None  # direction in the object's frame; None: current orientation
 
 
 class TransferSpec(PlaceSpec):
-    look: str | None = None  # camera that looks for the object before every pick
+    look: str | None = None  # camera that detects the object before every pick
 
 
 class StepSpec(Strict):
-    """One step of the task: exactly one of the keys."""
+    """One step of a cell's task: exactly one of the keys."""
 
     pick: str | None = None
     place: PlaceSpec | None = None
-    transfer: TransferSpec | None = None  # pick and place, again until it lies there
+    transfer: TransferSpec | None = None  # pick and place with recovery
     hold: float | None = Field(None, ge=0)  # [s]
-    move: str | None = None  # named state; of several arms, each that has it moves there in turn
+    move: str | None = None  # named state; several arms move one after the other
     look: str | None = None  # camera
 
     @model_validator(mode="after")
@@ -253,17 +283,17 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """What is to lie where after this step."""
+        """The placement that this step must achieve; None for other steps."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """What is looked with."""
+        """The camera that this step uses; None if it uses none."""
         return self.transfer.look if self.transfer else self.look
 
 
 class PushSpec(Strict):
-    """A force from outside on a link or a movable object, at its centre of mass, in world axes."""
+    """An external force on a link or movable object, at the center of mass, in world axes."""
 
     on: str
     at: float = Field(ge=0)  # [s]
@@ -272,25 +302,43 @@ class PushSpec(Strict):
 
 
 class MovedSpec(Strict):
-    """An object that stands elsewhere than planners believe: from `at` on, by so much from where it was."""
+    """A displacement of an object at time `at` that planners are not informed of."""
 
     by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes
-    turn_deg: float = 0.0  # about the upright axis through its origin
+    turn_deg: float = 0.0  # about the vertical axis through the object's origin
     at: float = Field(0.0, ge=0)  # [s]
 
 
 class DisturbanceSpec(Strict):
-    """What is wrong with the simulated robot and what happens to it; real ones bring their own."""
+    """Disturbances of the simulated robot: joint offsets, noise, latency, pushes, moved objects."""
 
-    joint_offset_deg: dict[str, float] = {}  # joint -> how much further it stands than its encoder says
+    joint_offset_deg: dict[str, float] = {}  # joint -> true position minus measured position
     joint_noise_deg: float = Field(default=0.0, ge=0)  # standard deviation of measured positions
-    latency: float = Field(default=0.0, ge=0, le=1)  # [s] from a command until the arm acts
+    latency: float = Field(default=0.0, ge=0, le=1)  # [s] delay of each command
     pushes: dict[str, PushSpec] = {}
     moved: dict[str, MovedSpec] = {}  # by object
 
 
+class ControllerSpec(Strict):
+    """An external controller for `serve --plan-only`, as in moveit_controllers.yaml."""
+
+    type: Literal["FollowJointTrajectory", "JointTrajectory", "GripperCommand"] = "FollowJointTrajectory"
+    action_ns: str | None = None  # below the controller's name; default: as in ROS
+    joints: list[str] = []
+    position: Literal["joint", "width"] = "joint"  # meaning of the position in a GripperCommand
+    default: bool = True  # accepted for MoveIt's sake; every listed controller is used
+
+
+class RosSpec(Strict):
+    """ROS names and sensors of the cell, for all connections (Unity, ROS 1, ROS 2)."""
+
+    namespace: str = ""
+    remap: dict[str, str] = {}  # armcell's names -> external names
+    sensors: str | None = None  # MoveIt's sensors_3d.yaml, relative to the cell folder
+
+
 class CellSpec(Strict):
-    """A whole cell file."""
+    """The content of a cell file (cell.yaml)."""
 
     description: str = ""
     robot: RobotSpec
@@ -303,11 +351,13 @@ class CellSpec(Strict):
     perception: PerceptionSpec | None = None
     drop: DropSpec | None = None
     task: list[StepSpec] = []
-    script: str | None = None  # instead of `task`: a Python file beside this one with a function task(cell)
-    settings: dict[str, Any] = {}  # of tasks.TaskSettings
-    physics: dict[str, Any] = {}  # of sim.PhysicsSettings
+    script: str | None = None  # instead of `task`: a Python file beside this file with a function task(cell)
+    settings: dict[str, Any] = {}  # fields of tasks.TaskSettings
+    physics: dict[str, Any] = {}  # fields of sim.PhysicsSettings
     disturbances: DisturbanceSpec = DisturbanceSpec()
-    real: dict[str, Any] = {}  # of the UR driver's RealSettings
+    real: dict[str, Any] = {}  # fields of the UR driver's RealSettings
+    controllers: dict[str, ControllerSpec] = {}  # external controllers, for `serve --plan-only`
+    ros: RosSpec = RosSpec()
 
     @field_validator("robot", mode="before")
     @classmethod
@@ -322,38 +372,45 @@ class CellSpec(Strict):
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:
-    """The cell of a parsed YAML file.
+    """Return the validated cell of a parsed YAML file.
 
     Raises:
-        InputError: the first thing that is wrong, with file, place in the file and reason.
+        InputError: the file is invalid; the error has the file, the key and the reason of the first fault.
     """
     try:
         return CellSpec.model_validate(data)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = "/".join(str(part) for part in first["loc"]) or "top level"
+        errors = error.errors(include_url=False)
+        # report a mistyped key first: it often causes the other errors
+        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+        parts = [str(part) for part in first["loc"]]
+        place = "/".join(part for part in parts if not part.startswith("<")) or "top level"  # tags of unions
         if first["type"] == "extra_forbidden":
             known = _known_keys(first["loc"])
             if known:
                 raise UnknownNameError("key", first["loc"][-1], known, file=file, element=place) from None
-        more = len(error.errors()) - 1
+        more = len(errors) - 1
         reason = first["msg"].removeprefix("Value error, ") + (f" (and {more} more)" if more else "")
         cure = f"{first['input']} is none: give one" if first["type"] == "finite_number" else None
         raise InputError(reason, file=file, element=place, cure=cure) from None
 
 
 def _known_keys(location: tuple) -> list[str]:
-    """Keys that may stand where an unknown one does."""
+    """Return the keys that are valid at the location of an unknown key."""
     tables = {
         "objects": ObjectSpec,
         "randomize": RandomSpec,
         "cameras": CameraSpec,
         "markers": MarkerSpec,
+        "controllers": ControllerSpec,
         "robot": RobotSpec,
+        "ros": RosSpec,
         "task": StepSpec,
     }
     if len(location) == 1:
         return list(CellSpec.model_fields)
+    if "<both>" in location:
+        return list(FrictionSpec.model_fields)
     if "shapes" in location:
         return list(ShapeSpec.model_fields)
     if location[0] == "perception":

@@ -1,8 +1,8 @@
-"""A cell's task as a Python script: a file beside cell.yaml with a function `task(cell)`.
+"""A task as a Python script: a file beside cell.yaml with a function `task(cell)`.
 
-This is the only code that armcell runs from a cell, and `load_script` is the only place that runs it. Before
-it does, it says which file. Commands that start other processes, or that connect arms first, call
-`announce_code` themselves, so that the line comes before.
+A script is the only code that armcell runs from a cell, and only `load_script` runs it. `load_script` logs
+the file name first. Commands that start other processes or connect arms before they load the script call
+`announce_code` themselves, so that the log line comes first.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ _announced: set[Path] = set()
 
 
 def announce_code(cell: Cell, origin: str = "") -> None:
-    """Log which Python files of a cell will run; each file once per process, armcell's own cells never.
+    """Log which Python file of a cell will run; once per process, not for built-in cells.
 
     Args:
-        origin: where the cell comes from, if it is not this user's.
+        origin: the source of the cell, if another user created it.
     """
     if cell.spec.script is not None:
-        with suppress(InputError):  # `load_script` says what is wrong with it
+        with suppress(InputError):  # `load_script` reports the error
             _announce(_file_of(cell.spec.script, cell.file), origin)
 
 
 def load_script(name: str, cell_file: Path) -> Script:
-    """The function `task` of a script. Loading it runs the file's top level, as any import would.
+    """Return the function `task` of a script.
+
+    Loading runs the top-level code of the file, like an import.
 
     Raises:
-        InputError: no such file beside the cell's, or no function `task` in it.
+        InputError: the file does not exist in the cell's folder, or it has no function `task`.
     """
     file = _file_of(name, cell_file)
     _announce(file)

@@ -1,4 +1,4 @@
-"""A running cell's cameras: their newest picture, and the planning scene kept true by what they see."""
+"""Cameras of a running cell: the newest picture, and octomap updates of the planning scene."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from armcell.sim import Camera, Decal, SimWorld, take_image
 from armcell.sim.render_process import MeasuredState
 from armcell.tasks import TaskContext
 
-TOO_LATE = 0.25  # [s] a picture that took longer (the first of a process does) is taken once more
+TOO_LATE = 0.25  # [s] a picture that took longer is taken once more; the first of a process does
 
 
 class LiveCamera:
-    """One camera of a connected cell. Pictures come at its rate, of the driver's clock.
+    """A camera of a connected cell; pictures come at the camera's rate, by the driver's clock.
 
-    A driver without physics is drawn from what it says of joints and objects. In lock-step pictures are drawn
-    by the caller. Where the driver keeps to the wall's clock, `ask` and `take` have them drawn in another
-    process, of a copy of the state: no motion waits for them.
+    Without physics, pictures show the joint positions and object poses that the driver reports. In lock-step,
+    the calling thread draws. If the driver runs in real time, `ask` and `take` use another process that draws
+    a copy of the state, so no motion waits for a picture.
 
     Attributes:
-        frozen: set it and the camera gives its last picture for ever, as a broken one does. For trials.
-        renderer: shared by the cell's cameras.
+        frozen: set True to simulate a broken camera that repeats its last picture, for trials.
+        renderer: the renderer that all cameras of the cell share.
     """
 
     def __init__(
@@ -42,23 +42,23 @@ class LiveCamera:
         self._driver, self._scene, self._decals = driver, scene, decals
         self._mirror: SimWorld | None = None
         self._newest: CameraImage | None = None
-        self._given: CameraImage | None = None  # the last one of `ask`
+        self._given: CameraImage | None = None  # the last picture given by `ask`
 
     @property
     def name(self) -> str:
         return self.camera.name
 
     def due(self) -> bool:
-        """Whether a new picture has come since the last one that was taken."""
+        """Return whether a newer picture than the last taken one is available."""
         if self.frozen and self._newest is not None:
             return False
         return self._newest is None or self._number(self._driver.now) > self._number(self._newest.time)
 
     def ask(self, key: Hashable, give: Give, rgb: bool = True, depth: bool = True) -> None:
-        """Have a picture of the present state given to a function, without waiting for it.
+        """Pass a picture of the present state to a function, without waiting for the picture.
 
-        In lock-step that is at once. Else it comes in another thread, when it is drawn; a picture that waits
-        under the same key is replaced by this one (`CellRenderer.ask`).
+        In lock-step, `give` runs at once. In real time, `give` runs in another thread when the picture is
+        drawn; a new request replaces a waiting one with the same key (`CellRenderer.ask`).
         """
         if not self._driver.is_paced:
             give(self.image(rgb=rgb))
@@ -75,12 +75,12 @@ class LiveCamera:
         return gives
 
     def take(self, advance: Callable[[float], None], rgb: bool = True) -> CameraImage:
-        """The newest picture, as `image`; while it is drawn elsewhere, `advance` lets time pass.
+        """Return the newest picture; while another process draws it, `advance` lets time pass.
 
         Args:
-            advance: for so many seconds, as `TaskContext.advance`.
+            advance: lets the given number of seconds pass, e.g. `TaskContext.advance`.
         Raises:
-            ArmcellError: none can be drawn.
+            ArmcellError: no picture can be drawn.
         """
         if not self._driver.is_paced or not (self.due() or self._lacks(rgb)):
             return self.image(rgb)
@@ -102,25 +102,25 @@ class LiveCamera:
         while not came.is_set() and not self.renderer.broken:
             before = self._driver.now
             advance(self._driver.period)
-            if self._driver.now == before:  # who is cancelled lets no time pass
+            if self._driver.now == before:  # a cancelled task does not advance the clock
                 came.wait(0.01)
         if not found:
             raise ArmcellError(f"camera {self.name!r} gives no picture: {self.renderer.broken}")
         return found[0]
 
     def _lacks(self, rgb: bool) -> bool:
-        """Whether the newest picture has no color that is wanted."""
+        """Return whether a color picture is wanted but the newest picture has depth only."""
         return rgb and not self.frozen and self._newest is not None and self._newest.rgb is None
 
     def image(self, rgb: bool = True) -> CameraImage:
-        """The newest picture; the same one until the next has come. Drawn here: the caller waits for it."""
+        """Return the newest picture; draws in the calling thread, at most once per camera period."""
         newest = self._newest
         if newest is None or self.due() or self._lacks(rgb):
             newest = self._newest = self.draw(rgb)
         return newest
 
     def draw(self, rgb: bool = True, depth: bool = True) -> CameraImage:
-        """A picture of the present state, drawn here."""
+        """Draw a picture of the present state in the calling thread."""
         image = take_image(self._world(), self.camera, rgb=rgb, depth=depth and self.camera.has_depth)
         return replace(image, time=self._driver.now)
 
@@ -141,14 +141,15 @@ class LiveCamera:
 @dataclass
 @checked()
 class CameraWatch:
-    """Keeps the octomap of a running cell's planning scene true to what a camera sees.
+    """Keeps the octomap of a running cell up to date with a camera's depth pictures.
 
-    An observer of the cell: it looks at its own rate whenever time passes. A motion across whose rest the map
-    has come is stopped, as by any other change of the scene (`TaskContext.change_scene`).
+    As an observer of the cell, it updates the octomap at its own rate whenever time passes. If the new
+    octomap blocks the rest of a motion, the motion stops, as for any change of the scene
+    (`TaskContext.change_scene`).
 
     Attributes:
-        updates: what the pictures did, newest last.
-        stopped: why a motion was stopped, the last time; else empty.
+        updates: results of the updates, newest last.
+        stopped: the reason for the last stop of a motion; empty if there was none.
     """
 
     ctx: TaskContext
@@ -165,30 +166,30 @@ class CameraWatch:
         self._told = ""
         self._used: CameraImage | None = None
         self._mapping = threading.Lock()
-        self._since = np.inf  # [s] when a picture was first waited for, or the last one came
+        self._since = np.inf  # [s] time of the first request or of the last picture
         self.ctx.observers.append(self)
 
     def close(self) -> None:
-        """Look no more; the map stays in the scene."""
+        """Stop the updates; the octomap stays in the scene."""
         if self in self.ctx.observers:
             self.ctx.observers.remove(self)
 
     def update(self) -> MapUpdate:
-        """Look now; where no new picture has come, what the last one did.
+        """Update the octomap now; if there is no new picture, return the last update.
 
-        A picture counts once: by the next time the robot is not where it was in it, and would be taken for an
-        obstacle.
+        Each picture is used only once: later, the robot is no longer where the picture shows it and would be
+        mapped as an obstacle.
         """
         if self.ctx.driver.is_paced and not self.camera.renderer.ready:
-            self.camera.take(self.ctx.advance, rgb=False)  # of a process that starts the first one takes long
+            self.camera.take(self.ctx.advance, rgb=False)  # the first picture of a new process is slow
         scene = self.ctx.scene()
         return self._use(self.camera.take(self.ctx.advance, rgb=False), scene)
 
     def _use(self, image: CameraImage, scene: PlanningScene) -> MapUpdate:
-        """Put a picture into the map.
+        """Insert a picture into the octomap and return the update.
 
         Args:
-            scene: as it was when the picture was taken, to know the robot in it.
+            scene: the scene when the picture was taken, to remove the robot from the picture.
         """
         with self._mapping:
             now = self.ctx.driver.now
@@ -210,13 +211,13 @@ class CameraWatch:
             self.ctx.emit("error", f"octomap: {message}", code=code)
 
     def _ask(self) -> None:
-        """Have the present state drawn elsewhere and put into the map."""
+        """Request a picture of the present state and insert it into the octomap when it is drawn."""
         now, scene = self.ctx.driver.now, self.ctx.scene()
         self._since = min(self._since, now)
 
         def use(image: CameraImage) -> None:
             self._since = self.ctx.driver.now
-            if ready:  # the first one of a process comes too late to be true
+            if ready:  # the first picture of a process is too old to use
                 self._use(image, scene)
 
         ready = self.camera.renderer.ready
@@ -245,6 +246,6 @@ class CameraWatch:
 def live_cameras(
     cameras: Sequence[Camera], driver: Driver, scene: PlanningScene, decals: Sequence[Decal]
 ) -> dict[str, LiveCamera]:
-    """By name, with one renderer for all."""
+    """Return the live cameras by name; all share one renderer."""
     renderer = CellRenderer(driver, scene, decals)
     return {camera.name: LiveCamera(camera, driver, scene, decals, renderer) for camera in cameras}

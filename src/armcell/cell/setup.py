@@ -1,4 +1,4 @@
-"""Setting up a cell from a URDF: what the set-up assistant proposes, and the folder it writes."""
+"""The setup assistant: proposes groups, states and link pairs for a URDF; writes a cell."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from armcell.model.setup import (
     UrdfPart,
     defaults,
     described,
+    launch_files,
     merged_urdf,
     package_files,
     srdf_text,
@@ -33,26 +34,29 @@ LIMITS_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A robot as it would be set up: groups, end effectors, states and pairs are in `model`."""
+    """A proposed robot setup.
+
+    `model` has the planning groups, end effectors, named states and link pairs that are not checked.
+    """
 
     model: RobotModel
     pairs: tuple[LinkPair, ...]
     urdf_text: str
-    package: MoveItConfig | None = None  # that it was read from; its files are written as they are
+    package: MoveItConfig | None = None  # the source package; its files are copied unchanged
 
     @property
     def loose_joints(self) -> tuple[str, ...]:
-        """Driven joints that belong to no group."""
+        """The driven joints that belong to no planning group."""
         driven = {n for g in self.model.groups.values() for n in g.joint_names}
         return tuple(n for n in self.model.joint_names if n not in driven)
 
     def without(self, pair: frozenset[str]) -> Proposal:
-        """The same with a pair of links to be checked after all."""
+        """Return the proposal with collision checking of a link pair enabled."""
         disabled = {p: why for p, why in self.model.disabled_collisions.items() if p != pair}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
 
     def disabling(self, pair: frozenset[str]) -> Proposal:
-        """The same with the contact of a pair of links ignored, on the user's word."""
+        """Return the proposal with collision checking of a link pair disabled at the user's request."""
         found = next(p for p in self.pairs if p.links == pair)
         disabled = {**self.model.disabled_collisions, pair: found.reason or "User"}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
@@ -65,14 +69,14 @@ def propose(
     name: str | None = None,
     progress: Callable[[str, int], None] | None = None,
 ) -> Proposal:
-    """Set up one robot, or several as one.
+    """Propose the setup of one robot, or of several robots combined into one model.
 
     Args:
-        parts: URDF or xacro files with prefixes and places.
-        samples: states that decide which pairs of links are checked.
-        progress: told what is being done, and how many samples are.
+        parts: URDF or xacro files with prefixes and poses.
+        samples: number of random states that decide which link pairs are checked for collision.
+        progress: called with the current step and the number of samples done.
     Raises:
-        InputError: a file that is wrong, names that clash, a robot that does not move.
+        InputError: a file is invalid, names clash, or the robot has no movable joint.
     """
     tell = progress or (lambda what, done: None)
     tell("reading", 0)
@@ -87,42 +91,49 @@ def propose(
 
 
 def propose_from_package(folder: Path) -> Proposal:
-    """A cell on an existing MoveIt package: its groups, states, pairs and limits as they are.
+    """Propose a cell for an existing MoveIt package with its groups, states, pairs and limits.
 
     Raises:
-        InputError: a missing file, a name that the robot does not have, a value of the wrong type.
+        InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
     """
     config = MoveItConfig.load(folder)
     return Proposal(find_grippers(config.model), (), config.urdf_text, config)
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
-    """Write MoveIt's package and a cell on it into a folder: all of it or nothing.
+    """Write a MoveIt package and its cell into a folder, atomically: all files or none.
 
+    Args:
+        force: write into a folder that is not empty.
     Raises:
-        InputError: the folder is there and not empty, or cannot be written.
+        InputError: the folder is not empty (without `force`), or cannot be written.
     """
     write_folder(folder, cell_files(proposal, folder.resolve().name), force)
 
 
 def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
-    """The files by their path in the folder."""
+    """Return the text of each file of a MoveIt package and its cell, by relative path."""
     model = proposal.model
     if proposal.package is not None:
         return {**proposal.package.texts(package), "cell.yaml": _cell_yaml(model)}
     urdf, srdf = f"{model.name}.urdf", f"{model.name}.srdf"
+    controllers = defaults.moveit_controllers(model)
     config = {
         "joint_limits.yaml": yaml_text(defaults.joint_limits(model), *LIMITS_NOTE),
         "kinematics.yaml": yaml_text(defaults.kinematics(model)),
         "ompl_planning.yaml": yaml_text(defaults.ompl_planning(model)),
-        "moveit_controllers.yaml": yaml_text(defaults.moveit_controllers(model)),
+        "moveit_controllers.yaml": yaml_text(controllers),
         "pilz_cartesian_limits.yaml": yaml_text(defaults.pilz_cartesian_limits()),
         urdf: proposal.urdf_text,
         srdf: srdf_text(described(model)),
     }
+    names = {"urdf": urdf, "srdf": srdf, **{name.removesuffix(".yaml"): name for name in config}}
+    manager = controllers["moveit_simple_controller_manager"]
+    listed = {name: manager[name] for name in manager["controller_names"]}
     return {
         **{f"config/{name}": text for name, text in config.items()},
         **package_files(package, urdf, srdf),
+        **launch_files(package, model.name, names, listed),
         "robot.yaml": _robot_yaml(model, urdf, srdf),
         "cell.yaml": _cell_yaml(model),
     }
@@ -181,7 +192,7 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """A task that runs in a cell with nothing but the robot: poses that all arms have, else a rest."""
+    """Return a task for a cell without objects: named states that all arms have, else a hold."""
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]

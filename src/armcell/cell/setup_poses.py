@@ -1,4 +1,4 @@
-"""Named states for a robot that has none: home and ready for the arms, open and close for the grippers."""
+"""Generates named states: home and ready for arms, open and close for grippers."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
-TRIED = 400  # random states among which home and ready are looked for
-FLAW = 0.95  # pairs in contact in so many of them are flaws of the meshes, not a reason to refuse a state
-ROOM = 0.01  # [m] from itself that a robot should have: a UR's wrist passes its forearm at 15 to 19 mm
-TURN = np.pi / 2  # [rad] farthest from the middle of a joint's range that "ready" may be
+TRIED = 400  # random states from which home and ready are selected
+FLAW = 0.95  # pairs in contact in this share of the states are mesh flaws and do not count
+ROOM = 0.01  # [m] desired self-clearance: a UR's wrist passes its forearm at 15 to 19 mm
+TURN = np.pi / 2  # [rad] largest offset of "ready" from the middle of a joint's range
 
 
 def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
-    """The model with states "open" and "close" of its grippers, and "home" and "ready" of its arms.
+    """Return the model with named states: open, close (grippers), home and ready (arms).
 
-    Home is the zero state where that keeps clear of itself, else the middle of the joints' ranges, one or
-    two joints a quarter turn away, or the freest of random states. Ready is bent: of random states near the
-    middle of the ranges, with the grippers open, the one from which the tips move best in every direction.
+    Home is the first candidate with enough self-clearance, else the candidate with the largest. Candidates:
+    the zero state, the middle of the joint ranges, the zero state with one or two joints turned by a quarter
+    turn, and random states, nearest to the middle first. Ready is bent: of random states near the middle of
+    the ranges, with open grippers, the one with the highest manipulability and enough self-clearance, else
+    home.
     """
     states = {group: dict(named) for group, named in model.named_states.items()}
     hands = _hands(model)
@@ -49,7 +51,7 @@ def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
 
 
 def _hands(model: RobotModel) -> list[str]:
-    """Groups of grippers that move."""
+    """Return the names of the groups that are grippers with joints."""
     hands = {e.group for e in model.end_effectors.values()}
     chains = any(g.tip_link for g in model.groups.values())
     return [g.name for g in model.groups.values() if g.joint_names and (g.name in hands or not chains)]
@@ -61,7 +63,10 @@ def _checker(model: RobotModel) -> ExactChecker:
 
 
 def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
-    """The two ends of the joints' ranges; open is the one where the moving links are farther apart."""
+    """Return the states "open" and "close" of a gripper: the two ends of its joint ranges.
+
+    Open is the end with the larger mean gap between the moving links. Empty if a joint has no limits.
+    """
     names = model.groups[group].joint_names
     checker = _checker(model)
     moving = [n for n in model.groups[group].link_names if _moves(model, n, names)]
@@ -71,7 +76,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
     limits = [model.joints[n].limits for n in names]
     ends = [np.array([v.lower for v in limits]), np.array([v.upper for v in limits])]
     if not all(np.all(np.isfinite(end)) for end in ends):
-        return {}  # a gripper that turns without end has no ends
+        return {}  # a continuous joint has no end positions
     spread = []
     for end in ends:
         q = model.neutral()
@@ -82,7 +87,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
             for a in moving for b in others if rigid[a] != rigid[b]
             for i in solids[a] for j in solids[b]
         ]  # fmt: skip
-        # Meshes at both ends may touch somewhere: what counts is how far the fingers are apart on the whole.
+        # Meshes may touch somewhere at both ends, so compare the mean gap between the fingers.
         spread.append((min(gaps, default=0.0), float(np.mean(gaps)) if gaps else 0.0))
     wide = ends[1] if spread[1][1] >= spread[0][1] else ends[0]
     narrow = ends[0] if wide is ends[1] else ends[1]
@@ -93,7 +98,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Whether a link hangs below one of some joints (or one that mimics it)."""
+    """Return whether a link moves with one of the given joints or with a joint that mimics one."""
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -103,7 +108,7 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
     rng = np.random.default_rng(seed)
     columns = model.columns([n for n in model.joint_names if n in joints])
     rest = model.default_positions()  # grippers open
-    # One turn at most: a joint that can turn twice is at home in the middle.
+    # Limit ranges to one turn, so that the home of a joint with two turns is near its middle.
     low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
     middle = (low + high) / 2
     half = np.minimum((high - low) / 2, TURN)
@@ -136,7 +141,7 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
 
 def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
-    """The zero state with one joint, then with two joints, a quarter turn to either side."""
+    """Yield the zero state with one or two joints turned by a quarter turn, within the limits."""
     for count in (1, 2):
         for some in combinations(columns, count):
             for turns in product((-np.pi / 2, np.pi / 2), repeat=count):
@@ -147,15 +152,15 @@ def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> 
 
 
 class _Judge:
-    """Whether a state is free, and how far apart what could touch is."""
+    """Evaluates states of a robot: whether they are collision-free, and their self-clearance."""
 
     def __init__(self, model: RobotModel, samples: Array):
         checker = _checker(model)
         counts: Counter[frozenset[str]] = Counter()
         for q in samples:
             counts.update({frozenset((c.body_a, c.body_b)) for c in checker.contacts(q)})
-        # Contact in nearly all states is a flaw of the meshes and no reason to refuse one; pairs that never
-        # touch may be close to each other in every state.
+        # Contact in nearly all states is a mesh flaw and no reason to reject a state. Pairs that never
+        # touch do not count as clearance: they may be close to each other in every state.
         flaws = [pair for pair, n in counts.items() if n >= FLAW * len(samples)]
         self.checker = self._ignoring(checker, flaws)
         bodies = [n for n, link in model.links.items() if link.collisions]
@@ -171,7 +176,10 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Distance [m] of the nearest pair that can touch; negative where any does."""
+        """Return the distance [m] of the nearest link pair that can touch; negative in a collision.
+
+        At most 1 m is measured.
+        """
         if not self.is_free(q):
             return -1.0
         near = self.measured.nearest(q, cutoff=1.0)
@@ -179,7 +187,7 @@ class _Judge:
 
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
-    """The least of the groups' manipulability measures, sqrt(det(J J^T)) (Yoshikawa 1985)."""
+    """Return the least manipulability of the groups, sqrt(det(J J^T)) (Yoshikawa 1985)."""
     tree = kinematic_tree(model)
     values = [1.0]
     for group in groups:

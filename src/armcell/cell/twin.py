@@ -1,4 +1,4 @@
-"""A cell's twin: the guard of its real arms, and learning what is normal between an arm and its twin."""
+"""The simulated twin of a cell's real arms: learn normal deviations, and guard the arms."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DECIDING = ("robot", "physics", "real")
-"""Parts of a cell that the bands hang on: model, gains, and how the arms are driven."""
-HOME_SPEED = 0.1  # of the limits: the loop that comes first
-SPEEDS = (0.2, 0.4, 0.6)  # of the limits, by turns
-REACH = 0.7  # [rad] by which goals are from the home position, at most
-TRIES = 30  # goals looked at until one is free
+"""Parts of a cell that influence the thresholds: model, gains and drive settings."""
+HOME_SPEED = 0.1  # of the limits, for the first loop
+SPEEDS = (0.2, 0.4, 0.6)  # of the limits, in turn
+REACH = 0.7  # [rad] largest offset of a goal from the home position, per joint
+TRIES = 30  # random goals tried per motion
 
 
 def bands_file(cell: Cell) -> Path:
-    """Where a cell's bands are: beside its file."""
+    """Return the path of a cell's twin thresholds file, in the folder of the cell file."""
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 
 
@@ -42,10 +42,12 @@ def twin_identity(cell: Cell) -> dict[str, str]:
 
 
 def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
-    """The guard of a cell's arms. It compares only with `watch`, and where bands were learned; else says so.
+    """Return the guard that compares a cell's real arms with their twin.
+
+    It compares only with `watch` and if thresholds were learned; with `watch` alone it logs a hint.
 
     Raises:
-        InputError: the bands were learned on something else; says on what.
+        InputError: the cell has changed since the thresholds were learned; the error names the changed parts.
     """
     file, bands = bands_file(cell), None
     if watch and file.is_file():
@@ -65,15 +67,16 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
 def learn_bands(
     cell: Cell, motions: int = 12, seed: int = 0, tell: Callable[[str], None] = lambda text: None
 ) -> TwinBands:
-    """Move every arm about, at first slowly, and learn how far from its twin it is when nothing is wrong.
+    """Move every real arm and learn its normal deviation from its simulated twin.
 
-    Free motions near the home position, planned in the cell's scene and each rehearsed; nothing is gripped.
+    Each arm first moves in a slow loop, then to random goals near home. All motions are planned in the cell's
+    scene and dry-run in simulation first; nothing is gripped.
 
     Args:
-        motions: per arm, after the slow loop.
-        tell: gets a line per motion.
+        motions: number of motions per arm after the slow loop.
+        tell: receives one line per motion.
     Raises:
-        InputError: a motion failed, or no goal is free.
+        InputError: the arms have no twin, a motion failed, or no reachable goal was found.
     """
     rng = np.random.default_rng(seed)
     with cell.connect("real", seed, watch=False) as live:
@@ -119,7 +122,7 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """A goal that cannot be planned to."""
+    """Raised if no motion to a goal can be planned, or if the twin rejects the motion."""
 
 
 def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[[str], None]) -> None:

@@ -1,4 +1,4 @@
-"""Values of a cell changed by their path: `objects.cube.mass`, `physics.arm_kp`, `objects.wall.pose.x`."""
+"""Changes values of a cell by path, e.g. `objects.cube.mass` or `physics.arm_kp`."""
 
 from __future__ import annotations
 
@@ -16,30 +16,31 @@ from armcell.cell.schema import CellSpec, DisturbanceSpec, NoiseSpec, validated
 from armcell.core import InputError, UnknownNameError
 from armcell.model.files import yaml_value
 from armcell.sim import PhysicsSettings
+from armcell.sim.gain_files import gain_values
 from armcell.tasks import TaskSettings
 
 COMPONENTS = {"x": 0, "y": 1, "z": 2, "roll": 3, "pitch": 4, "yaw": 5}
-"""Names for the numbers of a pose that is a list."""
+"""Index of each named component in a pose given as a list."""
 OPEN_BLOCKS = (
     "settings",
     "physics",
     "start",
     "randomize",
     "disturbances",
-)  # whose keys a cell file need not name
+)  # blocks whose keys may be absent from the cell file
 BLOCKS = {"settings": TaskSettings, "physics": PhysicsSettings}
-NOISES = ("none", "stereo")  # a camera's noise by name
+NOISES = ("none", "stereo")  # named noise models of a camera
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
-    """The cell with other values; what they may be is checked as in the file.
+    """Return a cell with changed values, validated like the cell file.
 
     Args:
-        values: by path: the keys of the cell file joined by dots; x, y, z, roll, pitch, yaw or a number
-            for an entry of a list.
+        values: new values by path. A path joins the keys of the cell file with dots; x, y, z, roll, pitch,
+            yaw or an index selects an entry of a list.
     Raises:
-        UnknownNameError: a path that the cell does not have; lists what is near.
-        InputError: a value that may not stand there.
+        UnknownNameError: the cell has no such path; the error lists similar paths.
+        InputError: a value is not valid at its path.
     """
     if not values:
         return cell
@@ -48,15 +49,29 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
         _put(data, path, value)
         _no_longer_drawn(data, path, value)
     spec = validated(data, cell.file)
-    same = spec.robot == cell.spec.robot  # then what was worked out for the model is used again
+    same = spec.robot == cell.spec.robot  # keeps the model, and with it all cached data
     return Cell(cell.name, cell.file, spec, cell.model if same else None, cell.allow_env)
 
 
+def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
+    """Return the values that replace the joint gains of a cell by a gain set or gain file.
+
+    The values contain the gains themselves, so a record of the run does not depend on the file.
+
+    Args:
+        gains: name of a gain set, or a file, see `sim.gain_files`; None gives no values.
+    """
+    if gains is None:
+        return {}
+    values = {"gains": None, "joint_gains": {}, **gain_values(gains, cell.model)}
+    return {f"physics.{key}": value for key, value in values.items()}
+
+
 def parsed(setting: str) -> tuple[str, Any]:
-    """`PATH=VALUE` as path and value, the latter as YAML reads it.
+    """Split `PATH=VALUE` into the path and the value, parsed as YAML.
 
     Raises:
-        InputError: no '=' in it, or a value that is no YAML.
+        InputError: the text has no '=', or the value is not valid YAML.
     """
     path, equals, text = setting.partition("=")
     if not equals or not path.strip():
@@ -68,7 +83,7 @@ def parsed(setting: str) -> tuple[str, Any]:
 
 
 def place_of(path: str) -> tuple[str, ...]:
-    """The path's parts, the same for two ways to write one place (`pose.x` and `pose.0`)."""
+    """Return the parts of a path in normal form: `pose.x` and `pose.0` give the same parts."""
     return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
 
 
@@ -87,7 +102,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
             at[part] = list(at[part])
         at = at[part]
     if isinstance(at, list):
-        at[_index(at, last, path)] = copy.deepcopy(value)  # the next path may be within it
+        at[_index(at, last, path)] = copy.deepcopy(value)  # a later path may change a part of the value
     elif isinstance(at, dict) and (above or last in CellSpec.model_fields):
         at[last] = copy.deepcopy(value)
     else:
@@ -95,7 +110,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """What a path leads into, where the file has a name for it or leaves it to its default."""
+    """Expand named or default values that a path leads into, so that a part of them can change."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)
@@ -114,17 +129,22 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """What stands under keys, made where there is nothing; an empty one where no table may be."""
+    """Return the mapping under nested keys; create missing mappings.
+
+    If a key holds another type, return an empty mapping.
+    """
     for key in keys:
         data = data.setdefault(key, {}) if isinstance(data, dict) else {}
     return data if isinstance(data, dict) else {}
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """A value that is given is not drawn; the other draws of a seed stay as they are."""
+    """Fix the random draw of a value that is now given; the other draws of a seed do not change."""
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})
-    if block == "objects" and not any(more) and drawn.get(key) is not None:
+    if isinstance(value, Mapping):  # the draw replaces the static friction
+        value = value.get("static")
+    if block == "objects" and "".join(more) in ("", "static") and drawn.get(key) is not None:
         drawn[key] = (value, value)
 
 
@@ -134,7 +154,7 @@ def _may_be_added(parts: list[str]) -> bool:
 
 def _index(at: list[Any], part: str, path: str) -> int:
     index = COMPONENTS.get(part, int(part) if part.isdecimal() else -1)
-    if part in COMPONENTS and index >= len(at) == 3:  # [x, y, z] has no rotation yet
+    if part in COMPONENTS and index >= len(at) == 3:  # extend [x, y, z] by a rotation
         at += [0.0, 0.0, 0.0]
     if not 0 <= index < len(at):
         names = [name for name, i in COMPONENTS.items() if i < len(at)]
@@ -143,8 +163,9 @@ def _index(at: list[Any], part: str, path: str) -> int:
 
 
 def _known(data: dict[str, Any]) -> Iterator[str]:
-    """Paths that may be given: those of the file, and what has a default in blocks that it may not name."""
+    """Yield all valid paths: those of the cell file and those with a default."""
     yield from _paths(data)
+    yield "physics.gains"
     for block, settings in BLOCKS.items():
         for field in fields(settings):
             yield f"{block}.{field.name}"
@@ -157,7 +178,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Every path that a tree of dicts has."""
+    """Yield the dotted path of every key in nested dicts."""
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

@@ -1,4 +1,4 @@
-"""Versions of what decides a run."""
+"""Versions of Python and of the packages that influence the result of a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides a run."""
+    """Return the versions of Python and of the packages that influence the result of a run."""
     return {"python": platform.python_version(), **{name: _installed(name) for name in REPORTED_PACKAGES}}
 
 

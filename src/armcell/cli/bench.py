@@ -1,4 +1,4 @@
-"""`armcell bench`: what armcell measures of itself. Each command is in a file of its own."""
+"""`armcell bench`: benchmarks of armcell. Each benchmark has its own file."""
 
 from __future__ import annotations
 
@@ -16,4 +16,4 @@ app.command("timing")(bench_timing.timing)
 
 @app.callback()
 def _group() -> None:
-    """Measure armcell."""
+    """Run benchmarks of armcell."""

@@ -1,4 +1,4 @@
-"""`armcell bench dual`: two UR10 with grippers across a table, each holding an object, planned as one."""
+"""`armcell bench dual`: plan two UR10 arms at a table as one group; each holds an object."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SIDES = {"left_": 0.75, "right_": -0.75}  # y [m] of the two bases
 BASE_HEIGHT = 0.8  # [m]
 TABLE = (0.8, 0.7, 0.05)  # [m]
 TABLE_HEIGHT = 0.9  # [m]
-HELD = (0.06, 0.06, 0.16)  # [m] the object in each gripper
-CLEARANCE = 0.005  # [m] around starts and goals, as the built-in cells keep
-OPENING = 0.03  # [m] of each finger: half of what it holds
+HELD = (0.06, 0.06, 0.16)  # [m] size of the object in each gripper
+CLEARANCE = 0.005  # [m] clearance of starts and goals, as in the built-in cells
+OPENING = 0.03  # [m] travel of each finger: half the width of the held object
 
 
 def dual(
@@ -33,7 +33,7 @@ def dual(
 ) -> int:
     """Plan two UR10 as one group of 12 joints; each gripper holds a box.
 
-    Starts and goals are random postures with at least 5 mm around them.
+    Starts and goals are random postures with at least 5 mm clearance.
 
     Exit status 1 if a problem was not solved.
     """
@@ -50,8 +50,8 @@ def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask
 
     scene = dual_scene()
     names = tuple(n for side in SIDES for n in scene.model.group(f"{side}arm").joint_names)
-    # Their limits are two turns, one reaches every posture. The upper arm stays above its shoulder: from
-    # below it, behind the pedestal, there is no way out.
+    # The joint limits are two turns; one turn reaches every posture. The upper arm stays above its
+    # shoulder: postures below it, behind the pedestal, have no collision-free exit.
     upper = np.array([0.0 if "shoulder_lift" in name else np.pi for name in names])
     lower = np.full(len(names), -np.pi)
     judge, rng = ExactChecker(scene, names), np.random.default_rng(seed)
@@ -79,7 +79,7 @@ def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask
 
 
 def dual_scene():
-    """The two arms on their pedestals, a table with two boxes between them, a box in each gripper."""
+    """Return the scene: two UR10 on pedestals, two boxes on a table, a box in each gripper."""
     from armcell.model import load_robot
     from armcell.model.compose import Part, compose
     from armcell.scene import CollisionObject, PlanningScene

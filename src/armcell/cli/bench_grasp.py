@@ -1,4 +1,4 @@
-"""`armcell bench grasp`: any object picked, lifted, held and placed in physics."""
+"""`armcell bench grasp`: pick, lift, hold and place objects in physics."""
 
 from __future__ import annotations
 
@@ -47,14 +47,15 @@ def grasp(
         None, "--json", metavar="OUT", help="A summary and a row per object."
     ),
 ) -> int:
-    """Pick, lift by 20 cm, hold for 5 s and place within 1 cm, by friction only, one object after the other.
+    """Pick, lift by 20 cm, hold for 5 s and place objects within 1 cm, by friction only.
 
-    Each object lies on a table as physics leaves it. Objects of files are scaled down where their narrowest
-    side takes more than 75 % of the gripper's opening; what cannot be gripped nevertheless is counted apart.
-    "Success" is the first attempt; where that fails, three attempts are allowed once more ("with recovery").
-    P is the share of successes in trials of the hand alone with noise. It is judged by whole robots that
-    pick, with grasps drawn at random, objects whose pose, friction and mass differ from what is believed:
-    its Brier score (0 is best) beside those of a curve fitted to epsilon and of the plain share of successes.
+    Each object starts at rest on a table. An object from a file is scaled down if its narrowest side takes
+    more than 75 % of the gripper's opening; objects that still cannot be gripped are counted separately.
+    "Success" is the first attempt; if it fails, a second run allows three attempts ("with recovery").
+    P is the predicted success: the share of successes in trials of the hand alone with noise. To validate P,
+    whole robots pick with randomly drawn grasps; pose, friction and mass of the object differ from the
+    believed ones. The table compares the Brier score of P (0 is best) with those of a curve fitted to epsilon
+    and of the plain share of successes.
     Exit status 1 if less than 95 % of the graspable objects succeed at the first attempt, or less than 99 %
     with recovery.
     """
@@ -81,7 +82,7 @@ def grasp(
         todo, "picking", console=errors, disable=not errors.is_terminal, transient=True
     ):
         rows.append(bench.run(name, item, shrunk))
-        save(None)  # what was done is there if the rest is not waited for
+        save(None)  # keep the finished rows if the run is interrupted
     found = summary(rows, recover)
     _show(rows, found)
     save(found)

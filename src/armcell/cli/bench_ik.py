@@ -1,4 +1,4 @@
-"""`armcell bench ik`: inverse kinematics on random reachable poses."""
+"""`armcell bench ik`: solve inverse kinematics for random reachable poses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from armcell.kinematics import IKSolver
     from armcell.model import RobotModel
 
-REPEATS = 3  # calls per pose; the fastest counts
+REPEATS = 3  # calls per pose; the fastest call counts
 EXAMPLES = """
 Examples:
 
@@ -49,12 +49,12 @@ def ik(
 ) -> int:
     """Solve inverse kinematics for random reachable poses: success, time, solutions, error.
 
-    Poses are those of random joint positions within limits, so each has a solution. Times are CPU time of one
-    thread in microseconds, the fastest of three calls: "compiled" finds all branches (analytic) or one
-    solution (numeric) in machine code, "call" is the Python call `solve`, which gives the solution nearest to
-    the robot's default positions. "Solutions" are those within limits, whole turns not counted, for a
-    redundant arm as many as it streams. Errors are of all solutions, by forward kinematics. Exit status 1 if
-    a pose was not solved.
+    The poses come from random joint positions within limits, so each pose has a solution. Times are CPU time
+    of one thread in microseconds, the fastest of three calls: "compiled" finds all branches (analytic) or one
+    solution (numeric) in machine code, "call" is the Python call `solve`, which returns the solution nearest
+    to the robot's default positions. "Solutions" counts the solutions within limits without whole turns; for
+    a redundant arm, it counts the streamed solutions. Errors are those of all solutions, by forward
+    kinematics. Exit status 1 if a pose was not solved.
     """
     if json_file is not None:
         check_writable(json_file)
@@ -91,7 +91,7 @@ def _solver(robot: str, group: str | None, tip: str | None, numeric: bool) -> IK
 
 
 def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
-    """The model with a group of all joints that move a link, and the group's name."""
+    """Return the model with a new group of all joints that move a link, and the group's name."""
     from armcell.model import Group
 
     model.link(tip)
@@ -105,7 +105,7 @@ def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
 
 
 def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray], Any]:
-    """The compiled part alone, as a function of T_root_tip (4, 4)."""
+    """Return the compiled IK part as a function of T_root_tip (4, 4)."""
     from armcell.kinematics.ik.chain import goal_in_base
     from armcell.kinematics.ik.search import any_solution
     from armcell.kinematics.ik.ur import BRANCHES, ur_branches
@@ -136,7 +136,7 @@ def _rows(solver: IKSolver, count: int, seed: int) -> Iterator[dict[str, Any]]:
     endless_low, endless_high = sampling_range(solver.prepared.chain)
     low, high = np.where(np.isfinite(low), low, endless_low), np.where(np.isfinite(high), high, endless_high)
     compiled = _compiled(solver, reference)
-    for index in range(-1, count):  # the first one compiles and is not counted
+    for index in range(-1, count):  # the first call compiles and does not count
         q = reference.copy()
         q[solver.columns] = rng.uniform(low, high)
         target = solver.tree.link_pose(q, solver.tip_link)

@@ -1,4 +1,4 @@
-"""`armcell bench mbm`: the planner on MotionBenchMaker's problems."""
+"""`armcell bench mbm`: plan the problems of MotionBenchMaker."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def mbm(
     """Plan MotionBenchMaker's problems: search, shorten, prove, time.
 
     Times are CPU time of one thread in microseconds. The native planner proves
-    every edge as it shortens: its certify_us is 0, simplify_us has it all. A problem
-    whose start or goal touches something by the exact checker is left out and counted apart. Exit
-    status 1 if one of the others was not solved.
+    every edge while it shortens the path: its certify_us is 0, and its simplify_us includes the proof. A
+    problem whose start or goal is in contact (exact checker) is skipped and counted separately. Exit
+    status 1 if one of the other problems was not solved.
     """
     for file in (paths, json_file):
         if file is not None:
             check_writable(file)
-    bench_plans.planner(planner)  # an unknown one is said before anything is read
+    bench_plans.planner(planner)  # report an unknown planner before reading the file
     data = read_problems(problems)
     from armcell.model import load_robot
 
@@ -51,10 +51,10 @@ def mbm(
 
 
 def read_problems(file: Path) -> dict[str, Any]:
-    """The problems of a file, checked for what is read of them here.
+    """Return the problems of a MotionBenchMaker file, with the keys that this benchmark uses.
 
     Raises:
-        InputError: not such a file.
+        InputError: the file cannot be read as problems.
     """
     try:
         raw = file.read_bytes()
@@ -65,12 +65,13 @@ def read_problems(file: Path) -> dict[str, Any]:
 
 
 def find_robot(robot: str, problems: Path) -> str | Path:
-    """What `load_robot` is to load: a folder's URDF, or the name of a library robot.
+    """Return the URDF file, folder or library name of the robot, for `load_robot`.
 
-    A name is looked for in `robots/` beside the problems first: those are the robots they are for.
+    The folder `robots/` beside the problems has priority, because it contains the robots of the problems.
 
     Raises:
-        InputError: a folder without robot.yaml and with no URDF or several, none named like the folder.
+        InputError: a folder has no robot.yaml, and either no URDF, or several URDFs of which none has the
+            folder's name.
     """
     beside = problems.parent / "robots" / robot
     path = Path(robot)
@@ -88,7 +89,7 @@ def find_robot(robot: str, problems: Path) -> str | Path:
 
 
 def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[bench_plans.PlanTask]:
-    from armcell.planning.problem import sampling_bounds
+    from armcell.planning import sampling_bounds
 
     names = tuple(data["joints"])
     for family, some in data["families"].items():
@@ -105,14 +106,14 @@ def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[benc
 
 
 def scene_of(model, fixed: dict[str, float], problem: dict[str, Any]):
-    """A problem's obstacles around the robot, its other joints where the problems fix them."""
+    """Return the planning scene of a problem: the robot, its fixed joints and the obstacles."""
     from armcell.scene import CollisionObject, PlanningScene
 
     q = model.neutral()
     for name, value in fixed.items():
         if name in model.joint_names:
             q[model.columns((name,))[0]] = value
-    scene = PlanningScene(model, q)  # not `of`: MBM's Panda opens its fingers beyond their limits
+    scene = PlanningScene(model, q)  # not `of`: the fingers of MBM's Panda are beyond their limits
     for i, o in enumerate(problem["obstacles"]):
         shape = SHAPES[o["type"]](o)
         pose = SE3.from_quat_xyzw(o["position"], o["quat_xyzw"])

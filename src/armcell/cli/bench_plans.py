@@ -1,7 +1,7 @@
-"""What the planning benchmarks share: one problem planned and timed, the rows, the table.
+"""Common parts of the planning benchmarks: planning, timing, result rows and table.
 
-Times are CPU time of one thread. A problem whose start or goal touches something by the exact checker has
-no solution: its row says so (`touching`), has no times, and is counted apart.
+Times are CPU time of one thread. A problem whose start or goal is in contact (exact checker) has no solution:
+its row has the contacts (`touching`) and no times, and is counted separately.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from armcell.cli.console import console, errors, write_json
 
 if TYPE_CHECKING:
     from armcell.collision.kernel.checker import KernelChecker
-    from armcell.planning.native.planner import NativeAnswer
+    from armcell.planning.planners import NativeResult
     from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
-Plan = Callable[["KernelChecker", Array, Array, Array, Array, float], "NativeAnswer"]
+Plan = Callable[["KernelChecker", Array, Array, Array, Array, float], "NativeResult"]
 
-ROUNDS = 5  # how often a path that cannot be proven is planned anew, as in the pipeline
-TIMING_LIMITS = (2.0, 5.0)  # [rad/s], [rad/s^2] for every joint: the problems name none
-MAX_LINES = 20  # of problems that were not solved
+ROUNDS = 5  # attempts to plan a path that can be proven, as in the pipeline
+TIMING_LIMITS = (2.0, 5.0)  # [rad/s], [rad/s^2] for every joint: the problems have no limits
+MAX_LINES = 20  # printed lines of unsolved problems
 
 
 @dataclass(frozen=True, eq=False)
 class PlanTask:
-    """One problem: (dof,) start and (g, dof) goals of the named joints in a scene."""
+    """A planning problem: a (dof,) start and (g, dof) goals of the named joints in a scene."""
 
     family: str
     index: int
@@ -46,19 +46,23 @@ class PlanTask:
     joint_names: tuple[str, ...]
     start: Array
     goals: Array
-    lower: Array  # (dof,) where to sample
+    lower: Array  # (dof,) sampling bounds
     upper: Array
-    arms: tuple[str, ...] = ()  # groups that are to keep apart
-    apart: float = 0.0  # [m] as far as start and goals allow
+    arms: tuple[str, ...] = ()  # groups that must keep a distance from each other
+    apart: float = 0.0  # [m] that distance, if the start and goals allow it
 
 
 def run(
     tasks: Iterable[PlanTask], total: int, planner_id: str, repeat: int, seconds: float
 ) -> Iterator[tuple[Row, Array | None]]:
-    """Each task's row and waypoints; the fastest of `repeat` runs of at most `seconds` counts."""
+    """Yield the row and the waypoints of each task, from the fastest of up to `repeat` runs.
+
+    Args:
+        total: number of tasks, for the progress bar.
+        seconds: time limit of one run [s].
+    """
     from armcell.collision.kernel.checker import KernelChecker
-    from armcell.planning import warm_up
-    from armcell.planning.apart import room_between
+    from armcell.planning import achievable_arm_clearance, warm_up
 
     plan = planner(planner_id)
     warm_up()
@@ -69,9 +73,11 @@ def run(
             yield {**_row(task), "touching": words}, None
             continue
         goals, best = task.goals, None
-        room = room_between(task.scene, task.arms, checker, task.start, tuple(goals), task.apart)
-        if room is not None:
-            checker, goals = room.kept_by(checker), np.vstack(room.goals)
+        arm_clearance = achievable_arm_clearance(
+            task.scene, task.arms, checker, task.start, tuple(goals), task.apart
+        )
+        if arm_clearance is not None:
+            checker, goals = arm_clearance.apply_to(checker), np.vstack(arm_clearance.goals)
         for _ in range(repeat):
             answer = plan(checker, task.start, goals, task.lower, task.upper, seconds)
             if best is None or _total(answer) < _total(best):
@@ -83,7 +89,7 @@ def run(
 
 
 def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
-    """What the start, or every goal, touches by the exact checker; empty if nothing."""
+    """Return the contacts of the start, or of the goals if all are in contact; else empty."""
 
     def contacts(q: Array) -> str:
         if checker.exact.is_free(q):
@@ -97,10 +103,12 @@ def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
 
 
 def planner(planner_id: str) -> Plan:
-    """`native`, or PIPELINE/PLANNER as in a planning request; the latter without its raw path's proof.
+    """Return the planner function for `native` or a PIPELINE/PLANNER id.
+
+    Pipelines other than `native` run without the proof of their raw path.
 
     Raises:
-        UnknownNameError: no such pipeline or planner.
+        UnknownNameError: the pipeline or planner does not exist.
     """
     from armcell.planning import find_planner, pipelines
 
@@ -114,7 +122,7 @@ def planner(planner_id: str) -> Plan:
 
 
 def _native() -> Plan:
-    from armcell.planning.native.planner import NativePlanner
+    from armcell.planning.planners import NativePlanner
 
     kept: list[NativePlanner] = []
 
@@ -135,12 +143,11 @@ def _native() -> Plan:
 
 def _of_pipeline(function) -> Plan:
     from armcell.planning import Problem
-    from armcell.planning.native.planner import NativeAnswer
-    from armcell.planning.simplify import simplify
+    from armcell.planning.planners import NativeResult, simplify
 
     def plan(checker, start, goals, lower, upper, seconds):
         deadline = time.monotonic() + seconds
-        spent = np.zeros(3)  # planning, shortening, proving [s]
+        spent = np.zeros(3)  # times [s]: planning, shortening, proving
         for round_ in range(ROUNDS):
             problem = Problem(checker, start, tuple(goals), lower, upper, round_, deadline)
             times = [time.thread_time()]
@@ -159,18 +166,18 @@ def _of_pipeline(function) -> Plan:
             if not proven:
                 continue
             plan_s, simplify_s, certify_s = spent.tolist()
-            return NativeAnswer(waypoints, raw, plan_s, simplify_s, certify_s)
+            return NativeResult(waypoints, raw, plan_s, simplify_s, certify_s)
         plan_s, simplify_s, certify_s = spent.tolist()
-        return NativeAnswer(None, None, plan_s, simplify_s, certify_s)
+        return NativeResult(None, None, plan_s, simplify_s, certify_s)
 
     return plan
 
 
-def _total(answer: NativeAnswer) -> float:
+def _total(answer: NativeResult) -> float:
     return answer.plan_s + answer.simplify_s + answer.certify_s
 
 
-def _row(task: PlanTask, answer: NativeAnswer | None = None) -> Row:
+def _row(task: PlanTask, answer: NativeResult | None = None) -> Row:
     row: Row = {
         "family": task.family,
         "index": task.index,
@@ -193,7 +200,7 @@ def _row(task: PlanTask, answer: NativeAnswer | None = None) -> Row:
 
 
 def path_length(waypoints) -> float:
-    """[rad], the sum of the edges' norms in joint space."""
+    """Return the length of a path [rad]: the sum of the edge norms in joint space."""
     return float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
 
 
@@ -209,7 +216,7 @@ def _timing_us(waypoints: Array, names: tuple[str, ...]) -> float:
 def finish(
     found: Iterable[tuple[Row, Array | None]], json_file: Path | None, paths_file: Path | None = None
 ) -> int:
-    """Show the rows, write them and the waypoints; 1 if a problem that has a solution was not solved."""
+    """Show the rows and write the files; return 1 if a solvable problem was not solved, else 0."""
     rows: list[Row] = []
     paths: dict[str, dict[int, list]] = {}
     for row, waypoints in found:

@@ -1,4 +1,4 @@
-"""`armcell bench timing`: how fast, how good and how safe the time parameterisation is."""
+"""`armcell bench timing`: speed, result and limit violations of time parameterization."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from armcell.core import InputError, JointTrajectory, MissingExtraError
 
 Array = NDArray[np.float64]
 
-PEER_POINTS = 500  # grid points that toppra gets
-REPEAT = 3  # runs per path; the fastest counts
-FINE = 1e-3  # [s] between the times at which limits are looked at
+PEER_POINTS = 500  # grid points for toppra
+REPEAT = 3  # runs per path; the fastest run counts
+FINE = 1e-3  # [s] sampling period of the limit check
 
 
 def timing(
@@ -44,14 +44,15 @@ def timing(
         None, "--json", metavar="OUT", help="Write one row per path as JSON."
     ),
 ) -> int:
-    """Time random paths: microseconds, durations against toppra's, and whether every limit is kept.
+    """Time random paths: CPU time, durations compared with toppra, and limit violations.
 
     A path is a random walk of the group's joints with rounded corners. `us` is CPU time of one thread from
     waypoints to trajectory (compiled code, best of three). `of limit` is the largest velocity, acceleration
-    or torque met along the interpolated trajectory, looked at every millisecond; 1.000 is the limit itself.
+    or torque along the interpolated trajectory, sampled every millisecond; 1.000 is the limit itself.
 
-    With --peer, toppra gets the very same curve and limits. `/ toppra` compares durations; `unsmoothed`
-    leaves out the window of the moving average that rounds armcell's accelerations; toppra's stay sharp.
+    With --peer, toppra gets the same curve and limits. `/ toppra` is the ratio of the durations; `unsmoothed`
+    is the ratio without the window of the moving average that smooths armcell's accelerations (toppra does
+    not smooth).
 
     Example: armcell bench timing --robot panda --peer --json timing.json
 
@@ -113,7 +114,7 @@ def _rows(robot: str, group: str, waypoints: int, count: int, step: float, devia
         }
         if reference is not None:
             row["peer_us"], row["peer_duration_s"] = _cpu(lambda path=path: reference(path))
-            other = row["peer_duration_s"]  # None where toppra gave up
+            other = row["peer_duration_s"]  # None if toppra failed
             row["of_peer"] = trajectory.duration / other if other else None
             row["unsmoothed_of_peer"] = (trajectory.duration - window) / other if other else None
         rows.append(row)
@@ -121,7 +122,7 @@ def _rows(robot: str, group: str, waypoints: int, count: int, step: float, devia
 
 
 def _cpu(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Least CPU time of this thread [us], and the result."""
+    """Return the least CPU time of this thread [us] over several calls, and the last result."""
     best, result = np.inf, None
     for _ in range(REPEAT):
         began = time.thread_time()
@@ -132,7 +133,7 @@ def _cpu(function: Callable[[], Any]) -> tuple[float, Any]:
 
 def _met(trajectory: JointTrajectory, velocity: Array, acceleration: Array, jerk: Array | None,
          dynamics: Any) -> dict[str, float]:  # fmt: skip
-    """Largest share of each limit along the interpolated motion."""
+    """Return the largest share of each limit that an interpolated trajectory uses."""
     from scipy.interpolate import BPoly
 
     t = trajectory
@@ -152,7 +153,10 @@ def _met(trajectory: JointTrajectory, velocity: Array, acceleration: Array, jerk
 
 
 def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[Any], float | None]:
-    """A function that gives toppra's duration [s] for a `BlendedPath`, None where it finds none."""
+    """Return a function that computes toppra's duration [s] of a `BlendedPath`.
+
+    The function returns None if toppra fails.
+    """
     try:
         import toppra
         from toppra import algorithm, constraint
@@ -162,7 +166,7 @@ def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[An
     toppra.setup_logging("ERROR")
 
     class Curve(AbstractGeometricPath):
-        """A BlendedPath as toppra sees paths."""
+        """A toppra geometric path that evaluates a `BlendedPath`."""
 
         def __init__(self, path: Any):
             self.path = path

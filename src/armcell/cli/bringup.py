@@ -1,4 +1,4 @@
-"""`armcell bringup`: from the first ping to the first slow motion of real arms."""
+"""`armcell bringup`: guided bring-up of real arms, from network test to first motions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def bringup(
         Path("bringup.json"), metavar="FILE", help="Where every step is written down."
     ),
 ) -> int:
-    """Bring up a cell's real arms step by step; each is explained and asks before it acts.
+    """Bring up a cell's real arms step by step; each step is explained and asks before it acts.
 
-    Network, identity, power, geometry; then, at 5 % speed, single joints, a 10 cm line against its preview,
-    one arm while the other stands, all together. Set the pendant's speed slider to 10 % first, and keep a
-    hand on the emergency stop. armcell is not a safety system.
+    Network, identity, power, geometry; then, at 5 % speed: single joints, a 10 cm line compared with its
+    preview while the other arms stand still, and all arms together. Set the pendant's speed slider to 10 %
+    first, and keep a hand on the emergency stop. armcell is not a safety system.
     """
     check_writable(record)
     if not yes and not sys.stdin.isatty():

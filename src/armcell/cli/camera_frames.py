@@ -1,4 +1,4 @@
-"""`armcell run --frames CAMERA`: a simulated camera's pictures in the record."""
+"""`armcell run --frames CAMERA`: record the pictures of a simulated camera."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ RATE = 5.0  # [Hz] of the cell's clock
 
 
 def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) -> list[CameraFrames]:
-    """Observers for what the command line asks for.
+    """Return the observers that record the camera pictures requested on the command line.
 
+    Args:
+        wanted: CAMERA or CAMERA=HZ, each.
     Raises:
-        InputError: no physics to look at, no record to write to, no such rate.
-        UnknownNameError: no such camera.
+        InputError: the run has no physics or no record, or a rate is invalid.
+        UnknownNameError: a camera does not exist.
     """
     if recorder is None or mode != "sim":
         raise InputError("--frames needs physics and a record", cure="mode sim, and no --headless")
@@ -38,7 +40,7 @@ def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) ->
 
 
 class CameraFrames:
-    """Takes a picture of a `LiveCamera` at a rate [Hz] of the cell's clock."""
+    """An observer that records pictures of a `LiveCamera` at a rate [Hz] of the cell's clock."""
 
     def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
         self._driver, self._camera, self._period, self._recorder = driver, camera, 1.0 / rate, recorder
@@ -48,7 +50,7 @@ class CameraFrames:
         if sample.time < self._due - 1e-9:
             return
         self._due = sample.time + self._period
-        if self._driver.is_paced:  # no step waits for a picture
+        if self._driver.is_paced:  # asynchronous: a step must not wait for a picture
             self._camera.ask("frames", self._keep, depth=False)
         else:
             self._keep(self._camera.draw(depth=False))

@@ -1,4 +1,4 @@
-"""`armcell campaign`: run a cell's task many times with everything varied, and say how sure it is."""
+"""`armcell campaign`: run a randomized task many times and estimate its success rate."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def campaign(
     runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON."),
 ) -> int:
-    """Run a cell's task many times in physics, with what can vary varied; say how often it works and why not.
+    """Run a cell's task many times in physics with varied values; report success and failures.
 
-    Every finished trial is kept at once (trials.jsonl): after Ctrl-C or any accident go on with --resume.
+    Every finished trial is saved at once (trials.jsonl): after Ctrl-C or a crash, continue with --resume.
     Writes report.html, report.md and summary.json. Exit status 0 if every trial succeeded, 1 if not.
     """
     if json_file is not None:
@@ -77,7 +77,7 @@ def campaign(
         return _compare(*compare, json_file)
     from armcell import campaigns
 
-    if ray is not None:  # what is wrong with it is said before anything begins
+    if ray is not None:  # report errors before the campaign begins
         from armcell.campaigns.cluster import find_cluster
 
         find_cluster(ray)
@@ -104,11 +104,11 @@ def campaign(
 
 
 def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, Any]:
-    """Run what is missing, with progress; write the report, print and return the summary.
+    """Run the missing trials of a campaign, write the report, print and return the summary.
 
     Args:
-        workers: processes; 0: one per core.
-        ray: the address of a Ray cluster, or "auto".
+        workers: number of processes; 0: one per core.
+        ray: address of a Ray cluster, or "auto".
     """
     from armcell import campaigns
 
@@ -121,7 +121,7 @@ def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, 
             if isinstance(error, KeyboardInterrupt):
                 _interrupts.take_time()
                 errors.print(f"stopped; go on with: armcell campaign --resume {store.folder}", soft_wrap=True)
-            with suppress(InputError):  # as on a full disk: the first error is the one to be told
+            with suppress(InputError):  # e.g. a full disk: report the first error, not this one
                 campaigns.write_report(store, stopped)
             raise
         data = campaigns.summary(store, stopped)
@@ -212,7 +212,7 @@ def _compare(first: Path, second: Path, json_file: Path | None) -> int:
     from armcell.campaigns.gate import changed_parts
     from armcell.campaigns.store import TRIALS, asked
 
-    (before, hashes), (after, now) = asked(first), asked(second)  # what is no campaign's folder is said
+    (before, hashes), (after, now) = asked(first), asked(second)  # reports a folder that contains no campaign
     differ = [f"cell {before.cell} and {after.cell}"] if before.cell != after.cell else []
     differ += changed_parts(hashes, now)
     differ += [

@@ -1,4 +1,4 @@
-"""`armcell check`: is a cell sound? And `armcell cells`: which are built in."""
+"""`armcell check`: check a cell without running it; `armcell cells`: list built-in cells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rich.table import Table
 
 from armcell.cli.console import check_writable, console, write_json
 
-Finding = tuple[bool, str, str]  # sound, what was looked at, what was found
+Finding = tuple[bool, str, str]  # passed, name of the check, result
 
 
 def check(
@@ -19,7 +19,7 @@ def check(
 ) -> int:
     """Check a cell without running it: files, limits, start state, objects, reach.
 
-    Exit status 0 if all is sound, 1 with the cures if not.
+    Exit status 0 if all checks pass, 1 with the cures if not.
     """
     if json_file is not None:
         check_writable(json_file)
@@ -34,10 +34,10 @@ def check(
 
 
 def findings(name: str) -> Iterator[Finding]:
-    """What a cell's files, limits, start, objects and task are found to be."""
+    """Yield the results of the checks of a cell: files, limits, start state, objects and task."""
     from armcell.cell import load
 
-    cell = load(name)  # raises with file, element and cure
+    cell = load(name)  # raises an InputError with file, element and cure
     model, scene = cell.model, cell.scene()
     yield True, "cell file", str(cell.file)
     yield True, "robot", f"{model.name}: {len(model.links)} links, {model.dof} actuated joints"
@@ -136,16 +136,16 @@ def _place(scene, goal) -> Finding:
 
 def _reach(cell, scene, item: str, gripper) -> Finding:
     from armcell.planning import prepare
-    from armcell.tasks import Draft, Planning, search
+    from armcell.tasks import PartialSolution, Planning, search
     from armcell.tasks.stages import ChooseGrasp
 
-    prepare(scene, gripper.arm_group)  # or compiling would use up the search's time
+    prepare(scene, gripper.arm_group)  # otherwise compilation would use up the search time
     planning = Planning(cell.settings)
     stage = ChooseGrasp(item, gripper, cell.settings.near, cell.settings.approach_distance)
-    draft = search([stage], Draft(scene), planning)
-    if draft is None:
+    solution = search([stage], PartialSolution(scene), planning)
+    if solution is None:
         return False, f"pick {item}", planning.rejections.summary()
-    return True, f"pick {item}", f"reachable ({draft.data['candidate']})"
+    return True, f"pick {item}", f"reachable ({solution.data['candidate']})"
 
 
 def cells() -> None:

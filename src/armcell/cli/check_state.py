@@ -1,4 +1,4 @@
-"""`armcell check-state`: is a robot state within limits and free of contact?"""
+"""`armcell check-state`: check a robot state for contacts and joint limits."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def check_state(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Say what a state touches, how deep, what is nearest, and how far each joint is from its limits.
+    """Show a state's contacts, the nearest distance, and each joint's distance to its limits.
 
-    Without --to or --joints it is the cell's start.
+    Without --to or --joints, the state is the cell's start.
 
     Example: armcell check-state panda_pick --joints-deg 'panda_joint2=60'
 
-    Exit status 0 if it is within limits and touches nothing, 1 if not.
+    Exit status 0 if the state is within limits and free of contact, 1 if not.
     """
     goals.checked_json(json_file)
     from armcell.cell import load

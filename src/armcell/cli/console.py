@@ -1,4 +1,4 @@
-"""What the commands print with."""
+"""Console output of the commands: text, tables and JSON files."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from rich.table import Table
 from armcell.core import InputError
 
 PIPE_WIDTH = 400
-"""Columns where nobody's terminal says how wide it is: whoever reads a pipe wants whole lines."""
+"""Line width without a terminal: programs that read a pipe need whole lines."""
 
 console = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def err(text: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     errors.print(f"armcell: {text}", markup=False)
 
 
 def check_writable(path: Path) -> None:
-    """Say now, not after a long run, that a file cannot be written.
+    """Check that a file can be written, before a long run starts.
 
     Raises:
         InputError: the folder is missing or not writable, or the path is a folder.
@@ -37,7 +37,7 @@ def check_writable(path: Path) -> None:
         raise InputError("is a folder, a file name is needed", file=path)
     if not folder.is_dir():
         raise InputError("folder does not exist", file=folder, cure=f"mkdir -p {folder}")
-    try:  # os.access says yes to everything for root
+    try:  # os.access always returns True for root
         handle, trial = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.")
     except OSError as error:
         raise InputError(f"folder is not writable ({error.strerror})", file=folder) from None
@@ -46,7 +46,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write JSON whole or not at all (a temporary file, then a rename)."""
+    """Write a JSON file atomically: write a temporary file, then rename it."""
     text = json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n"
     handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=f".{path.name}.")
     try:
@@ -64,7 +64,7 @@ def millimetres(value: float | None, digits: int = 1) -> str:
 
 
 def stage_table(result: dict[str, Any]) -> Table:
-    """The stages of a run."""
+    """Return a table of a run's stages."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("stage", "planned by", "planning", "motion", "clearance", "slip", "error"):
         number = title in ("planning", "motion", "clearance", "slip")

@@ -1,4 +1,4 @@
-"""`armcell doctor`: what this machine, a cell or an endpoint lacks, and the cure."""
+"""`armcell doctor`: find faults of the installation, a cell or an endpoint, with cures."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check the installation, and what a cell needs to run; each line ok or no, with the cure.
+    """Check the installation and a cell's requirements; each line says ok or no, with the cure.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 
@@ -143,7 +143,10 @@ def ports() -> Iterator[Line]:
 
 
 def endpoint(connect: str) -> Line:
-    """Down, wrong address or firewall: a connection refused, a name unknown, no answer at all."""
+    """Check whether a ROS-TCP endpoint accepts connections; name the cause if it does not.
+
+    Causes are a wrong address, an endpoint that is not running, or a firewall.
+    """
     from armcell.cli.serve import address
 
     host, port = address(connect)
@@ -165,7 +168,10 @@ def endpoint(connect: str) -> Line:
 
 # --- a cell ---
 def of_cell(name: str) -> Iterator[Line]:
-    """The findings of `armcell check`, and meshes, gains, transforms and controllers."""
+    """Yield the results of `armcell check` and of further checks of a cell or MoveIt package.
+
+    Further checks: the robot's files and meshes, transforms, effort limits, gains, drives and controllers.
+    """
     from armcell.cell import load
     from armcell.cli.check import findings
     from armcell.cli.doctor_drives import drives
@@ -200,7 +206,7 @@ def of_cell(name: str) -> Iterator[Line]:
 
 
 class _Warnings(logging.Handler):
-    """Keeps what is warned of."""
+    """A logging handler that stores warnings."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -211,7 +217,7 @@ class _Warnings(logging.Handler):
 
 
 def transforms(model: Any) -> Iterator[Line]:
-    """One tree: every link but the root has one parent and leads to the root."""
+    """Check that all links form one tree below the root link."""
     below = set(model.subtree(model.root_link))
     loose = [name for name in model.links if name not in below]
     if loose:
@@ -221,10 +227,11 @@ def transforms(model: Any) -> Iterator[Line]:
 
 
 def strength(loaded: Any) -> Iterator[Line]:
-    """Whether the drives can hold the robot at its start, and follow: effort limits and gains."""
+    """Check that the drives can hold the robot at its start state: effort limits and gains."""
     import numpy as np
 
     from armcell.kinematics import InverseDynamics
+    from armcell.sim.joint_gains import arm_joints, joint_drive
 
     model, physics = loaded.model, loaded.physics
     names = model.joint_names
@@ -240,13 +247,13 @@ def strength(loaded: Any) -> Iterator[Line]:
     text = f"holding the start takes {share[k]:.0%} of {names[k]}'s effort ({held[k]:.3g} of {effort[k]:.3g})"
     cure = ": the robot would sag; check masses and effort limits in the URDF"
     yield Line(OK if share[k] <= 1 else NO, "gains", text if share[k] <= 1 else text + cure)
-    gains = [physics.arm_kp * min(1.0, e / physics.full_gain_effort) for e in effort]
+    gains = [joint_drive(model.joint(n), physics).kp for n in arm_joints(model)] or [0.0]
     low, high = min(gains), max(gains)
     yield Line(OK, "gains in physics", f"stiffness {low:.3g} to {high:.3g} Nm/rad (fingers have their own)")
 
 
 def controllers(model: Any) -> Iterator[Line]:
-    """The names under which trajectories are taken, with the joints they must name."""
+    """Yield the controllers that accept trajectories, with the joints of each."""
     groups = [g.arm_group for g in model.grippers.values()]
     groups = groups or [g.name for g in model.groups.values() if g.tip_link]
     for group in groups:

@@ -1,4 +1,4 @@
-"""`armcell doctor CELL`: whether arms follow in physics; if not, whether step or drives are to blame."""
+"""`armcell doctor CELL`: check that arms follow in physics, and find out why if they do not."""
 
 from __future__ import annotations
 
@@ -11,15 +11,19 @@ import numpy as np
 from armcell.cli.doctor_line import NO, OK, Line
 from armcell.core import ArmcellError, InputError
 
-JUMP = 0.05  # [rad or m] of each joint's target, in turn
-TIME = 1.0  # [s] it has for that
-MOST_OFF = 0.2  # of the jump, at the end
-MOST_OVER = 0.5  # of the jump, on the way
-FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] steps to try where the cell's own does not do
+JUMP = 0.05  # [rad or m] step of each joint's target, in turn
+TIME = 1.0  # [s] time to follow the step
+MOST_OFF = 0.2  # largest error at the end, as share of the step
+MOST_OVER = 0.5  # largest overshoot, as share of the step
+FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] physics time steps to try if the cell's own fails
 
 
 def drives(loaded: Any) -> Iterator[Line]:
-    """How the joints of the arms follow a small jump with the cell's step and gains."""
+    """Check how the arm joints follow a small step of their targets in physics.
+
+    The check uses the cell's time step and gains. If the joints do not follow, finer time steps show whether
+    the time step or the gains are the cause.
+    """
     scene, physics = loaded.scene(), loaded.physics
     step = physics.timestep
     text, sound = _followed(scene, physics)
@@ -32,12 +36,13 @@ def drives(loaded: Any) -> Iterator[Line]:
             yield Line(NO, "physics step", f"{1e3 * step:g} ms is too coarse: {text}; {cure}")
             return
     gains = f"arm_kp {physics.arm_kp:g}, arm_kv {physics.arm_kv:g}"
+    gains += f", joint_gains of {', '.join(physics.joint_gains)}" if physics.joint_gains else ""
     cure = f"look at the gains under `physics:` ({gains}), and at efforts, masses and inertias in the URDF"
     yield Line(NO, "drives", f"{text}, with a finer step as well: {cure}")
 
 
 def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
-    """The worst joint, in words, and whether it is good enough."""
+    """Return a description of the worst joint's step response, and whether it is acceptable."""
     from armcell.sim.step_response import step_responses
 
     fingers = {g.joint_name for g in scene.model.grippers.values()}
@@ -47,7 +52,7 @@ def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
             continue
         try:
             (found,) = step_responses(scene, (joint,), physics, JUMP, TIME)
-        except InputError:  # no room for the jump
+        except InputError:  # the joint limits leave no range for the step
             continue
         except ArmcellError as error:
             return f"{joint}: {error}", False

@@ -1,4 +1,4 @@
-"""What `armcell doctor` says of one thing."""
+"""A result line of `armcell doctor`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ OK, NO, NOTE = "ok", "no", "note"
 
 @dataclass(frozen=True)
 class Line:
-    """One thing looked at. `verdict`: ok, no (with the cure), or note: not wrong, but good to know."""
+    """The result of one check.
+
+    Attributes:
+        verdict: "ok", "no" (fault) or "note" (information).
+        check: name of the check.
+        found: the result in words; for a fault, with the cure.
+    """
 
     verdict: str
     check: str

@@ -1,4 +1,4 @@
-"""What `armcell doctor` says of a MoveIt configuration package: its files and controllers."""
+"""Checks of `armcell doctor` for a MoveIt configuration package: its files and controllers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from armcell.model import MoveItConfig
 DRIVER_FILES = (
     "ros2_controllers.yaml",
     "ros_controllers.yaml",
-)  # of the controller manager
+)  # files of the controller manager
 
 
 def of_package(folder: Path) -> Iterator[Line]:
-    """Whether it can be read, each joint has one controller, and the drivers know the names."""
+    """Check a MoveIt package: files, one controller per joint, and controller names."""
     try:
         config = MoveItConfig.load(folder)
     except InputError as error:
@@ -32,7 +32,11 @@ def of_package(folder: Path) -> Iterator[Line]:
 
 
 def moved_joints(config: MoveItConfig) -> Iterator[Line]:
-    """MoveIt executes a motion only if controllers of the file name every joint of the group, each once."""
+    """Check that every joint of each planning group has exactly one controller.
+
+    MoveIt refuses to execute a motion if a joint has no controller. If a joint has several default
+    controllers, the choice is arbitrary.
+    """
     of_joint: dict[str, list[str]] = {}
     for name, entry in config.controllers.items():
         joints = entry.get("joints") or []
@@ -53,7 +57,7 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
 
 
 def driver_names(config: MoveItConfig) -> Iterator[Line]:
-    """Whether the controller manager's file, where there is one, has the same names with the same joints."""
+    """Check that the controller manager's file, if any, has the same controllers and joints."""
     for file in (config.folder / "config" / name for name in DRIVER_FILES):
         if file.is_file() and file.name != config.names.get("controllers"):
             yield from _compared(config, file)
@@ -84,7 +88,10 @@ def _named(config: MoveItConfig) -> str:
 
 
 def _joints_of(data: Any) -> dict[str, list[str]]:
-    """Joints by controller: ROS 2's `name: {ros__parameters: {joints: []}}`, or ROS 1's without that key."""
+    """Return the joints by controller from a controller manager's file of ROS 2 or ROS 1.
+
+    ROS 2 nests the joints as `name: {ros__parameters: {joints: []}}`; ROS 1 omits the key `ros__parameters`.
+    """
     found: dict[str, list[str]] = {}
     for name, entry in data.items() if isinstance(data, dict) else ():
         if not isinstance(entry, dict):

@@ -1,4 +1,4 @@
-"""Which draw of a cell's randomised values a command runs."""
+"""Selects the seed of a cell's randomized values for a command."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ SEED = typer.Option(
 
 
 def drawn(seed: int | None, mode: str) -> int | None:
-    """The seed that was given, else 0; else None in mode real, where nobody has put things so."""
+    """Return the given seed, else 0; in mode real without a seed, None: the nominal cell."""
     return 0 if seed is None and mode != "real" else seed

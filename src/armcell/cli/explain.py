@@ -1,4 +1,4 @@
-"""`armcell explain`: can the arm get there, can it hold that, and if not, why."""
+"""`armcell explain`: say whether a motion, pose or grasp is possible, and if not, why."""
 
 from __future__ import annotations
 
@@ -80,13 +80,13 @@ def _print(explanation: Explanation, solutions_told: bool) -> None:
         console.print("a motion was found")
         return
     lines = explanation.text().splitlines()
-    if solutions_told:  # the table has them all
+    if solutions_told:  # the table already lists all joint solutions
         lines = [line for line in lines if not line.startswith("  joint solution")]
     console.print("\n".join(lines), markup=False, soft_wrap=True)
 
 
 def _joint_solutions(scene: Any, request: Any, link: str | None) -> dict[str, Any]:
-    """Print and return every joint solution of the pose asked for."""
+    """Print all joint solutions of the requested pose and return them as JSON-ready data."""
     from dataclasses import replace
 
     from armcell.core import CartesianRequest
@@ -131,7 +131,7 @@ def _joint_solutions(scene: Any, request: Any, link: str | None) -> dict[str, An
 def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     from armcell.core import InputError
     from armcell.grasping import grasp_candidates, hand_of
-    from armcell.tasks import Draft, Planning
+    from armcell.tasks import PartialSolution, Planning
     from armcell.tasks.stages import ChooseGrasp
 
     if not scene.object(item).movable:
@@ -140,7 +140,7 @@ def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     grasps, rejected = grasp_candidates(scene.object(item), hand_of(scene.model, gripper))
     planning = Planning(loaded.settings)
     stage = ChooseGrasp(item, gripper, loaded.settings.near, loaded.settings.approach_distance)
-    works = {draft.data["candidate"] for draft in stage.drafts(Draft(scene), planning)}
+    works = {solution.data["candidate"] for solution in stage.propose(PartialSolution(scene), planning)}
     reasons = {r.name: r.reason for r in rejected}
     for _, candidate, reason in planning.rejections.details:
         reasons.setdefault(candidate, reason)

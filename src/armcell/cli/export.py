@@ -1,4 +1,4 @@
-"""`armcell export`: a cell as files for other programs."""
+"""`armcell export`: write a cell as files for other programs."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def unity(
         None, min=0, help="Draw of the randomised values; the cell's nominal ones by default."
     ),
 ) -> None:
-    """Write a cell for Unity: our C# package, the robot, its meshes and the scene."""
+    """Write a cell for Unity: armcell's C# package, the robot, its meshes and the scene."""
     from armcell.cell import load
     from armcell.ros.unity import export_unity
 

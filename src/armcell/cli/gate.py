@@ -1,4 +1,4 @@
-"""`armcell gate`: the record that mode `real` asks for."""
+"""`armcell gate`: issue the gate record that mode `real` requires."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def gate(
 ) -> int:
     """Issue the signed record that `armcell run --mode real` asks for.
 
-    A campaign must show, at the lower end of the exact 95 % interval, that the task succeeds in at least 95 %
-    of trials in physics, and must have varied something: 'randomize' or 'drop' of the cell, or parameters.
-    The record is of this cell, task, settings and versions; whatever changes makes it invalid.
-    Exit status 0 if it was issued, 1 if the campaign shows too little.
+    A campaign must show that the task succeeds in at least 95 % of trials in physics, at the lower end of the
+    exact 95 % interval, and must have varied something: 'randomize' or 'drop' of the cell, or parameters.
+    The record is valid for this cell, task, settings and versions; any change makes it invalid.
+    Exit status 0 if the record was issued, 1 if the campaign shows too little.
     """
     from armcell import campaigns
     from armcell.campaigns import gate as gates
@@ -65,7 +65,7 @@ def gate(
     gates.check_reason(allow_unvaried)
     if campaign is None:
         if allow_unvaried is None:
-            gates.check_draws(loaded)  # before the minutes that a campaign takes
+            gates.check_draws(loaded)  # check before the campaign, which takes minutes
         spec = campaigns.CampaignSpec(cell, values=values, trials=trials, seed=seed)
         store = campaigns.begin(spec, runs)
         run_campaign(store, workers)

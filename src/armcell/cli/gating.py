@@ -1,4 +1,4 @@
-"""What `armcell run --mode real` asks of the gate, and what the run's record keeps of it."""
+"""The gate check of `armcell run --mode real`, and its entry in the record of the run."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ WITHOUT_GATE = typer.Option(
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """{"gate": what the run's record keeps} in mode real, else nothing.
+    """Check the gate record of a cell in mode real; return {"gate": entry for the run's record}.
 
+    In other modes, return an empty dict.
+
+    Args:
+        file: the gate record; None for the default file.
+        without: reason to run without a gate record.
     Raises:
-        InputError: no record of this cell, and no reason given to go without.
+        InputError: the cell has no valid gate record, and no reason to run without it was given.
     """
-    if mode != "real" or not cell.spec.real:  # without arms the driver says what to write
+    if mode != "real" or not cell.spec.real:  # without configured arms, the driver reports the error
         return {}
     from armcell.campaigns import gate
 
@@ -44,12 +49,15 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """The same for motions that are no cell's task: no campaign has shown them.
+    """Return {"gate": entry} in mode real for motions without a campaign, e.g. those of clients.
+
+    Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 
     Args:
-        what: they are, in words.
+        what: the motions, in words.
+        without: reason to run without a gate record.
     Raises:
-        InputError: no reason given to go without a gate record.
+        InputError: no reason to run without a gate record was given.
     """
     if mode != "real":
         return {}
@@ -67,7 +75,7 @@ def gate_words(passed: dict[str, Any]) -> str:
     if found["overridden"]:
         return f"gate overridden: {found['reason']}"
     shown = found["campaign"]
-    unvaried = found.get("allow_unvaried")  # not in records of older runs
+    unvaried = found.get("allow_unvaried")  # missing in records of older runs
     note = "" if unvaried is None else f"; the campaign varied nothing: {unvaried}"
     return (
         f"gate passed: {shown['succeeded']} of {shown['trials']} in simulation, "
@@ -76,7 +84,7 @@ def gate_words(passed: dict[str, Any]) -> str:
 
 
 def tell_unwatched(driver: Any, cell: str) -> None:
-    """Say on standard error where real arms move without being compared with their twin."""
+    """Print a warning if real arms move without a comparison with their simulated twin."""
     guard = getattr(driver, "guard", None)
     if guard is not None and guard.bands is None:
         from armcell.control.twin import UNWATCHED

@@ -1,4 +1,4 @@
-"""What the commands ask of an arm: goals, joint values and groups from words."""
+"""Parses goals, joint values and planning groups from the command line."""
 
 from __future__ import annotations
 
@@ -50,12 +50,21 @@ PLANNER = typer.Option(
 )
 TIME = typer.Option(5.0, "--time", metavar="SECONDS", help="Planning time.")
 JSON = typer.Option(None, "--json", metavar="FILE", help="Write the numbers as JSON.")
+GAINS = typer.Option(
+    None, "--gains", metavar="NAME|FILE",
+    help="Gains of the arm joints: ros_control's controllers.yaml, a file of armcell's own, or firm, "
+    "position, tutorial. [default: the cell's]",
+)  # fmt: skip
 VIEW = typer.Option(False, "--view", help="Show it in the browser; Enter ends it.")
 Triple = tuple[float, float, float]
 
 
 def arm_group(model: Any) -> str:
-    """The group that carries a gripper, else the first chain."""
+    """Return the planning group that carries a gripper, else the first chain.
+
+    Raises:
+        InputError: no planning group is a chain.
+    """
     groups = [g.arm_group for g in model.grippers.values()] or [
         g.name for g in model.groups.values() if g.tip_link
     ]
@@ -67,10 +76,11 @@ def arm_group(model: Any) -> str:
 
 
 def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
-    """Positions from words: numbers for every joint of the group, or name=value for some joints.
+    """Parse joint positions: numbers for all joints of the group, or name=value for some joints.
 
     Raises:
-        InputError: a word that is no number, the wrong count. UnknownNameError: no such joint.
+        InputError: a value is not a number, or the number of values is wrong.
+        UnknownNameError: a joint does not exist.
     """
     words = text.replace(",", " ").split()
     names = model.group(group).joint_names
@@ -95,7 +105,11 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
 
 
 def one_of(given: dict[str, Any]) -> str:
-    """Which one of several options was given; none or two is wrong usage."""
+    """Return the only option that was given.
+
+    Raises:
+        typer.BadParameter: no option or several options were given.
+    """
     used = [name for name, value in given.items() if value is not None and value is not False]
     if len(used) != 1:
         raise typer.BadParameter(f"give one of {', '.join(given)}" + (f", not {len(used)}" if used else ""))
@@ -117,7 +131,12 @@ def request_of(
     seed: int | None = None,
     link: str | None = None,
 ) -> PlanRequest | CartesianRequest:
-    """The request that a command line asks for."""
+    """Return the planning request for the options of a command line.
+
+    Raises:
+        typer.BadParameter: the options do not go together.
+        InputError: a joint value is invalid.
+    """
     chosen = one_of({"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg})
     start = joint_state(model, group, start_deg, True) if start_deg is not None else None
     target = SE3.from_xyz_rpy(pose, np.deg2rad(rpy_deg)) if pose is not None else SE3.identity()
@@ -139,7 +158,7 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Say before the work that the file cannot be written."""
+    """Check that the JSON file can be written, before the work starts."""
     from armcell.cli.console import check_writable
 
     if json_file is not None:
@@ -154,7 +173,7 @@ def save(json_file: Path | None, data: Any) -> None:
 
 
 def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
-    """Positions (n,) as people read them: degrees, slides in millimetres."""
+    """Format joint positions (n,): degrees for revolute, millimeters for prismatic joints."""
     return " ".join(
         f"{v * 1000:.1f}mm" if model.joint(n).type == "prismatic" else f"{np.rad2deg(v):.1f}"
         for n, v in zip(names, q, strict=True)
@@ -164,7 +183,7 @@ def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
 def state_of(
     model: Any, group: str, scene: Any, to: str | None, joints: str | None, joints_deg: str | None
 ) -> JointState:
-    """A named state, joint positions, or where neither is given the scene's own."""
+    """Return a named state or given joint positions; without options, the state of the scene."""
     given = {"--to": to, "--joints": joints, "--joints-deg": joints_deg}
     if not any(value is not None for value in given.values()):
         return scene.state

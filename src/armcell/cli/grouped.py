@@ -1,4 +1,4 @@
-"""`--help` with the commands under headings, in the order in which they were added."""
+"""Formats `--help` with the commands under headings, in the order in which they were added."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typer.core import TyperGroup
 
 
 class Grouped(TyperGroup):
-    """Commands stand under the `rich_help_panel` they were added with."""
+    """A typer group that lists each command under the heading of its `rich_help_panel`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]

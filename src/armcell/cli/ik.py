@@ -1,4 +1,4 @@
-"""`armcell ik`: which joint positions put the tip at a pose. `armcell fk`: where the links are."""
+"""`armcell ik`: list joint solutions for a pose. `armcell fk`: compute the poses of links."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ def ik(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """List the joint solutions of a pose: the one taken (nearest to the start), the others, and why not.
+    """List the joint solutions of a pose: the selected one (nearest to the start) and others.
+
+    Each rejected solution has its reason.
 
     Example: armcell ik panda_pick --pose 0.5 0.2 0.3
 
-    Exit status 0 if one is free of collision and within limits, 1 if not.
+    Exit status 0 if a solution is collision-free and within limits, 1 if not.
     """
     goals.checked_json(json_file)
     from armcell.cell import load
@@ -81,7 +83,7 @@ def fk(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Where the links are [m, deg] with the arm at the start, at a named state or at joint positions.
+    """Print the poses of links [m, deg] at the start, at a named state or at joint positions.
 
     Example: armcell fk panda_pick --joints-deg '0 -45 0 -135 0 90 45' --link panda_hand_tcp
     """

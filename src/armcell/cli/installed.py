@@ -1,4 +1,4 @@
-"""Which packages armcell uses, and in which extra the optional ones are."""
+"""The packages that armcell requires, and the extras with the optional packages."""
 
 from __future__ import annotations
 

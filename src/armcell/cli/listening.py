@@ -1,4 +1,4 @@
-"""The line with the addresses at which a command can be reached; the same for every server."""
+"""Prints the addresses on which a server listens, in the same format for every server."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ from armcell.core.endpoints import Endpoint
 
 
 def tell_listening(endpoints: Iterable[Endpoint], to: Console = console) -> None:
-    """Print the sockets that a server has bound: `listening on tcp 127.0.0.1:10000 (ROS-TCP), ...`."""
+    """Print the sockets of a server, e.g. `listening on tcp 127.0.0.1:10000 (ROS-TCP), ...`."""
     found = ", ".join(str(endpoint) for endpoint in endpoints)
     to.print(f"listening on {found or 'no port'}", markup=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`armcell look`: what a camera sees, in a cell or in files."""
+"""`armcell look`: detect objects in the pictures of a camera, in a cell or from files."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def look(
     ),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the numbers as JSON."),
 ) -> int:
-    """Show what a camera sees: objects (or markers) with pose, size and how well they fit.
+    """Detect objects (or markers) with a camera: pose, size and quality of the fit.
 
-    In a cell the picture is simulated, and "off" is how far the result is from the simulator's truth.
+    In a cell the picture is simulated, and "off" is the deviation from the true pose in the simulator.
     Exit status 0 if everything has a pose, 1 if not.
     """
     for file in (json_file, picture):
@@ -102,7 +102,10 @@ def _source(
     source: str | None, camera: str | None, seed: int | None, info: Path | None, rgb: Path | None,
     depth: Path | None, place: Place | None, surface: str | None,
 ) -> tuple[CameraImage, Any, tuple, dict[str, SE3], str | None]:  # fmt: skip
-    """The picture; in a cell also its scene, the objects to be recognised, and the truth."""
+    """Return the picture; in a cell also the scene, the objects to detect and their true poses.
+
+    The last item is the support surface.
+    """
     from armcell.perception import cloud_image, load_image, load_record
     from armcell.scene import load_points
 

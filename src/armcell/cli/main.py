@@ -1,4 +1,4 @@
-"""`armcell`: the command line's entry. Every error is one line; a traceback only with ARMCELL_DEBUG=1."""
+"""The entry point of `armcell`; errors are one line, with a traceback if ARMCELL_DEBUG=1."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from armcell.cli import (
     export,
     gate,
     ik,
+    import_,
     look,
     msg,
     plan,
@@ -28,6 +29,7 @@ from armcell.cli import (
     service,
     setup,
     step_response,
+    tf,
     topic,
     twin,
     ur_controller,
@@ -35,6 +37,7 @@ from armcell.cli import (
 )
 from armcell.cli.console import err
 from armcell.cli.grouped import Grouped
+from armcell.cli.script_wires import UnityCommand
 from armcell.core import ArmcellError
 
 EXAMPLES = """
@@ -53,6 +56,8 @@ Examples:
   armcell check my_cell/                      what is wrong with a cell, and the cure
 
   armcell setup my_robot.urdf -o my_cell      a cell and MoveIt's files from a URDF
+
+  armcell import my.world --robot panda -o my_cell.yaml    a cell from a Gazebo world
 
   armcell serve panda_pick --unity            let Unity join: states out, trajectories in
 
@@ -87,7 +92,7 @@ app = typer.Typer(
 )
 RUN, PLAN, CELLS = "Run a task, and prove it", "Plan and explain", "Cells and robots"
 WIRES, REAL, MEASURE = "Unity, ROS 1 and ROS 2", "Real arms", "Measure"
-app.command("run", rich_help_panel=RUN)(run.run)
+app.command("run", cls=UnityCommand, rich_help_panel=RUN)(run.run)
 app.command("campaign", epilog=campaign.EXAMPLES, rich_help_panel=RUN)(campaign.campaign)
 app.command("gate", epilog=gate.EXAMPLES, rich_help_panel=RUN)(gate.gate)
 app.command("replay", epilog=replay.REPLAY_EXAMPLES, rich_help_panel=RUN)(replay.replay)
@@ -102,11 +107,15 @@ app.command("check-state", rich_help_panel=PLAN)(check_state.check_state)
 app.command("look", epilog=look.EXAMPLES, rich_help_panel=PLAN)(look.look)
 app.command("cells", rich_help_panel=CELLS)(check.cells)
 app.command("setup", epilog=setup.EXAMPLES, rich_help_panel=CELLS)(setup.setup)
+app.command("import", epilog=import_.EXAMPLES, rich_help_panel=CELLS)(import_.import_)
 app.command("check", rich_help_panel=CELLS)(check.check)
 app.command("doctor", rich_help_panel=CELLS)(doctor.doctor)
-app.command("step-response", rich_help_panel=CELLS)(step_response.step_response)
+app.command("step-response", epilog=step_response.EXAMPLES, rich_help_panel=CELLS)(
+    step_response.step_response
+)
 app.command("serve", rich_help_panel=WIRES)(serve.serve)
 app.command("sim", rich_help_panel=WIRES)(serve.sim)
+app.command("tf", epilog=tf.EXAMPLES, rich_help_panel=WIRES)(tf.tf)
 app.add_typer(topic.app, name="topic", rich_help_panel=WIRES)
 app.add_typer(service.app, name="service", rich_help_panel=WIRES)
 app.add_typer(msg.app, name="msg", rich_help_panel=WIRES)
@@ -130,15 +139,16 @@ def _root(
     if allow_env:
         from armcell.model.xacro import ALLOW_ENV
 
-        os.environ[ALLOW_ENV] = "1"  # the processes that a command starts read it, too
+        os.environ[ALLOW_ENV] = "1"  # child processes of a command read this variable
     if version:
         typer.echo(f"armcell {__version__}")
         raise typer.Exit()
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; its status: 0, 1 for failures and errors, 2 for usage, 130 for Ctrl-C.
+    """Run the command line and return its exit status.
 
+    Exit status: 0 for success, 1 for failures and errors, 2 for wrong usage, 130 for Ctrl-C.
     `python -m armcell` handles output errors (`armcell._streams`) and signals (`armcell._interrupts`).
     """
     try:
@@ -149,14 +159,14 @@ def main(arguments: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _interrupts.status()
     except ArmcellError as error:
-        if _interrupts.asked():  # libraries turn an interrupt into errors of their own
+        if _interrupts.asked():  # a library may raise its own error after an interrupt
             return _interrupts.status()
         err(str(error))
     except Exception as error:
         if _interrupts.asked():
             return _interrupts.status()
         show, status = getattr(error, "show", None), getattr(error, "exit_code", None)
-        if show is not None and status is not None:  # a usage error of typer's own click
+        if show is not None and status is not None:  # a usage error from typer
             show()
             return int(status)
         if os.environ.get("ARMCELL_DEBUG"):

@@ -1,4 +1,4 @@
-"""`armcell msg`: what message types there are, how they look, and their classes for Python and Unity's C#."""
+"""`armcell msg`: list and show message types, and generate classes for Python and Unity."""
 
 from __future__ import annotations
 

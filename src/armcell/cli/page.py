@@ -1,4 +1,4 @@
-"""Pages that commands serve: their options, and the lines that say where they are."""
+"""Options of the web pages that commands serve, and the output of the page's address."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OPEN = typer.Option(False, "--open", help="Open the page in the browser.")
 
 
 class PageAt(NamedTuple):
-    """Where a page is served: the arguments of the same names that every page takes."""
+    """The address of a web page: host, port and accepted host names."""
 
     host: str
     port: int
@@ -36,13 +36,13 @@ class PageAt(NamedTuple):
 
 
 def tell_page(page: PageServer) -> None:
-    """Print the page's URL with its token, and where it listens."""
+    """Print the page's URL with its token, and the addresses on which it listens."""
     console.print(f"view: {page.url}", markup=False, soft_wrap=True)
     tell_listening(page.endpoints)
 
 
 def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
-    """Say where the page is, open it where that is asked for, and wait for Ctrl-C."""
+    """Print the page's address, open the page on request, and wait for Ctrl-C."""
     tell_page(page)
     console.print("press Ctrl-C to end")
     if open_browser:

@@ -1,4 +1,4 @@
-"""`armcell plan`: one motion, with its numbers; where there is none, why, and what would help."""
+"""`armcell plan`: plan one motion and print its numbers, or explain the failure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def plan(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Plan a motion of a cell's arm and print its numbers; on failure the reason and what would help.
+    """Plan a motion of a cell's arm and print its numbers; on failure, the reason and remedies.
 
     Example: armcell plan panda_pick --pose 0.5 0.2 0.3 --planner ompl/RRTConnect
 
@@ -74,7 +74,7 @@ def plan(
 
 
 def numbers(result: Any) -> dict[str, Any]:
-    """Of a plan, for JSON."""
+    """Return the numbers of a planning result as JSON-ready data."""
     trajectory, path = result.trajectory, result.path
     return {
         "ok": result.ok,

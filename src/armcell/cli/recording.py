@@ -1,4 +1,4 @@
-"""What is kept of a run while it goes on: its folder with the record, pictures of key moments, frames."""
+"""Records a run while it runs: the run folder, pictures of key moments, and camera frames."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]"
 
 
 def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """The folder of run folders that the options ask for; None for no record."""
+    """Return the folder for the run folders according to the options; None for no record."""
     wanted = (mode == "real" or runs is not None) if record is None else record
     return (runs or Path("runs")) if wanted else None
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What the command line asks to keep of a run.
+    """The record options of a run.
 
     Attributes:
         runs: folder of run folders; None for no record.
+        json_file: additional file for the result.
         frames: CAMERA or CAMERA=HZ, each.
     """
 
@@ -48,10 +49,10 @@ class Kept:
 def begin_record(
     cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
 ) -> Any:
-    """A recorder in a new run folder, to be used in a `with` block; None where no record is wanted.
+    """Return a recorder with a new run folder, for a `with` block; None if no record is wanted.
 
     Args:
-        more: what else stands in the record about the run.
+        more: further data about the run for the record.
     """
     if kept.runs is None:
         return None
@@ -62,7 +63,7 @@ def begin_record(
 
 
 def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
-    """Have pictures taken of a live cell, where it has cameras."""
+    """Add the observers that take pictures of a connected cell, as the record options request."""
     from armcell.cell.pictures import Pictures
 
     if recorder is not None and mode == "sim" and cell.cameras:
@@ -72,23 +73,23 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
 
 
 def in_words(error: BaseException | None) -> str:
-    """Why a run did not succeed; empty where nothing was raised."""
+    """Return the reason for a run's failure from its exception; empty without an exception."""
     if error is None or isinstance(error, ArmcellError):
         return "" if error is None else str(error)
     return f"{type(error).__name__}: {error}"
 
 
 class LedRun:
-    """The record of a run that others lead: a script, those that join a served cell, or a page's user.
+    """The record of a run that a script, clients of a served cell, or a browser user controls.
 
-    Numbers and report are written at the end of its `with` block, where `end` was called; the record ends
-    there anyway.
+    If `end` was called, the end of the `with` block writes the result and the report. The record is closed in
+    any case.
 
     Args:
-        by: who leads it, in words.
-        command: that was typed.
-        script: the program, where it is a file.
-        gate: as `gate_of` gives it.
+        by: who controls the run, in words.
+        command: the command line.
+        script: the script file, if a script controls the run.
+        gate: the result of `gate_of` or `gate_of_others`.
     """
 
     def __init__(
@@ -106,22 +107,25 @@ class LedRun:
 
     @property
     def observers(self) -> list[Observer]:
-        """To connect the cell with."""
+        """The observers with which to connect the cell."""
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """To be called before the cell is connected."""
+        """Add observers for pictures, and a note about the gate, to the run.
+
+        Call this method before the `with` block of the live cell.
+        """
         tell_unwatched(live.driver, str(self._cell.file))
         watch(live, self._cell, self._mode, self.recorder, self._kept)
         if self.recorder is not None and self._gate:
             self.recorder.on_event(Event(0.0, "note", gate_words(self._gate)))
 
     def end(self, call: Callable[[Callable[[], Any]], Any], live: Any, failure: str = "") -> None:
-        """Take down how it ended.
+        """Store the result of the run.
 
         Args:
-            call: runs a function in the thread that steps the cell, and gives its answer.
-            failure: why it did not succeed, else empty.
+            call: calls a function in the thread that steps the cell, and returns its result.
+            failure: the reason for a failure; empty after a success.
         """
         from armcell.cell import result_of
 
@@ -143,7 +147,7 @@ class LedRun:
         except InputError as error:
             if self.result["success"]:
                 raise
-            err(str(error))  # why the run failed matters more
+            err(str(error))  # the run's own failure has priority
             return
         if report is not None:
             err(f"report: {report}")

@@ -1,4 +1,4 @@
-"""`armcell replay` and `armcell diff`: what a recorded run was, again, and beside another."""
+"""`armcell replay`: show or repeat a recorded run; `armcell diff`: compare two records."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def replay(
     allow_host: list[str] = ALLOW_HOST,
     open_browser: bool = OPEN,
 ) -> int:
-    """Show a recorded run in the browser with a time slider, or run it again and compare bit for bit.
+    """Show a recorded run in the browser (time slider), or repeat it and compare bit for bit.
 
-    With --execute the exit status is 0 if every recorded state, event and plan is the same, 1 if not.
-    A record that was cut off (a killed process, a full disk) is shown as far as it goes.
+    With --execute, the exit status is 0 if all recorded states, events and plans are equal, 1 if not.
+    A truncated record (killed process, full disk) is shown up to its end.
     """
     from armcell.records import read_record
 
@@ -75,7 +75,7 @@ def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> i
     from armcell.records import execute_again, new_run_folder
     from armcell.records.again import checked_cell
 
-    checked_cell(record, anyway)  # what forbids it is said before a folder is made
+    checked_cell(record, anyway)  # report errors before creating a folder
     folder = new_run_folder(runs, f"{record.about['cell']}-again")
     found, result, recorder = execute_again(record, folder, anyway)
     console.print(f"run again: {folder}", soft_wrap=True)
@@ -91,9 +91,9 @@ def diff(
     second: Path = typer.Argument(..., metavar="RUN2"),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write it as JSON."),
 ) -> int:
-    """Where two recorded runs part: the first state, event and plan that differ, and how far apart they get.
+    """Compare two recorded runs: first different state, event and plan, and largest deviation.
 
-    Exit status 0 if the runs are the same, 1 if not. Planning times are of the wall clock and do not count.
+    Exit status 0 if the runs are equal, 1 if not. Planning times depend on the wall clock and do not count.
     """
     from armcell.records import compare, read_record
 

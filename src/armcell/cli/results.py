@@ -1,4 +1,4 @@
-"""What a run leaves on disk: its numbers, the end of its record, its report."""
+"""Writes the files of a finished run: result, record and report."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from armcell.core import InputError
 
 
 def keep_result(recorder: Any, result: dict[str, Any], json_file: Path | None = None) -> Path | None:
-    """Write what a run ended with, after it was shown: a disk may be full.
+    """Write the result, record and report of a run; call it after the result was printed.
+
+    A failure to write (e.g. a full disk) then does not hide the result.
 
     Args:
-        recorder: of the run, which has its folder; None for a run without.
-        json_file: the numbers go there, too.
+        recorder: the recorder with the run folder; None for a run without a record.
+        json_file: additional file for the result.
     Returns:
-        The report, of a run with a recorder.
+        The report file; None without a recorder.
     Raises:
-        InputError: what could not be written; whatever else could be, is.
+        InputError: files could not be written; all other files are written.
     """
     report = None
     files: dict[Path, Callable[[Path], object]] = {}

@@ -1,14 +1,16 @@
-"""Joining a ROS 1 graph from the command line: options and the words of the status line."""
+"""Connects a command to a ROS 1 graph: options, connection and status line."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import typer
 
 from armcell.cli.console import err
+from armcell.cli.naming import Naming
 from armcell.core import InputError
 from armcell.core.endpoints import Endpoint
 
@@ -19,14 +21,16 @@ OWN_MASTER = typer.Option(
     None, "--own-master/--no-own-master", show_default=False,
     help="With --ros1: always start an own master, or never.",
 )  # fmt: skip
-REMAP = typer.Argument(
-    None, metavar="[FROM:=TO]...", show_default=False,
-    help="With --ros1: remappings as for a ROS program, __name:= and __ns:= among them.",
-)  # fmt: skip
 
 
 class Wire(NamedTuple):
-    """What the bus is joined to: what is said when the cell is ready, and on the status line."""
+    """A connection of the bus to other programs.
+
+    Attributes:
+        ready: the message to print when the cell is ready.
+        status: returns the text for the status line.
+        endpoints: the sockets that listen.
+    """
 
     ready: str
     status: Callable[[], str]
@@ -34,32 +38,41 @@ class Wire(NamedTuple):
 
 
 Join = Callable[[], Wire]
-"""Joins the bus to a wire that was looked at, and whose port was taken, before the cell was loaded.
+"""Connects the bus. The connection was checked and its port reserved before the cell was loaded.
 
-To be called when the cell is ready: from then on others can reach it.
+Call it when the cell is ready: afterwards, other programs can reach the cell.
 """
 
 
 def join(
-    stack: ExitStack, bus: Any, name: str, own_master: bool | None, remap: list[str] | None, bind: str | None
+    stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: Naming, bind: str | None
 ) -> Join:
-    """Find a graph's master, and give what joins the graph until the stack is closed.
+    """Find the ROS 1 master and return a function that joins the graph until the stack closes.
 
+    Args:
+        own_master: start an own master (True), never (False), or only if there is none (None).
+        bind: address to listen on.
     Raises:
-        InputError: there is no master, an address cannot be listened on, a remapping is none.
+        InputError: there is no master, or the address cannot be used.
     """
     from armcell.ros.nodes.description import NAME
     from armcell.ros.ros1 import Ros1Graph, from_environment
 
-    settings = from_environment(name, remap or (), bind, own_master=own_master)
-    graph = Ros1Graph(bus, settings, keep=(NAME,))
+    found = from_environment(name, naming.special, bind, own_master=own_master)
+    settings = replace(found, namespace=f"/{naming.namespace}")
+    description = NAME if not naming.namespace else f"/{naming.namespace}{NAME}"
+    graph = Ros1Graph(bus, settings, keep=(description,), bus_is_graph=True)
     stack.callback(graph.close)
     graph.reserve()
     if not settings.is_local:
         err(f"{settings.bind}: every machine in the network can move the cell (no password, no encryption)")
 
     def status() -> str:
-        """Raises InputError when the node was asked to end."""
+        """Return the status text of the ROS 1 node.
+
+        Raises:
+            InputError: the node was asked to end.
+        """
         if graph.ended.is_set():
             raise InputError(f"the ROS 1 node has to end: {graph.reason}")
         now = graph.status()
@@ -81,11 +94,11 @@ def join(
     return joined
 
 
-def check_remap(ros1: bool, remap: list[str] | None, own_master: bool | None) -> None:
-    """
+def check_own_master(ros1: bool, own_master: bool | None) -> None:
+    """Check that --own-master is used with --ros1.
+
     Raises:
-        InputError: options of --ros1 without it.
+        InputError: --own-master without --ros1.
     """
-    if not ros1 and (remap or own_master is not None):
-        what = "--own-master" if own_master is not None else f"argument {(remap or [''])[0]!r}"
-        raise InputError(f"{what} means nothing here", cure="it goes with --ros1")
+    if not ros1 and own_master is not None:
+        raise InputError("--own-master means nothing here", cure="it goes with --ros1")

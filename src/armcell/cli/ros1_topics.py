@@ -1,4 +1,4 @@
-"""A ROS 1 graph as `armcell topic` and `armcell service` see it, in place of a ROS-TCP endpoint."""
+"""Connects `armcell topic` and `service` to a ROS 1 graph instead of a ROS-TCP endpoint."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Any
 
 from armcell import _interrupts
 
-WAIT = 3.0  # [s] for subscribers to connect, and to take what was published
+WAIT = 3.0  # [s] for subscribers to connect and to receive the messages
 
 
 class GraphClient:
-    """What the commands ask of whatever they are joined to."""
+    """A client of a ROS 1 graph with the methods of a ROS-TCP client."""
 
     def __init__(self, bus: Any, graph: Any):
         self._bus, self._graph = bus, graph
 
     def topic_list(self, timeout: float) -> dict[str, str]:
-        """Types of the graph's topics by name."""
+        """Return the types of the graph's topics by name."""
         node = self._graph.node
         publishers, subscribers, _ = node.ask_master("getSystemState")
         others = {name for name, nodes in (*publishers, *subscribers) if set(nodes) - {node.name}}
         return {name: kind for name, kind in node.ask_master("getTopicTypes") if name in others}
 
     def wait_heard(self, topic: str) -> None:
-        """Return when every subscriber that the master knows is connected, or time is over."""
+        """Wait until all subscribers that the master lists are connected, at most `WAIT` seconds."""
         node = self._graph.node
         self._graph.wait_settled(WAIT)
         subscribers = dict(node.ask_master("getSystemState")[1]).get(topic, [])
@@ -35,7 +35,7 @@ class GraphClient:
         self._wait(lambda: sum(len(p.links()) for p in node.publications() if p.topic == topic) >= count)
 
     def flush(self) -> None:
-        """Return when everything that was published is sent, or time is over."""
+        """Wait until all published messages are sent, at most `WAIT` seconds."""
         node = self._graph.node
         self._wait(lambda: not any(x.waiting for p in node.publications() for x in p.links()))
 
@@ -48,10 +48,10 @@ class GraphClient:
 
 @contextmanager
 def joined_to_graph() -> Iterator[tuple[Any, GraphClient]]:
-    """A bus of our own in the graph at ROS_MASTER_URI.
+    """Yield a new bus that is joined to the graph at ROS_MASTER_URI, and its client.
 
     Raises:
-        InputError: no master answers there.
+        InputError: no master answers.
     """
     from armcell.ros import Bus
     from armcell.ros.ros1 import Ros1Graph, from_environment

@@ -1,4 +1,4 @@
-"""Joining a ROS 2 domain from the command line: options and the words of the status line."""
+"""Connects a command to a ROS 2 domain: options, connection and status line."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ DOMAIN = typer.Option(
 )  # fmt: skip
 
 
-def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None) -> Join:
-    """Read how to join a domain, and give what joins it until the stack is closed.
+def join(
+    stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None, namespace: str = ""
+) -> Join:
+    """Read the ROS 2 settings; return a function that joins the domain until the stack closes.
 
     Args:
-        bind: an address that is not this machine's own lets the network in.
+        bind: an address that is not this machine's own allows other machines to connect.
     Raises:
         MissingExtraError: cyclonedds is not installed.
-        InputError: an environment variable is wrong, the domain cannot be joined.
+        InputError: an environment variable is wrong, or the domain cannot be joined.
     """
     from armcell.ros import Ros2Bridge, Ros2Settings
     from armcell.ros.ros2 import from_environment
     from armcell.ros.ros2.dds import library
 
     reach = from_environment(domain, network=bind not in (None, "127.0.0.1", "localhost"))
-    settings = Ros2Settings(reach, f"/{node}")
-    library()  # the extra that is missing is said before the cell is loaded
+    settings = Ros2Settings(reach, f"/{namespace}/{node}" if namespace else f"/{node}")
+    library()  # report a missing extra before the cell is loaded
     bridge = Ros2Bridge(bus, settings)
     if reach.is_open:
         err("ROS 2: every machine in the network can move the cell (no password, no encryption)")
@@ -65,9 +67,10 @@ def join(stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | 
 
 
 def check_domain(ros2: bool, domain: int | None) -> None:
-    """
+    """Check that --domain is used with --ros2.
+
     Raises:
-        InputError: a domain without --ros2.
+        InputError: --domain without --ros2.
     """
     if domain is not None and not ros2:
         raise InputError("--domain means nothing here", cure="it goes with --ros2")

@@ -1,4 +1,4 @@
-"""`armcell run`: perform a cell's task."""
+"""`armcell run`: perform a cell's task, or run a ROS script in a cell."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from armcell.cli.console import check_writable, console, errors, millimetres, stage_table
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of, gate_words, tell_unwatched
+from armcell.cli.goals import GAINS
 from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
 from armcell.cli.recording import Kept, begin_record, watch
 from armcell.cli.results import keep_result
 from armcell.cli.ros1 import OWN_MASTER
+from armcell.cli.ros2 import DOMAIN
+from armcell.cli.script_wires import ScriptWires
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
 
@@ -38,10 +41,26 @@ def run(
         "Default: only where the script commands no gripper.",
         show_default=False,
     ),
+    unity: str | None = typer.Option(
+        None,
+        "--unity",
+        metavar="[HOST:PORT]",
+        show_default=False,
+        help="For a script: open a ROS-TCP endpoint that Unity joins. [default address: 127.0.0.1:10000]",
+    ),
     ros1: bool = typer.Option(
         False, "--ros1", help="For a script: it and its cell join the ROS 1 graph at ROS_MASTER_URI."
     ),
     own_master: bool | None = OWN_MASTER,
+    ros2: bool = typer.Option(
+        False, "--ros2", help="For a script: it and its cell join the ROS 2 domain ROS_DOMAIN_ID."
+    ),
+    domain: int | None = DOMAIN,
+    plan_only: bool = typer.Option(
+        False,
+        "--plan-only",
+        help="For a script, with a wire: the simulator or robot at the other end moves, not a cell here.",
+    ),
     seed: int | None = SEED,
     mode: str = typer.Option(
         "sim", help="sim: physics. fake: follows exactly, no physics. real: the cell's real arms."
@@ -69,6 +88,7 @@ def run(
         metavar="PATH=VALUE",
         help="Another value than in the cell file, e.g. objects.cube.mass=0.3; may be repeated.",
     ),
+    gains: str | None = GAINS,
     host: str = HOST,
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
@@ -90,12 +110,17 @@ def run(
     """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
 
     Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
-    a record that Foxglove opens (run.mcap). Exit status 0 if the task succeeded, 1 if not.
+    a record for Foxglove (run.mcap). Exit status 0 if the task succeeded, 1 if not.
 
-    A script (SCRIPT.py --cell CELL) is run as it is, with no ROS installed, in real time unless --time-scale
-    says else; the exit status is its own. Arguments of its own stand after --. Its run is kept as well.
+    A script (SCRIPT.py --cell CELL) runs unchanged, with no ROS installed, in real time unless --time-scale
+    is given; the exit status is that of the script. Arguments of the script follow --. Its run is recorded,
+    too.
+
+    With --unity, --ros1 or --ros2, other programs join the script's cell. With --plan-only as well, the
+    script moves the simulator or robot at the other end (such as `armcell sim CELL --connect HOST:PORT`).
     """
     at = PageAt(host, port, allow_host)
+    wires = ScriptWires(unity, ros1, own_master, ros2, domain, plan_only)
     if json_file is not None:
         check_writable(json_file)
     if headless and view:
@@ -121,12 +146,15 @@ def run(
             without_gate,
             Kept(None if headless else runs, json_file, frames),
             set_,
-            ros1,
-            own_master,
+            wires,
+            gains,
         )
     seed = drawn(seed, mode)
-    if ros1 or own_master is not None:
-        raise typer.BadParameter("--ros1 is for scripts; a cell is served to ROS 1 by `armcell serve --ros1`")
+    if wires.given:
+        option = (wires.words() or ["--own-master" if own_master is not None else "--domain"])[0]
+        raise typer.BadParameter(
+            f"{option} is for scripts; a cell is served by `armcell serve {cell} {option}`"
+        )
     if arguments:
         raise typer.BadParameter(f"unexpected argument {arguments[0]!r}")
     kept = Kept(None if headless else runs, json_file, frames)
@@ -143,18 +171,19 @@ def run(
             loading = progress.add_task(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
-        # here: physics and planners load slowly
-        from armcell.cell import announce_code, load, parsed, run_task, with_values
+        # imported late: physics and planners load slowly
+        from armcell.cell import announce_code, gains_as_values, load, parsed, run_task, with_values
         from armcell.cell import health as layers
         from armcell.control import drivers
         from armcell.planning import warm_up
 
-        drivers[mode]  # an unknown mode is said before anything is made
+        drivers[mode]  # report an unknown mode first
         health = layers.Health()
         stack.callback(_tell_failed_layer, health, headless)
-        values = dict(parsed(one) for one in set_)
         with health.layer("description"):
-            loaded = with_values(load(cell), values)
+            loaded = load(cell)
+            values = {**gains_as_values(loaded, gains), **dict(parsed(one) for one in set_)}
+            loaded = with_values(loaded, values)
             layers.check_description(loaded)
         with health.layer("controllers"):
             layers.check_controllers(loaded, mode)
@@ -193,6 +222,7 @@ def run(
                 live.ctx.emit("note", gate_words(passed))
             result = {**run_task(loaded, live, seed, mode), **passed, "layers": health.now(live)}
         sets = [part for one in set_ for part in ("--set", one)]
+        sets += [] if gains is None else ["--gains", gains]
         draw = [] if seed is None else ["--seed", str(seed)]
         result["command"] = shlex.join(["armcell", "run", cell, *draw, "--mode", mode, *sets])
         if progress is not None:
@@ -208,9 +238,10 @@ def run(
 
 
 def _tell_failed_layer(health: Any, headless: bool) -> None:
-    """Which layer did not start; the message itself follows as for every error.
+    """Print the states of the cell's layers if one failed to start.
 
-    Without a description no layer has: the message alone says it.
+    The error message follows separately. If the description failed, print nothing: the error message is
+    sufficient.
     """
     if (
         not headless
@@ -252,7 +283,7 @@ def _print(result: dict[str, Any]) -> None:
 
 
 class _Bar:
-    """Shows the running stage; how many there will be is not known, so the bar pulses."""
+    """A progress bar with the running stage; it pulses because the number of stages is unknown."""
 
     def __init__(self, progress: Progress):
         self._progress = progress

@@ -1,4 +1,4 @@
-"""`armcell run SCRIPT.py --cell CELL` and `armcell lint SCRIPT.py`."""
+"""`armcell run SCRIPT.py --cell CELL`: run a ROS script. `armcell lint SCRIPT.py`: check it."""
 
 from __future__ import annotations
 
@@ -12,39 +12,53 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from armcell.cli.console import console, err, errors
+from armcell.cli.console import console, err
 from armcell.cli.gating import gate_of_others
-from armcell.cli.listening import tell_listening
 from armcell.cli.page import PageAt, tell_page
 from armcell.cli.recording import Kept, LedRun, in_words
-from armcell.cli.ros1 import check_remap
+from armcell.cli.script_wires import ScriptWires
 from armcell.core import InputError
 
 if TYPE_CHECKING:
     from armcell.moveit.session import Session
+    from armcell.ros import Ros1Settings
 
 
 def run_script_command(
     script: str, cell: str | None, arguments: list[str], seed: int | None, mode: str,
     time_scale: float | None, auto_grip: bool | None, view: bool, at: PageAt, without_gate: str | None,
-    kept: Kept, set_: Sequence[str] = (), ros1: bool = False, own_master: bool | None = None,
+    kept: Kept, set_: Sequence[str] = (), wires: ScriptWires = ScriptWires(), gains: str | None = None,
 ) -> int:  # fmt: skip
-    """Run a rospy / moveit_commander script unchanged against a cell; its exit status.
+    """Run a rospy / moveit_commander script unchanged in a cell, and return its exit status.
 
-    With `ros1` both are in a ROS 1 graph; arguments of the form from:=to are remappings then, too.
+    With `wires.ros1`, script and cell join a ROS 1 graph, and arguments of the form from:=to are remappings.
     """
-    check_remap(ros1, None, own_master)
+    wires.check()
     if cell is None:
         raise InputError(f"no cell for {script}", cure="--cell CELL; `armcell cells` lists the built-in ones")
     file = Path(script)
     if not file.is_file():
         raise InputError("there is no such script", file=file)
-    from armcell.cell import complaints, load, parsed, with_values
+    if wires.plan_only:
+        refused = {
+            "--view": view,
+            "--json": kept.json_file,
+            "--frames": kept.frames,
+            "--auto-grip": auto_grip,
+            "--gains": gains,
+        }
+        for option in (name for name, value in refused.items() if value):
+            raise InputError(
+                f"{option} needs a robot in this process", cure="give it to the other end: armcell sim"
+            )
+        return _run_elsewhere(file, cell, arguments, wires, set_)
+    from armcell.cell import complaints, gains_as_values, load, parsed, with_values
     from armcell.control import drivers
     from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
+    from armcell.ros import Bus
 
-    drivers[mode]  # an unknown mode is said before anything is made
+    drivers[mode]  # report an unknown mode first
     gate = gate_of_others(mode, f"what {file.name} does", without_gate)
     gripping = auto_grip
     if auto_grip is None:
@@ -54,18 +68,21 @@ def run_script_command(
                 f"{file.name} commands no gripper: it closes by itself where an arm comes to rest with an "
                 "object between the fingers (--no-auto-grip)"
             )
-    logging.basicConfig(level=logging.WARNING, format="[%(levelname)s] %(message)s", stream=sys.stderr)
-    logging.getLogger("armcell").setLevel(logging.WARNING)
+    _log_warnings()
     with ExitStack() as stack:
-        values = dict(parsed(one) for one in set_)
-        loaded = with_values(load(cell), values)
+        bus = Bus()
+        joins = wires.joins(stack, bus)
+        loaded = load(cell)
+        values = {**gains_as_values(loaded, gains), **dict(parsed(one) for one in set_)}
+        loaded = with_values(loaded, values)
         scene = loaded.scene(seed)
         command = ["armcell", "run", script, "--cell", cell, "--mode", mode]
         command += [] if seed is None else ["--seed", str(seed)]
         command += [part for one in set_ for part in ("--set", one)]
+        command += [] if gains is None else ["--gains", gains]
         command += [] if time_scale is None else ["--time-scale", f"{time_scale:g}"]
         command += [] if gripping is None else ["--auto-grip" if gripping else "--no-auto-grip"]
-        command += ["--ros1"] if ros1 else []
+        command += wires.words()
         command += ["--without-gate", str(without_gate)] if gate else []
         command += ["--", *arguments] if arguments else []
         by = f"the script {file.name}"
@@ -80,12 +97,6 @@ def run_script_command(
             observers.append(viewer)
             tell_page(viewer.page)
         live = loaded.connect(mode, seed, observers, time_scale or 1.0)
-        joined = None
-        if ros1:
-            from armcell.ros.ros1 import from_environment
-
-            remap = [a for a in arguments if ":=" in a]
-            joined = from_environment("armcell", remap, own_master=own_master)
         run.begin(live)
 
         def ended(status: int, session: Session) -> None:
@@ -93,13 +104,10 @@ def run_script_command(
             failure = f"the script ended with status {status}{why}" if status else ""
             run.end(session.served.call, live, in_words(session.served.failure) or failure)
 
-        def began(session: Session) -> None:
-            if session.graph is not None:
-                tell_listening(session.graph.endpoints(), errors)  # standard output is the script's
-
         status, session = run_script(
-            file, live, arguments, auto_grip=auto_grip, ros1=joined, ended=ended, began=began
-        )
+            file, live, arguments, auto_grip=auto_grip, ros1=_ros1(wires, arguments), ended=ended,
+            began=lambda session: wires.open(session, joins), bus=bus,
+        )  # fmt: skip
         if session.served.failure is not None:
             raise session.served.failure
         for line in complaints(run.result) if run.result is not None else ():
@@ -108,13 +116,48 @@ def run_script_command(
     return status
 
 
+def _log_warnings() -> None:
+    logging.basicConfig(level=logging.WARNING, format="[%(levelname)s] %(message)s", stream=sys.stderr)
+    logging.getLogger("armcell").setLevel(logging.WARNING)
+
+
+def _ros1(wires: ScriptWires, arguments: Sequence[str]) -> Ros1Settings | None:
+    if not wires.ros1:
+        return None
+    from armcell.ros.ros1 import from_environment
+
+    return from_environment("armcell", [a for a in arguments if ":=" in a], own_master=wires.own_master)
+
+
+def _run_elsewhere(
+    file: Path, cell: str, arguments: Sequence[str], wires: ScriptWires, set_: Sequence[str]
+) -> int:
+    """Run a script that controls an external simulator or robot, which also records the run."""
+    from armcell.cell import load, parsed, with_values
+    from armcell.moveit import run_script
+    from armcell.moveit.lint import closes_gripper_itself
+    from armcell.ros import Bus
+
+    _log_warnings()
+    if not closes_gripper_itself(file):
+        err(f"{file.name} commands no gripper: the other end has to close it (armcell sim --auto-grip)")
+    bus = Bus()
+    with ExitStack() as stack:
+        joins = wires.joins(stack, bus)
+        loaded = with_values(load(cell), dict(parsed(one) for one in set_))
+        return run_script(
+            file, loaded, arguments, ros1=_ros1(wires, arguments), bus=bus,
+            began=lambda session: wires.open(session, joins),
+        )[0]  # fmt: skip
+
+
 def lint(
     scripts: list[Path] = typer.Argument(..., metavar="SCRIPT.py", help="Scripts to read; none is run."),
     as_json: bool = typer.Option(False, "--json", help="Print the findings as JSON."),
 ) -> int:
-    """Known traps in rospy and moveit_commander scripts, with line numbers and what to write instead.
+    """Find known traps in rospy and moveit_commander scripts, with lines and replacements.
 
-    Exit status 1 where there are any.
+    Exit status 1 if there are any.
     """
     from armcell.moveit.lint import lint as findings_of
 

@@ -1,4 +1,4 @@
-"""`armcell serve`: a cell for Unity to join. `armcell sim`: a cell in Unity's place at an endpoint."""
+"""`armcell serve`: serve a cell to Unity and ROS; `armcell sim`: a cell in Unity's place."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from armcell.cli.console import console, err, errors
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import WITHOUT_GATE, gate_of_others
 from armcell.cli.listening import tell_listening
+from armcell.cli.naming import ARGUMENTS, NAMESPACE, REMAP, Naming, naming, unused
 from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, in_words, records_folder
-from armcell.cli.ros1 import OWN_MASTER, REMAP, ROS1, Join, Wire, check_remap
+from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, Wire, check_own_master
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
 from armcell.cli.ros2 import join as join_ros2
@@ -32,17 +33,25 @@ CELL = typer.Argument(..., help="Built-in cell (see `armcell cells`), folder wit
 MODE = typer.Option("sim", help="sim: physics. fake: follows every command exactly, no physics.")
 SCALE = typer.Option(1.0, "--time-scale", min=0.001, help="1: real time, 0.2: slow motion.")
 HERTZ = 30.0
-RATE = typer.Option(HERTZ, min=1.0, max=1000.0, help="Hz of the states, in the cell's time.")
+RATE = typer.Option(
+    HERTZ,
+    min=1.0,
+    max=1000.0,
+    help="Hz of the states, in the cell's time; at most 250 in physics, 100 in mode fake.",
+)
+AUTO_GRIP = typer.Option(
+    False, "--auto-grip", help="A gripper closes where the arm rests with an object between its fingers."
+)
 SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by itself after so long.")
 
 
 @dataclass(frozen=True)
 class _Served:
-    """What a cell is served with.
+    """The options of a served cell.
 
     Attributes:
-        command: the words that were typed, up to the cell's options.
-        runs: folder of run folders; None: keep no record.
+        command: the command line up to the options of the cell.
+        runs: folder of run folders; None for no record.
     """
 
     command: tuple[str, ...]
@@ -54,16 +63,19 @@ class _Served:
     seconds: float | None
     runs: Path | None
     without_gate: str | None
+    names: Naming
 
 
 def serve(
     cell: str = CELL,
-    remap: list[str] = REMAP,
+    arguments: list[str] = ARGUMENTS,
     unity: bool = typer.Option(False, "--unity", help="Serve Unity's ROS-TCP-Connector."),
     ros1: bool = ROS1,
     own_master: bool | None = OWN_MASTER,
     ros2: bool = ROS2,
     domain: int | None = DOMAIN,
+    ns: str = NAMESPACE,
+    remap: list[str] | None = REMAP,
     port: int = typer.Option(10000, min=0, max=65535, help="Port for Unity; 0: any free one."),
     bind: str | None = typer.Option(
         None, help="Address to listen on: 127.0.0.1, for ROS 1 what ROS_IP says; 0.0.0.0 lets others in."
@@ -77,17 +89,21 @@ def serve(
         None, metavar="FOLDER", help="Own message definitions: FOLDER/<package>/msg/<Name>.msg"
     ),
     plan_only: bool = typer.Option(
-        False, "--plan-only", help="The simulator is a client (Unity, `armcell sim`): plan and grasp with it."
+        False,
+        "--plan-only",
+        help="The robot or simulator is a client (Unity, `armcell sim`, ros2_control): "
+        "plan and grasp with it, through the cell file's controllers where it names any.",
     ),
-    auto_grip: bool = typer.Option(
-        False, "--auto-grip", help="A gripper closes where the arm rests with an object between its fingers."
+    sensors: Path | None = typer.Option(
+        None, metavar="FILE", help="MoveIt's sensors_3d.yaml: clouds and depth images that make the octomap."
     ),
+    auto_grip: bool = AUTO_GRIP,
     seconds: float | None = SECONDS,
     record: bool | None = RECORD,
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Run a cell and serve it: states out; trajectories, planning (move_group), pick, place and grasps in.
+    """Run and serve a cell: states out; trajectories, planning, pick, place and grasps in.
 
     Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. With --ros1, ROS programs
     see a node that publishes, plans and moves as MoveIt's move_group does; with --ros2, ROS 2 programs do.
@@ -99,39 +115,43 @@ def serve(
         raise InputError(
             "--plan-only has nothing to record: the simulator is elsewhere", cure="record there: armcell sim"
         )
-    check_remap(ros1, remap, own_master)
+    check_own_master(ros1, own_master)
+    names = naming(ns, remap, arguments, ros1)
     check_domain(ros2, domain)
+    from armcell.perception import load_sensors_3d
     from armcell.ros import Bus, Schema
 
+    watched = None if sensors is None else load_sensors_3d(sensors)
     bus = Bus(Schema(types) if types is not None else None)
-    with ExitStack() as stack:  # a port in use is said before the cell is loaded
+    with ExitStack() as stack:  # report a port in use before the cell is loaded
         joins: list[Join] = []
         if unity:
-            joins.append(_serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
+            joins.append(serve_unity(stack, bus, bind or "127.0.0.1", port, protocol))
         if ros1:
-            joins.append(join_ros1(stack, bus, "armcell", own_master, remap, bind))
+            joins.append(join_ros1(stack, bus, "armcell", own_master, names, bind))
         if ros2:
-            joins.append(join_ros2(stack, bus, "armcell", domain, bind))
+            joins.append(join_ros2(stack, bus, "armcell", domain, bind, names.namespace))
         wires = _Wires(joins)
         if plan_only:
-            return _plan_only(cell, bus, seed or 0, seconds, wires.status, wires.open)
+            return _plan_only(cell, bus, names, seed or 0, seconds, wires.status, wires.open, watched)
         wanted = {"--unity": unity, "--ros1": ros1, "--ros2": ros2, "--auto-grip": auto_grip}
         command = ("serve", cell, *(flag for flag, given in wanted.items() if given))
         command += ("--types", str(types)) if types is not None else ()
+        command += ("--sensors", str(sensors)) if sensors is not None else ()
         kept = records_folder(record, mode, runs)
-        served = _Served(command, cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
-        return _run(served, bus, wires.status, wires.open, True, auto_grip)
+        served = _Served(command, cell, mode, seed, time_scale, rate, seconds, kept, without_gate, names)
+        return _run(served, bus, wires.status, wires.open, True, auto_grip, watched)
 
 
 class _Wires:
-    """The ways by which others reach a cell; closed until it is ready."""
+    """The connections of a served cell to other programs; closed until the cell is ready."""
 
     def __init__(self, joins: Sequence[Join]):
         self._joins = joins
         self._wires: list[Wire] = []
 
-    def open(self) -> None:
-        """Let others reach the cell, and print where."""
+    def open(self, bus: Any = None) -> None:
+        """Open the connections and print their addresses."""
         for join in self._joins:
             wire = join()
             self._wires.append(wire)
@@ -142,8 +162,8 @@ class _Wires:
         return "  ".join(wire.status() for wire in self._wires)
 
 
-def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Take the port, and give what serves Unity until the stack is closed."""
+def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
+    """Reserve the port and return a function that serves Unity until the stack closes."""
     from armcell.ros.tcp import RosTcpServer, ServerSettings
 
     server = RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol))
@@ -168,7 +188,7 @@ def _serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str
 
 def sim(
     cell: str = CELL,
-    remap: list[str] = REMAP,
+    arguments: list[str] = ARGUMENTS,
     connect: str | None = typer.Option(
         None, metavar="HOST:PORT", help="A ROS-TCP endpoint, e.g. 127.0.0.1:10000."
     ),
@@ -176,11 +196,14 @@ def sim(
     own_master: bool | None = OWN_MASTER,
     ros2: bool = ROS2,
     domain: int | None = DOMAIN,
+    ns: str = NAMESPACE,
+    remap: list[str] | None = REMAP,
     protocol: str = typer.Option("ROS1", help="Of an endpoint older than 0.7; later ones say it themselves."),
     mode: str = MODE,
     seed: int | None = SEED,
     time_scale: float = SCALE,
     rate: float = RATE,
+    auto_grip: bool = AUTO_GRIP,
     seconds: float | None = SECONDS,
     record: bool | None = RECORD,
     runs: Path | None = RUNS,
@@ -188,15 +211,20 @@ def sim(
 ) -> int:
     """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it.
 
-    With --ros1 or --ros2, the cell is a node: its states out, trajectories and gripper commands in.
+    With --ros1 or --ros2, the cell is a node that publishes states and takes trajectories and gripper
+    commands.
     """
-    check_remap(ros1, remap, own_master)
+    check_own_master(ros1, own_master)
+    names = naming(ns, remap, arguments, ros1)
     check_domain(ros2, domain)
     if (ros1 or ros2) == (connect is not None):
         raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
     to = ("--connect", connect) if connect else ("--ros1",) * ros1 + ("--ros2",) * ros2
     kept = records_folder(record, mode, runs)
-    served = _Served(("sim", cell, *to), cell, mode, seed, time_scale, rate, seconds, kept, without_gate)
+    to += ("--auto-grip",) * auto_grip
+    served = _Served(
+        ("sim", cell, *to), cell, mode, seed, time_scale, rate, seconds, kept, without_gate, names
+    )
     from armcell.ros import Bus
 
     if connect is None:
@@ -204,11 +232,11 @@ def sim(
         with ExitStack() as stack:
             joins: list[Join] = []
             if ros1:
-                joins.append(join_ros1(stack, bus, "armcell_sim", own_master, remap, None))
+                joins.append(join_ros1(stack, bus, "armcell_sim", own_master, names, None))
             if ros2:
-                joins.append(join_ros2(stack, bus, "armcell_sim", domain))
+                joins.append(join_ros2(stack, bus, "armcell_sim", domain, None, names.namespace))
             wires = _Wires(joins)
-            return _run(served, bus, wires.status, wires.open)
+            return _run(served, bus, wires.status, wires.open, auto_grip=auto_grip)
     from armcell.ros.codec import CODECS
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
     from armcell.ros.nodes.gripping import TOPIC as GRIPPER
@@ -220,13 +248,14 @@ def sim(
     bus = Bus()
     client: RosTcpClient | None = None
 
-    def joined() -> None:
-        """Once the cell publishes, its topics are known."""
+    def joined(inside: Any) -> None:
+        """Connect to the endpoint once the cell publishes, because only then are its topics known."""
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
-        topics = bus.topics()
-        publish = {t.name: t.type for t in topics if t.name in kept or t.name.startswith("/object_pose")}
-        subscribe = {t.name: t.type for t in topics if t.name == TRAJECTORY or t.name.endswith(GRIPPER)}
+        topics = inside.topics()
+        out = [t for t in topics if t.name in kept or t.name.startswith("/object_pose")]
+        into = [t for t in topics if t.name == TRAJECTORY or t.name.endswith(GRIPPER)]
+        publish, subscribe = ({inside.full_name(t.name): t.type for t in some} for some in (out, into))
         client = RosTcpClient(bus, host, number, Bridge(publish, subscribe), protocol)
         client.start()
 
@@ -239,17 +268,17 @@ def sim(
         )
 
     try:
-        return _run(served, bus, status, joined)
+        return _run(served, bus, status, joined, auto_grip=auto_grip)
     finally:
         if client is not None:
             client.close()
 
 
 def address(text: str) -> tuple[str, int]:
-    """`host:port` in two parts.
+    """Split `host:port` into host and port.
 
     Raises:
-        InputError: it is not of that form.
+        InputError: the text does not have this form, or the port is out of range.
     """
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
@@ -258,8 +287,8 @@ def address(text: str) -> tuple[str, int]:
 
 
 def _run(
-    what: _Served, bus: Any, status: Callable[[], str], ready: Callable[[], None], plan: bool = False,
-    auto_grip: bool = False,
+    what: _Served, bus: Any, status: Callable[[], str], ready: Callable[[Any], None], plan: bool = False,
+    auto_grip: bool = False, sensors: Any = None,
 ) -> int:  # fmt: skip
     from armcell.cell.health import first_layers
     from armcell.ros.nodes import ServedCell
@@ -272,22 +301,25 @@ def _run(
     command = ["armcell", *what.command, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
     command += [] if what.time_scale == 1.0 else ["--time-scale", f"{what.time_scale:g}"]
     command += [] if what.rate == HERTZ else ["--rate", f"{what.rate:g}"]
+    command += what.names.words
     command += ["--without-gate", str(what.without_gate)] if gate else []
     by = "those who join the cell"
     with LedRun(loaded, scene, seed, mode, Kept(what.runs), {}, by, command, gate=gate) as run:
         live = loaded.connect(mode, seed, run.observers, what.time_scale)
         run.begin(live)
-        served = ServedCell(live, bus, what.rate, plan, auto_grip)
+        inside = what.names.renamed(bus, "armcell", loaded)
+        served = ServedCell(live, inside, what.rate, plan, auto_grip, sensors)
 
         def all_status() -> str:
             ill = [f"{n} {s}" for n, s in health.now(live).items() if n != "task" and s != "ok"]
             return "  ".join([status(), *ill])
 
-        line = _StatusLine(bus, lambda: served.node.executed, all_status, served.node.cameras.frames)
+        line = _StatusLine(inside, lambda: served.node.executed, all_status, served.node.cameras.frames)
         failure: BaseException | None = None
         try:
             served.start(layer=health.layer)
-            ready()
+            ready(inside)
+            _tell_unused(inside)
             with line:
                 _until(what.seconds, line, served.over)
         except KeyboardInterrupt:
@@ -312,18 +344,26 @@ def _run(
 def _plan_only(
     cell: str,
     bus: Any,
+    names: Naming,
     seed: int,
     seconds: float | None,
     status: Callable[[], str],
     ready: Callable[[], None],
+    sensors: Any = None,
 ) -> int:
     from armcell.cell import load
     from armcell.ros.nodes import ServedPlanner
 
-    line = _StatusLine(bus, lambda: None, status)
+    loaded = load(cell)
+    inside = names.renamed(bus, "armcell", loaded)
+    line = _StatusLine(inside, lambda: None, status)
     try:
-        with ServedPlanner(load(cell), bus, seed):
+        with ServedPlanner(loaded, inside, seed, sensors):
             ready()
+            for each in loaded.controllers:
+                text = f"Drives {each.name}: {each.type} {each.topic} ({', '.join(each.joints)})"
+                console.print(text, markup=False, soft_wrap=True)
+            _tell_unused(inside)
             with line:
                 _until(seconds, line, None)
     except KeyboardInterrupt:
@@ -331,8 +371,13 @@ def _plan_only(
     return 0
 
 
+def _tell_unused(bus: Any) -> None:
+    if odd := unused(bus):
+        err(odd)
+
+
 def _until(seconds: float | None, line: _StatusLine, over: threading.Event | None) -> None:
-    """Show the status line until the time is up or the cell is over."""
+    """Show the status line until the time is up or the cell has ended."""
     end = None if seconds is None else time.monotonic() + seconds
     while (over is None or not over.is_set()) and (end is None or time.monotonic() < end):
         line.show()
@@ -348,7 +393,7 @@ def _troubles(dropped: int, wrong: int) -> str:
 
 
 class _StatusLine:
-    """One line that is kept up to date on a terminal; elsewhere a line whenever the peers change."""
+    """A status line: updated in place on a terminal, else printed when the peers change."""
 
     def __init__(
         self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str],

@@ -1,4 +1,4 @@
-"""`armcell service`: call a service of a running ROS-TCP endpoint, ours or another."""
+"""`armcell service`: call a service of a ROS-TCP endpoint or a ROS 1 graph."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def call(
     ros1: bool = ROS1,
     timeout: float = typer.Option(60.0, min=0.1, help="Seconds to wait for the answer."),
 ) -> None:
-    """Call a service and print its answer as YAML.
+    """Call a service and print its response as YAML.
 
-    The wire has no list of services, so the type has to be given; `armcell msg list` shows what there is.
+    The protocol has no list of services, so the type is required; `armcell msg list` shows the types.
     """
     from armcell.ros import schema
     from armcell.ros.bus import ServiceError

@@ -1,4 +1,4 @@
-"""`armcell setup`: from a URDF to a planning cell, without a GUI and without ROS."""
+"""`armcell setup`: create a planning cell from a URDF, without a GUI and without ROS."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ Examples:
 
   armcell setup my_robot_moveit_config -o my_cell       a cell on a MoveIt package, its groups and pairs kept
 
-The folder holds a MoveIt configuration package (config/) and cell.yaml. What is found: arms are the longest
+The folder holds a MoveIt configuration package (config/), cell.yaml, and LAUNCH.md with the commands for
+users who go on in ROS 1 or ROS 2. What is found: arms are the longest
 rows of joints, grippers what branches off their ends; pairs of links need no check where they are joined,
 always touch or never do, by sampled states and proofs on the meshes. Then:
 
@@ -68,12 +69,13 @@ def setup(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Make a planning cell and a MoveIt package from a URDF: groups, gripper, poses, self-collision pairs.
+    """Create a cell and a MoveIt package from a URDF: groups, gripper, poses, link pairs.
 
-    Exit status 0 when the folder is written.
+    Exit status 0 if the folder was written.
     """
     from armcell.cell.setup import propose, propose_from_package, write_cell
     from armcell.model.setup import check_folder, is_moveit_config
+    from armcell.model.setup.launch import GUIDE
 
     check_folder(output, force)
     if any(robot.is_dir() for robot in robots):
@@ -94,20 +96,21 @@ def setup(
     write_cell(proposal, output, force)
     console.print(f"written: {output}/ (MoveIt: {output}/config)", markup=False)
     console.print(f"next:    armcell check {output}", markup=False)
+    console.print(f"in ROS:  {output}/{GUIDE} (roslaunch {output}/launch/move_group.launch)", markup=False)
     return 0
 
 
 def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list[str]) -> list[UrdfPart]:
     from armcell.model.setup import UrdfPart
 
-    places = [_numbers("--at", text) for text in at]
-    turns = [_numbers("--rpy-deg", text) for text in rpy_deg]
+    places = [numbers("--at", text) for text in at]
+    turns = [numbers("--rpy-deg", text) for text in rpy_deg]
     for option, values in (("--prefix", prefixes), ("--at", places), ("--rpy-deg", turns)):
         if values and len(values) != len(robots):
             raise typer.BadParameter(f"{len(robots)} robots, but {option} is given {len(values)} times")
     if len(robots) > 1 and not prefixes:
         raise typer.BadParameter(f"{len(robots)} robots need a --prefix each, such as left_ and right_")
-    if len(robots) > 1 and not places:  # side by side, a metre and a half apart
+    if len(robots) > 1 and not places:  # side by side, 1.5 m apart
         places = [(0.0, 0.75 * (len(robots) - 1) - 1.5 * i, 0.0) for i in range(len(robots))]
     return [
         UrdfPart(
@@ -120,7 +123,7 @@ def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list
     ]
 
 
-def _numbers(option: str, text: str) -> tuple[float, float, float]:
+def numbers(option: str, text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in text.replace(",", " ").split())
     except ValueError:
@@ -132,7 +135,7 @@ def _numbers(option: str, text: str) -> tuple[float, float, float]:
 
 @contextmanager
 def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
-    """A bar on standard error where that is a terminal."""
+    """Show a progress bar on standard error if it is a terminal."""
     if not sys.stderr.isatty():
         yield lambda what, done: None
         return

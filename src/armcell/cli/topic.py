@@ -1,5 +1,4 @@
-"""`armcell topic`: look at and speak on the topics of a running ROS-TCP endpoint, ours or another; or of a
-ROS 1 graph."""
+"""`armcell topic`: list, read and publish topics of a ROS-TCP endpoint or a ROS 1 graph."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ CONNECT = typer.Option("127.0.0.1:10000", metavar="HOST:PORT", help="The ROS-TCP
 ROS1 = typer.Option(False, "--ros1", help="In the ROS 1 graph at ROS_MASTER_URI instead.")
 TYPE = typer.Option(None, "--type", metavar="TYPE", help="Where the endpoint does not know the topic.")
 COUNT = typer.Option(None, "--count", "-n", min=1, help="End after so many messages.")
-WAIT = 3.0  # [s] to connect, and for the list of topics
+WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 
 @app.command("list")
@@ -40,7 +39,7 @@ def echo(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """Print what is published, as YAML. Ctrl-C ends it."""
+    """Print the messages of a topic as YAML. Ctrl-C ends it."""
     for n, message in enumerate(_messages(topic, type_name, connect, ros1, queue_size=100)):
         console.print(
             yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
@@ -54,7 +53,7 @@ def hz(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """Print the rate, once a second. Ctrl-C ends it."""
+    """Print the rate of a topic once per second. Ctrl-C ends it."""
     arrivals: list[float] = []
     told = time.monotonic()
     for n, _ in enumerate(_messages(topic, type_name, connect, ros1, queue_size=10_000)):
@@ -100,7 +99,7 @@ def pub(
 
 
 def plain(value: Any) -> Any:
-    """A message as dicts, lists and numbers."""
+    """Return a message as dicts, lists and numbers."""
     if hasattr(value, "_fields"):
         return {name: plain(getattr(value, name)) for name in value._fields}
     if isinstance(value, np.ndarray):
@@ -109,18 +108,18 @@ def plain(value: Any) -> Any:
 
 
 def filled(message: Any, values: Any) -> Any:
-    """A message with fields set from a mapping, as deep as it goes.
+    """Set the fields of a message from a nested mapping, and return the message.
 
     Raises:
-        UnknownNameError: no such field.
-        InputError: a field that is a message was given something else.
+        UnknownNameError: a field does not exist.
+        InputError: the value for a nested message is not a mapping.
     """
     from armcell.ros import schema
     from armcell.ros.definitions import field_parts
 
     if not isinstance(values, dict):
         raise InputError(f"{values!r} is no set of fields of {message._type}", cure="{field: value, ...}")
-    nodes = dict(schema().definition(message._type).fields)
+    nodes = dict(schema().whole(message._type).fields)
     for name, value in values.items():
         if name not in nodes:
             raise UnknownNameError(f"field of {message._type}", name, nodes)
@@ -144,10 +143,10 @@ def yaml_values(text: str) -> Any:
 def joined_to(
     connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
 ) -> Iterator[tuple[Any, Any]]:
-    """A bus of our own, joined to the endpoint or the graph.
+    """Yield a new bus that is joined to a ROS-TCP endpoint or ROS 1 graph, and its client.
 
     Raises:
-        InputError: nobody answers there.
+        InputError: no endpoint or master answers.
     """
     if ros1:
         with joined_to_graph() as joined:
@@ -157,7 +156,7 @@ def joined_to(
     from armcell.ros.tcp import Bridge, RosTcpClient
 
     host, port = address(connect)
-    logging.getLogger("armcell.ros.tcp.client").setLevel(logging.ERROR)  # what matters is said below
+    logging.getLogger("armcell.ros.tcp.client").setLevel(logging.ERROR)  # errors are reported below
     bus = Bus()
     with RosTcpClient(bus, host, port, Bridge(**bridge), service_timeout=timeout) as client:
         if not client.wait_connected(WAIT):
@@ -194,5 +193,8 @@ def _messages(topic: str, type_name: str | None, connect: str, ros1: bool, queue
 
 
 def _flush(client: Any) -> None:
-    """Wait until the endpoint has what was published: it answers in order."""
+    """Wait until the endpoint has received all published messages.
+
+    The endpoint answers in order, so a request that it answers proves that all earlier messages arrived.
+    """
     client.topic_list(WAIT)

@@ -1,4 +1,4 @@
-"""`armcell twin`: learn what is normal between real arms and their twin in physics."""
+"""`armcell twin`: learn the normal deviation between real arms and their simulated twin."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ def twin(
     seed: int = typer.Option(0, min=0, help="Of the motions' goals."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask. For emulators."),
 ) -> int:
-    """Move the real arms about and learn how far they are from their twin when nothing is wrong.
+    """Move the real arms and learn their normal deviation from their simulated twin.
 
-    At first slowly: it is also the loop to be driven after every change of model, gains or calibration.
-    Written to <cell>.twin.json beside the cell file; from then on mode real slows and stops an arm that
-    leaves its bands.
+    The command starts with a slow loop. Run it after every change of model, gains or calibration.
+    It writes <cell>.twin.json beside the cell file; from then on, mode real slows and stops an arm that
+    leaves its thresholds.
     """
     from armcell.cell import load
     from armcell.cell.twin import bands_file, learn_bands

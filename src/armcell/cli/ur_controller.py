@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -12,6 +14,9 @@ from armcell.cli.console import console
 from armcell.cli.listening import tell_listening
 from armcell.core import InputError
 from armcell.core.pauses import no_long_pauses
+
+if TYPE_CHECKING:
+    from armcell.control.ur_controller.notices import Notice
 
 EXAMPLES = """
 Examples:
@@ -24,12 +29,17 @@ Examples:
 
   armcell ur-controller --cell dual_ur10_rod --host 127.0.0.2 --host 127.0.0.3    both in one world
 
+  armcell ur-dashboard 127.0.0.2 "armcell reset"    puts arms and objects back to their start
+
   armcell ur-dashboard 127.0.0.2 "armcell protective stop"    buttons and faults ("armcell help" lists them)
 """
 
 
 def ur_controller(
     model: str = typer.Option("UR10", help="UR10 (CB3, 125 Hz) or UR10e (e-Series, 500 Hz)."),
+    software: str | None = typer.Option(
+        None, metavar="VERSION", help="Software that the controllers report and speak, such as 3.4 or 5.11."
+    ),
     host: list[str] = typer.Option(
         ["127.0.0.2"], help="Address to serve; give it once per arm. A UR's ports are fixed."
     ),
@@ -49,11 +59,17 @@ def ur_controller(
     trace: Path | None = typer.Option(
         None, metavar="FILE", help="Write every control step of every arm (ur_controller.controller.TRACE)."
     ),
+    reset_between_runs: bool = typer.Option(
+        False,
+        "--reset-between-runs",
+        help="Put arms and objects back to their start once all RTDE clients have left for 1 s, so that "
+        "the same run works again. At any time: armcell ur-dashboard HOST 'armcell reset'.",
+    ),
     off: bool = typer.Option(False, "--off", help="Begin powered off."),
 ) -> int:
     """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C.
 
-    Runs with real-time priority where that is allowed (as root on Linux).
+    Runs with real-time priority if permitted (as root on Linux).
     """
     from armcell.control.ur_controller import ControllerSettings, Rack, RemoteHost, SharedWorld
 
@@ -90,17 +106,19 @@ def ur_controller(
             remote=not local,
             powered=not off,
             external_control=remote,
+            software=software,
         )
         for i, (h, s, remote) in enumerate(zip(hosts, serials, remotes))
     ]
     file = trace.open("wb", buffering=0) if trace is not None else None
-    rack = Rack(settings, plants, file)
+    rack = Rack(settings, plants, file, reset_between_runs)
     rack.open()
     for each, controller in zip(settings, rack.controllers, strict=True):
         console.print(f"{each.model} (serial {each.serial}) at {each.host}", soft_wrap=True)
         tell_listening(controller.network.endpoints)
+        controller.robot.listeners.append(partial(_print_notice, each.host))
     console.print("an emulator, not a robot; Ctrl-C ends it")
-    with suppress(PermissionError, AttributeError):  # a controller is not late because a computer is busy
+    with suppress(PermissionError, AttributeError):  # a controller must not be late on a busy machine
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
     try:
         with no_long_pauses():
@@ -112,13 +130,21 @@ def ur_controller(
     return 0
 
 
+def _print_notice(host: str, notice: Notice) -> None:
+    """Print a notice that a teach pendant would show."""
+    from armcell.control.ur_controller.notices import Popup, ScriptFault
+
+    if isinstance(notice, Popup | ScriptFault):
+        console.print(f"{host}: {notice}", soft_wrap=True, markup=False, highlight=False)
+
+
 def ur_dashboard(
     host: str = typer.Argument(..., help="The robot's address."),
     command: list[str] = typer.Argument(..., help='What to send, such as "robotmode" or "power on".'),
 ) -> int:
-    """Send a command to a robot's dashboard (real or emulated) and print its answer.
+    """Send a command to a robot's dashboard server (real or emulated) and print its answer.
 
-    Often needed: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
+    Common commands: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
     """
     from armcell.control.drivers.ur.dashboard import DashboardClient
 

@@ -1,4 +1,4 @@
-"""`armcell view`: plan in the browser."""
+"""`armcell view`: plan interactively in the browser."""
 
 from __future__ import annotations
 
@@ -45,9 +45,11 @@ def view(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Plan in the browser: drag the goal, choose planner and speed, plan, preview, execute; edit the scene.
+    """Plan in the browser: drag the goal, choose planner and speed, plan, preview, execute.
 
-    The page opens only with the token in the URL that is printed.
+    The scene can be edited in the browser, too.
+
+    The page opens only with the token in the printed URL.
 
     Example: armcell view panda_pick --open
     """
@@ -56,7 +58,7 @@ def view(
     from armcell.planning import prepare
     from armcell.viewer import PlanningPanel, PlanningSession
 
-    drivers[mode]  # an unknown mode is said before anything is made
+    drivers[mode]  # report an unknown mode first
     gate = gate_of_others(mode, "what is planned in the browser", without_gate)
     loaded, _ = first_layers(cell, mode, partial(errors.print, markup=False, highlight=False))
     scene = loaded.scene(seed)
@@ -67,7 +69,7 @@ def view(
         recording = stack.enter_context(ExitStack())
 
         def connect(now: Any, observers: Sequence[Observer]) -> Any:
-            """A live cell with its own record; edits by hand make another cell, whose time begins at 0."""
+            """Return a live cell with its own record; an edited scene needs a new cell, from time 0."""
             recording.close()
             run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)
             recording.enter_context(run)
@@ -77,6 +79,6 @@ def view(
 
         session = PlanningSession(scene, connect, seed or 0)
         console.print("loading (the first run on a machine compiles for about a minute)")
-        prepare(scene, session.group)  # not on the time of the first plan
+        prepare(scene, session.group)  # so that the first plan is fast
         panel = stack.enter_context(PlanningPanel(session, host, port, loaded.name, names=allow_host))
         serve_page(panel.viewer.page, open_browser)

@@ -1,4 +1,4 @@
-"""`--view` of the planning commands: the motion, or what is in the way, in the browser."""
+"""The option `--view` of planning commands: show a motion or explanation in the browser."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FRAME = 1 / 30  # [s]
 def show(
     scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, at: PageAt, title: str
 ) -> None:
-    """Play a trajectory once in real time, or show an explanation; then wait for Enter."""
+    """Play a trajectory once in real time or show an explanation, then wait for Enter."""
     from armcell.viewer import CellViewer, show_explanation
 
     with CellViewer(scene, title=title, **at._asdict()) as viewer:

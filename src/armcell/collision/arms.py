@@ -1,7 +1,8 @@
-"""Two arms of one robot: what each moves, each without the other, and both on one clock.
+"""Two arms of one robot: scenes without one arm, and clearance between their motions.
 
-That one arm keeps off the world and itself is proven when its motion is planned, in a scene "without" the
-other arm. What is left to prove is that two motions, on one clock, keep the arms (and what they hold) apart.
+When the motion of one arm is planned, a scene "without" the other arm serves to certify it against the world
+and the arm itself. This module certifies the rest: two motions on one clock keep the arms and their held
+objects apart.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.certify_timed import TimedCertificate
 from armcell.collision.exact import ExactChecker
-from armcell.collision.kernel.apart import first_not_apart
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.kernel.clearance_proof import first_below_clearance
 from armcell.core import Contact, InputError, JointTrajectory
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
@@ -26,14 +27,14 @@ from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
 
-CLEARANCE = 0.02  # [m] between the arms, where nothing else is said
-ARM_JOINTS = 5  # of a group that is an arm; one with fewer is a hand, a finger, a lift
-FINE = 0.01  # [rad] of a joint: the finest boxes of positions that `certify_any_time` looks at
+CLEARANCE = 0.02  # [m] default clearance between the arms
+ARM_JOINTS = 5  # smallest number of joints of an arm's group; a smaller group is a hand, a finger, or a lift
+FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 
 
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
-    """Links that a group's joints move, what is mounted on them (a gripper's fingers) included."""
+    """Return the links that a group's joints move, including links mounted on them (fingers)."""
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
         name
@@ -44,14 +45,14 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """The model in which some links touch nothing."""
+    """Return the model with collisions disabled between the given links and all other links."""
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
 
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """The model in which only a link of one set and a link of the other can touch."""
+    """Return the model with collisions enabled only between links of set a and links of set b."""
     pairs = combinations(model.links, 2)
     never = {
         frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
@@ -61,7 +62,10 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """The arms that a group is made of, by their groups: two or more that do not move each other, or none."""
+    """Return the groups of the arms that a group consists of, or an empty tuple.
+
+    The result has two or more groups, and no arm moves a link of another.
+    """
     joints = set(model.group(group).joint_names)
     parts: dict[frozenset[str], str] = {}
     for name, part in model.groups.items():
@@ -73,13 +77,25 @@ def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
 
 
 def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
-    """By body that one of some arms moves (its links, what it holds), the number of the arm."""
+    """Return the index of the arm that moves each body, for the arms' links and held objects.
+
+    Args:
+        groups: the arms' groups; the result maps a body's name to an index of this tuple.
+    """
     side = {link: k for k, g in enumerate(groups) for link in moved_links(scene.model, g)}
     return side | {name: side[body.link] for name, body in scene.attached.items() if body.link in side}
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """The nearest pair of bodies of different sides at q, of those that may not touch."""
+    """Return the nearest pair of bodies on different sides at q (n,).
+
+    Pairs whose contact the scene allows are ignored.
+
+    Args:
+        exact: the exact checker.
+        sides: side of each body by name; other bodies are ignored.
+        q: (n,) configuration.
+    """
     side = np.array([sides.get(g.body, -1) for g in exact.geometries])
     pairs = exact.pairs[(side[exact.pairs] >= 0).all(axis=1) & (np.diff(side[exact.pairs]) != 0).ravel()]
     exact.place(q)
@@ -95,7 +111,7 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
-    """Raises InputError unless two groups have joints and share none."""
+    """Raise an InputError unless two groups have joints and share none."""
     names = [set(model.group(g).joint_names) for g in groups]
     if not all(names):
         raise InputError(f"group {groups[0] if not names[0] else groups[1]!r} has no joints")
@@ -104,10 +120,10 @@ def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
 
 
 def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
-    """The scene for planning whatever moves beside an arm: the arm and what it holds are not in the way.
+    """Return the scene without an arm and its held objects, for planning other arms.
 
-    The arm stands at its model's default, wherever it is, so that what was prepared for one plan serves
-    the next.
+    The arm is placed at its model's default state, so that cached data of one plan can be reused for the
+    next, wherever the arm is.
     """
     links = moved_links(scene.model, group)
     model = _blind_model(scene.model, links)
@@ -124,17 +140,17 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Of all joints that carry one of some links."""
+    """Return the columns of all joints whose child link is one of the given links."""
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Two groups of a scene's robot, with what they hold, and nothing else of the world.
+    """Collision checks between two arms of a scene's robot and their held objects only.
 
-    Positions `q` are those of the first group followed by those of the second. Fingers are taken as wide
-    open: a little more than they need.
+    Positions `q` are those of the first group followed by those of the second. The gripper fingers are
+    assumed fully open, which is conservative.
     """
 
     scene: PlanningScene
@@ -174,33 +190,42 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """The slow judge of the same pairs: with coal, one configuration at a time."""
+        """The exact checker (coal) of the same pairs; slow, one configuration at a time."""
         return ExactChecker(self._bare, self.joint_names)
 
-    def apart(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Where on a piecewise linear motion (k, n) the arms come nearer than `clearance` [m], in edges.
+    def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
+        """Return where on a motion the two arms are closer than `clearance`, or -1.0 if nowhere.
 
-        -1.0 where they are proven not to. `room` (n,) is how far each joint may be off the edges.
+        The position is counted in edges: 2.5 is the middle of the third edge. -1.0 is a certificate for the
+        whole motion.
+
+        Args:
+            points: (k, n) waypoints of a piecewise linear motion of both arms.
+            room: (n,) largest deviation of each joint from the straight edges [rad or m].
+            clearance: distance to keep [m].
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         if len(points) == 1:
             points = np.vstack([points, points])
         room = np.zeros(points.shape[1]) if room is None else room
-        return float(first_not_apart(self.checker.handle, points, room, float(clearance)))
+        return float(first_below_clearance(self.checker.handle, points, room, float(clearance)))
 
-    def first_near(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """As `apart`, but the first edge of all where they come too near."""
+    def first_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
+        """Return where on a motion the two arms are first closer than `clearance`, or -1.0.
+
+        Like `find_too_close`, but the position is on the first edge where the arms are too close.
+        """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        found, at = -1.0, self.apart(points, room, clearance)
+        found, at = -1.0, self.find_too_close(points, room, clearance)
         while at >= 0:
             found = at
             if at < 1:
                 break
-            at = self.apart(points[: int(at) + 1], room, clearance)  # all edges before that one
+            at = self.find_too_close(points[: int(at) + 1], room, clearance)  # all edges before this edge
         return found
 
     def contact(self, q: ArrayLike) -> Contact | None:
-        """The nearest pair of bodies of the two arms at q."""
+        """Return the nearest pair of bodies of the two arms at q (n,)."""
         return self.exact.nearest(q)
 
     def certify(
@@ -213,18 +238,20 @@ class Arms:
         until: float | None = None,
         evidence: bool = True,
     ) -> TimedCertificate:
-        """Prove that two motions on one clock keep the arms apart; where not, the pair and the time.
+        """Certify that two motions on one clock keep the arms apart, or find the pair and the time.
 
-        Each arm stands still before its motion and after it.
+        Each arm stays still before and after its motion.
 
         Args:
-            starts: when each begins [s of the common clock].
+            first: motion of the first arm.
+            second: motion of the second arm.
+            starts: start time of each motion [s, common clock].
             clearance: distance to keep [m].
-            begin, until: the time looked at, by default from the earlier start to the later end.
-            evidence: where the proof fails, find the first time of all and the pair (that takes
-                milliseconds); else the time is that of any place where it fails.
+            begin, until: time interval to certify; by default from the earlier start to the later end.
+            evidence: if the certification fails, find the pair and the first time (takes milliseconds);
+                otherwise the certificate reports any time at which it fails.
         Raises:
-            InputError: a trajectory of other joints, without velocities, or not at rest at its ends.
+            InputError: a trajectory has other joints, has no velocities, or is not at rest at its ends.
         """
         for trajectory, group in zip((first, second), self.groups, strict=True):
             names = self.scene.model.group(group).joint_names
@@ -234,7 +261,7 @@ class Arms:
         begin = min(starts) if begin is None else begin
         until = max(ends) if until is None else until
         times, points, room = chords((first, second), starts, begin, max(until, begin))
-        at = (self.first_near if evidence else self.apart)(points, room, clearance)
+        at = (self.first_too_close if evidence else self.find_too_close)(points, room, clearance)
         if at < 0:
             return TimedCertificate(True)
         i = min(int(at), len(points) - 2)
@@ -245,23 +272,37 @@ class Arms:
     def certify_any_time(
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
-        """Prove that the arms keep apart whenever each of two motions is made, and at whatever pace.
+        """Certify that two motions keep the arms apart, whenever and at whatever speed each runs.
 
-        Every position of the one is proven against every position of the other: of the second motion, boxes
-        of joint positions are held against the whole of the first, and halved where they are too large.
+        The function tests every position of one motion against every position of the other: it tests boxes of
+        joint positions of the second motion against the whole first motion, and splits boxes that are too
+        large.
+
+        Args:
+            first: motion of the first arm.
+            second: motion of the second arm.
+            clearance: distance to keep [m].
         """
         _, a, room_a = chords((first,), (0.0,), 0.0, first.duration)
         _, b, room_b = chords((second,), (0.0,), 0.0, second.duration)
-        return self.apart_at_any_pace(a, room_a, b, room_b, clearance)
+        return self.keeps_clearance_at_any_pace(a, room_a, b, room_b, clearance)
 
-    def apart_at_any_pace(self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float) -> bool:
-        """`certify_any_time` for piecewise linear motions (k, n); `room` (n,): how far off."""
+    def keeps_clearance_at_any_pace(
+        self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float
+    ) -> bool:
+        """Certify that two piecewise linear motions keep the arms apart at any relative timing.
+
+        Args:
+            a, b: (k, n) waypoints of the first and of the second arm.
+            room_a, room_b: (n,) largest deviation of each joint from the straight edges [rad or m].
+            clearance: distance to keep [m].
+        """
         waiting = [(0, len(b) - 1)]
         while waiting:
             i, j = waiting.pop()
             low, high = b[i : j + 1].min(axis=0), b[i : j + 1].max(axis=0)
             if j - i <= 1 and (halves := self._halves(b[i], b[j])) is not None:
-                # One edge that is long: in parts of its own.
+                # Split a long edge into parts.
                 parts = [(0.5 * (p + q), 0.5 * np.abs(q - p)) for p, q in halves]
                 if not all(self._apart_from(a, room_a, m, r + room_b, clearance) for m, r in parts):
                     return False
@@ -284,11 +325,14 @@ class Arms:
 
     def _apart_from(self, a: Array, room_a: Array, q: Array, room: Array, clearance: float) -> bool:
         points = np.hstack([a, np.tile(q, (len(a), 1))])
-        return self.apart(points, np.concatenate([room_a, room]), clearance) < 0
+        return self.find_too_close(points, np.concatenate([room_a, room]), clearance) < 0
 
 
 def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Two motions of different joints that begin together as one; the shorter stands still at its end."""
+    """Combine two motions of different joints with the same start time into one trajectory.
+
+    The joints of the shorter motion stay at its end.
+    """
     times = np.union1d(first.times, second.times)
     times = times[np.concatenate([[True], np.diff(times) > 1e-9])]
     if times[-1] < max(first.duration, second.duration):

@@ -1,4 +1,4 @@
-"""What a proof of a motion says."""
+"""The result of certifying a motion."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ from armcell.core import Contact
 
 @dataclass(frozen=True)
 class Certificate:
-    """`free`: proven. Else `contact` is the pair, and `at` the fraction of the motion where it is."""
+    """Result of certifying a motion.
+
+    Attributes:
+        free: True if the motion is certified collision-free.
+        at: position of the contact as a fraction of the motion, from 0 to 1; only if not `free`.
+        contact: pair of bodies in contact, or None if unknown; only if not `free`.
+        clearance: smallest distance [m] among the configurations that were measured.
+    """
 
     free: bool
     at: float = 1.0
     contact: Contact | None = None
-    clearance: float = np.inf  # [m] smallest distance met at the configurations looked at
+    clearance: float = np.inf

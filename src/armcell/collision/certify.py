@@ -1,9 +1,9 @@
-"""Certification: a proof that nothing touches anywhere on a motion, not only at samples.
+"""Certification: proof that a motion is collision-free everywhere, not only at samples.
 
-At a configuration q, if a pair of bodies is d apart and no point of one can move against the other by
-more than b during the rest of an interval, they cannot touch there when b < d. Each edge is cut in
-halves until every pair is proven or shown touching (conservative advancement; Schwarzer, Saha and
-Latombe, "Exact collision checking of robot paths", WAFR 2002).
+If two bodies have distance d at a configuration and their relative motion over the rest of an interval is
+less than d, they cannot touch in the interval. The algorithm bisects each edge until every pair is certified
+or found in contact (conservative advancement; Schwarzer, Saha and Latombe, "Exact collision checking of robot
+paths", WAFR 2002).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from armcell.model import RobotModel
 Array = NDArray[np.float64]
 
 MIN_INTERVAL_RAD = 2e-4
-"""Edges are not cut finer than this: closer than that to contact counts as touching."""
+"""[rad] Smallest interval of the bisection; a pair that is still uncertified there counts as touching."""
 
 
 class Measures(Protocol):
-    """What a proof needs of a checker: its bodies at one configuration, and their distances."""
+    """Interface of a checker for `certify_path`: body placement, pairs, and pair distances."""
 
     model: RobotModel
     tree: KinematicTree
@@ -43,10 +43,11 @@ class Measures(Protocol):
 
 
 class MotionBound:
-    """How far a pair's surfaces can move against each other per unit of each group joint [m/rad].
+    """Upper bounds of the relative motion of geometry pairs per unit of each joint [m/rad].
 
     Args:
-        pairs: (p, 2) of geometries; all of the checker's where None.
+        checker: the checker with the geometries and the group's joints.
+        pairs: (p, 2) indices of geometries; by default all pairs of the checker.
     """
 
     def __init__(self, checker: Measures, pairs: NDArray[np.int64] | None = None):
@@ -67,14 +68,14 @@ class MotionBound:
                     lever[joint] = abs(tree.multiplier[joint]) * (
                         radius if tree.kind[joint] == REVOLUTE else 1.0
                     )
-                if tree.kind[joint] == PRISMATIC:  # a slide further down lengthens what turns above it
+                if tree.kind[joint] == PRISMATIC:  # a slide lengthens the lever arm of the joints above it
                     limits = checker.model.joints[checker.model.joint_names[tree.column[joint]]].limits
                     span = max(abs(limits.lower), abs(limits.upper))
                     radius += abs(tree.multiplier[joint]) * span + abs(tree.offset[joint])
                 radius += float(np.linalg.norm(tree.T_parent_joint[joint, :3, 3]))
         self.per_joint = np.zeros((len(pairs), n))
         for p, (a, b) in enumerate(pairs):
-            # A joint above both bodies moves them together: only joints above exactly one count.
+            # A joint above both bodies moves them together, so only joints above exactly one body count.
             alone = (levers[a] > 0) != (levers[b] > 0)
             for joint in np.flatnonzero(alone):
                 k = column_of.get(int(tree.column[joint]))
@@ -82,19 +83,22 @@ class MotionBound:
                     self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
-        """Bound of the relative motion of each pair over a change dq (n,) of the joints [m]."""
-        moving = np.abs(dq) > 0  # 0 rad on an endless lever is no motion
+        """Return upper bounds (p,) [m] of each pair's relative motion for a joint change dq (n,)."""
+        moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]
 
 
 def certify_path(checker: Measures, waypoints: ArrayLike, slack: ArrayLike | None = None,
                  bound: MotionBound | None = None) -> Certificate:  # fmt: skip
-    """Prove a piecewise linear motion (k, n) free of contact.
+    """Certify that a piecewise linear motion (k, n) is collision-free.
 
     Args:
-        slack: how far each joint (n,) may be from the straight edges at the same instant [rad].
+        checker: the checker with the bodies and pairs.
+        waypoints: (k, n) joint positions.
+        slack: (n,) largest deviation of each joint from the straight edges [rad or m].
+        bound: motion bounds of the checker's pairs; by default computed here.
     Returns:
-        A certificate; `at` counts along the waypoints, 0..1.
+        A certificate; its `at` is the fraction of the motion, from 0 to 1, counted in waypoints.
     """
     n = len(checker.columns)
     points = float_array(waypoints, (None, n), "waypoints")
@@ -116,7 +120,7 @@ def _certify_edge(checker: Measures, bound: MotionBound, q0: Array, q1: Array, s
     motion = bound.along(dq)
     length = float(np.max(np.abs(dq), initial=0.0))
     clearance = np.inf
-    stack = [(0.5, 0.5, np.arange(len(checker.pairs)))]  # centre, half width, pairs left to prove
+    stack = [(0.5, 0.5, np.arange(len(checker.pairs)))]  # center, half width, pairs not yet certified
     while stack:
         s, half, left = stack.pop()
         checker.place(q0 + s * dq)

@@ -1,7 +1,8 @@
-"""Proofs in time: a timed motion does not touch obstacles that move along known ways.
+"""Certification of timed motions against obstacles that move along known trajectories.
 
-As `certify_path`, with time for the parameter: in an interval of time neither the robot nor the obstacle can
-move more than bounds say, so that a pair farther apart in the middle is free in all of it.
+Like `certify_path`, but over time: in a time interval, the robot and the obstacle move by at most known
+bounds. A pair whose distance in the middle of the interval exceeds these bounds is collision-free in the
+whole interval.
 """
 
 from __future__ import annotations
@@ -21,15 +22,21 @@ from armcell.scene import MovingObject, PlanningScene
 Array = NDArray[np.float64]
 
 NEAREST = 1e-4
-"""[m] Closer than that to contact counts as touching."""
+"""[m] Pairs whose distance exceeds the clearance by less than this count as touching."""
 
 SHORT = 1e-3
-"""[s] A contact's time is told as precisely as this."""
+"""[s] Precision of the reported contact time."""
 
 
 @dataclass(frozen=True)
 class TimedCertificate:
-    """`free`: proven. Else `contact` is the pair and `time` when it is there [s of the obstacles' clock]."""
+    """Result of certifying a timed motion.
+
+    Attributes:
+        free: True if the motion is certified collision-free.
+        time: time of the contact [s, obstacles' clock]; only if not `free`.
+        contact: pair of bodies in contact, or None if unknown; only if not `free`.
+    """
 
     free: bool
     time: float = np.inf
@@ -44,21 +51,26 @@ def certify_timed(
     clearance: float = 0.0,
     until: float | None = None,
 ) -> TimedCertificate:
-    """Prove that a motion which begins at `start_time` keeps off moving obstacles; the first contact if not.
+    """Certify that a timed motion keeps its distance from moving obstacles, or find the contact.
 
-    Only pairs of the robot (or what it holds) and a moving obstacle are looked at: that nothing standing is
-    touched is proven elsewhere. Contacts that the scene allows for an obstacle's name are ignored.
+    The certificate covers only pairs of a moving obstacle and the robot (or an object it holds); static
+    obstacles must be certified separately. Contacts that the scene allows for an obstacle's name are ignored.
 
     Args:
+        scene: the scene with the robot.
+        trajectory: the motion of the robot.
+        moving: the moving obstacles.
+        start_time: time at which the motion begins [s, obstacles' clock].
         clearance: distance to keep [m].
-        until: how long [s of the obstacles' clock] the robot stays at the end; not at all by default.
+        until: time until which the robot holds its final position [s, obstacles' clock]; by default the
+            certificate ends with the motion.
     Raises:
-        InputError: empty trajectory, two obstacles of one name, clearance below 0.
+        InputError: the trajectory is empty, two obstacles have the same name, or the clearance is negative.
     """
     if len(trajectory.times) == 0:
         raise InputError("an empty trajectory cannot be certified")
     if not (np.isfinite(clearance) and clearance >= 0):
-        raise InputError(f"clearance is {clearance:g}, it must be a number of metres >= 0")
+        raise InputError(f"clearance is {clearance:g}, it must be a number of meters >= 0")
     names = [item.name for item in moving]
     if len(set(names)) != len(names):
         raise InputError(f"two moving obstacles have one name: {', '.join(sorted(names))}")
@@ -69,7 +81,7 @@ def certify_timed(
 
 
 class _Moving:
-    """The robot and the obstacles at a time, the pairs of them, and how far each can move."""
+    """Robot and obstacles at a given time, with their pairs and motion bounds."""
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):
         others = {k: v for k, v in scene.objects.items() if k not in {m.name for m in moving}}
@@ -101,7 +113,7 @@ class _Moving:
             self.checker.place_object(i, item.pose(t) @ T)
 
     def joint_travel(self, a: float, b: float) -> Array:
-        """How far each joint (n,) can move between two times."""
+        """Return upper bounds (n,) of each joint's motion between two times [rad or m]."""
         times = np.array([a, b]) - self.start
         ends = np.array([np.interp(times, self.trajectory.times, row) for row in self.travelled.T])
         return ends[:, 1] - ends[:, 0]
@@ -130,7 +142,7 @@ class _Moving:
             if not unproven:
                 continue
             worst = min(unproven, key=lambda u: u[1])
-            # The first contact is wanted: an interval is not left before it is as short as it may get.
+            # To find the first contact, bisect an uncertified interval down to its minimum length.
             small = all(n - self.clearance <= NEAREST for _, _, n in unproven) and b - a <= SHORT
             if small or b - a < SHORT / 1000:
                 i, j = (int(n) for n in checker.pairs[worst[0]])
@@ -142,10 +154,10 @@ class _Moving:
 
 
 def _travelled(trajectory: JointTrajectory) -> Array:
-    """Bounds (k, n) of how far each joint has moved up to each point of a trajectory.
+    """Return upper bounds (k, n) of each joint's accumulated motion at each trajectory point.
 
-    On a segment a polynomial's derivative is within its Bernstein coefficients (Farouki, "The Bernstein
-    polynomial basis: a centennial retrospective", CAGD 2012).
+    On each segment, the Bernstein coefficients of a polynomial's derivative bound the derivative (Farouki,
+    "The Bernstein polynomial basis: a centennial retrospective", CAGD 2012).
     """
     p, h = trajectory.positions, np.diff(trajectory.times)[:, None]
     out = np.zeros((len(p), p.shape[1]))
@@ -166,7 +178,7 @@ def _travelled(trajectory: JointTrajectory) -> Array:
                 (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4),
                 (12 * d - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5),
             ]  # fmt: skip
-        rate = [(k + 1) * c[k] * h**k for k in range(len(c))]  # of the segment's parameter, 0..1
+        rate = [(k + 1) * c[k] * h**k for k in range(len(c))]  # power-basis coefficients for a parameter 0..1
         n = len(rate) - 1
         speed = [
             np.asarray(sum(comb(i, k) / comb(n, k) * rate[k] for k in range(i + 1))) for i in range(n + 1)

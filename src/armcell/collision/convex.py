@@ -1,8 +1,9 @@
-"""Convex pieces of a mesh: a physics engine collides with hulls, a robot's arm is not its hull.
+"""Convex decomposition of meshes by axis-aligned cuts, for physics and collision checking.
 
-A mesh is cut by planes along its axes, each time where it makes the hulls smallest, until another cut
-would save little. Only hull volumes are compared, so a mesh need not be closed. The pieces' union holds
-the mesh: a cut's outline goes to both sides, and so does everything between it.
+The algorithm cuts a mesh repeatedly by the axis-aligned plane that reduces the total hull volume most, until
+another cut would save little. It compares only hull volumes, so a mesh need not be watertight. The union of
+the pieces contains the mesh: both sides of a cut include its outline, and therefore everything inside the
+outline.
 """
 
 from __future__ import annotations
@@ -18,15 +19,21 @@ from armcell.core import InputError, Mesh
 Array = NDArray[np.float64]
 
 MIN_SAVING = 0.02
-"""Of the whole hull's volume that a cut must save to be worth another geom."""
+"""Smallest saving of a cut, as a fraction of the whole hull's volume, that justifies another piece."""
 MAX_PIECES = 12
-VERSION = 1  # to be raised when `convex_pieces` gives others
+VERSION = 1  # increase when `convex_pieces` returns different pieces, to invalidate the disk cache
 _FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 @lru_cache(maxsize=256)
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Convex meshes whose union holds `mesh`; one if it is (nearly) convex. Deterministic, kept on disk."""
+    """Return convex meshes whose union contains `mesh`; a single mesh if it is nearly convex.
+
+    The result is deterministic and cached on disk.
+
+    Raises:
+        InputError: the mesh is flat.
+    """
     key = key_of(str(VERSION), mesh.vertices.astype(float), mesh.faces.astype(np.int32))
     stored = recall("pieces", key)
     if stored is None:
@@ -41,7 +48,7 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
-    import trimesh  # slow to load, and not needed where pieces come from the disk
+    import trimesh  # slow to import, and not needed if the pieces are in the disk cache
 
     triangles = mesh.vertices[mesh.faces]
     total = _hull_volume(triangles)
@@ -49,7 +56,7 @@ def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
         raise InputError("mesh is flat: it has no volume", file=mesh.file)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if solid.is_watertight and total - abs(solid.volume) < MIN_SAVING * total:
-        return (_hull(triangles),)  # no cut can save more than the excess there is
+        return (_hull(triangles),)  # no cut can save more than the hull's excess volume
     pieces = [triangles]
     cuts = [_best_cut(triangles)]
     while len(pieces) < MAX_PIECES:
@@ -68,12 +75,12 @@ def _hull_volume(triangles: Array) -> float:
     points = triangles.reshape(-1, 3)
     try:
         return float(ConvexHull(points).volume)
-    except (QhullError, ValueError):  # flat or empty: no volume
+    except (QhullError, ValueError):  # flat or empty pieces have no volume
         return 0.0
 
 
 def _hull(triangles: Array) -> Mesh:
-    """The convex hull with outward faces."""
+    """Return the convex hull of triangles with outward-facing faces."""
     from scipy.spatial import ConvexHull
 
     points = np.unique(triangles.reshape(-1, 3), axis=0)
@@ -89,7 +96,10 @@ def _hull(triangles: Array) -> Mesh:
 
 
 def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
-    """(volume saved [m^3], the two halves) of the best axis-aligned cut."""
+    """Return the volume saved [m^3] and the two halves of the best axis-aligned cut.
+
+    The halves are None if no cut saves volume.
+    """
     points = triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)
     whole = _hull_volume(triangles)
@@ -108,7 +118,10 @@ def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
 
 
 def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
-    """The part (k, 3, 3) of triangles (n, 3, 3) with side * (x[axis] - at) <= 0."""
+    """Clip triangles (n, 3, 3) by an axis-aligned plane; return the part (k, 3, 3) on one side.
+
+    The part has side * (x[axis] - at) <= 0.
+    """
     height = side * (triangles[:, :, axis] - at)  # (n, 3)
     above = height > 0
     count = above.sum(1)

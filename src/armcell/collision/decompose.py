@@ -1,7 +1,8 @@
-"""Convex pieces of objects for physics: by CoACD where it is installed, else by our own cuts.
+"""Convex decomposition of movable objects for physics, with CoACD if installed.
 
-CoACD (extra `decompose`) follows hollows that cuts along the axes miss. A robot's links always take
-`convex_pieces`: their pieces have to hold the mesh, CoACD's only come near it.
+CoACD (extra `decompose`) follows cavities that axis-aligned cuts miss. Without CoACD, `convex_pieces`
+decomposes the objects. Robot links always use `convex_pieces`: its pieces contain the mesh, whereas CoACD's
+pieces only approximate the mesh.
 """
 
 from __future__ import annotations
@@ -22,22 +23,25 @@ from armcell.core import Mesh
 
 log = logging.getLogger(__name__)
 
-CONCAVITY = 0.06  # CoACD's threshold: smaller follows the mesh closer, with more pieces
+CONCAVITY = 0.06  # CoACD's concavity threshold; smaller values fit the mesh better, with more pieces
 MAX_HULLS = 24
 MAX_SECONDS = 120
-CONVEX = 0.98  # share of its hull that a mesh fills to be taken as convex
-VERSION = 1  # to be raised when the same mesh gives other pieces
+CONVEX = 0.98  # a mesh that fills more than this fraction of its hull's volume counts as convex
+VERSION = 1  # increase when the same mesh yields different pieces, to invalidate the disk cache
 
 
 @lru_cache(maxsize=1)
 def can_decompose() -> bool:
-    """Whether CoACD is installed."""
+    """Return True if CoACD is installed."""
     return importlib.util.find_spec("coacd") is not None
 
 
 @lru_cache(maxsize=256)
 def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Convex meshes whose union is (nearly) `mesh`, kept on disk. The same mesh gives the same pieces."""
+    """Return convex meshes whose union approximates `mesh`, cached on disk.
+
+    The same mesh always yields the same pieces.
+    """
     import trimesh
 
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -48,7 +52,7 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     stored = recall("pieces", key)
     if stored is None:
         found = _coacd(mesh, closed)
-        if not found:  # which is kept as well, not to be tried again
+        if not found:  # cache the fallback, too, so that CoACD does not run again on this mesh
             found = [(piece.vertices, piece.faces) for piece in convex_pieces(mesh)]
         counts = np.array([(len(v), len(f)) for v, f in found])
         stored = {
@@ -63,12 +67,15 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def _coacd(mesh: Mesh, closed: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    """CoACD's pieces, found in a process of its own: it crashes on some meshes. Empty if it did."""
+    """Return CoACD's pieces as (vertices, faces), or an empty list if CoACD failed.
+
+    CoACD runs in a separate process, because it crashes on some meshes.
+    """
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder) / "mesh.npz", Path(folder) / "pieces.npz"
         preprocess = "off" if closed else "on"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
-        # -P: no module of the current folder, which may be another person's, is imported
+        # -P: do not import modules from the current folder, which may belong to another user
         command = [sys.executable, "-P", "-c", _PROGRAM, str(given), str(found), preprocess]
         try:
             done = subprocess.run(command, capture_output=True, timeout=MAX_SECONDS, check=False)
@@ -86,7 +93,7 @@ def _coacd(mesh: Mesh, closed: bool) -> list[tuple[np.ndarray, np.ndarray]]:
     for vertices, faces in hulls:
         try:
             pieces.append(_outward(vertices, faces))
-        except Exception as error:  # a hull without a volume: qhull has errors of its own
+        except Exception as error:  # a hull without volume; qhull defines its own error types
             log.info(
                 "%s: a piece of CoACD's is left out: %s", mesh.file or "mesh", str(error).splitlines()[0]
             )

@@ -1,4 +1,4 @@
-"""The exact checker: coal on the collision geometry itself, for any scene and group of joints."""
+"""`ExactChecker`: exact collision and distance queries with the coal library."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.collision.broad import box_gaps, world_boxes
 from armcell.collision.certificate import Certificate
 from armcell.collision.certify import certify_path
-from armcell.collision.many import distance_to_many, touches_many
+from armcell.collision.primitive_set import distance_to_primitives, touches_primitives
 from armcell.collision.shapes import Solid, solid
 from armcell.core import SE3, Contact, InputError
 from armcell.core.checks import float_array
@@ -21,26 +21,26 @@ from armcell.scene import CollisionObject, PlanningScene
 
 Array = NDArray[np.float64]
 
-MANY = 1000  # contacts of two surfaces among which the deepest is looked for
+MANY = 1000  # largest number of contacts of two surfaces among which the deepest is searched
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """One solid of one body. `link` is -1 for what stands in the world."""
+    """One solid of a body; `link` is -1 for an object in the world."""
 
     body: str
     link: int
     solid: Solid
     T_link_solid: SE3
-    padding: float  # [m], counts against objects
+    padding: float  # [m], applies to pairs with objects
 
 
 class ExactChecker:
-    """Collision and distance queries on one scene for the joints of one group.
+    """Exact collision and distance queries on one scene for the joints of one group.
 
-    Positions `q` are the group's (n,); the other joints stay at the scene's. Pairs whose bodies the group
-    cannot move against each other are in `contacts()` but not in `is_free()`, which is what planners ask.
-    Not thread-safe: it reuses its buffers. Make one per thread.
+    Configurations `q` (n,) contain the group's joints; the other joints keep the scene's positions.
+    `contacts` reports all pairs. `is_free`, which planners call, ignores pairs whose relative pose the group
+    cannot change. The checker reuses its buffers and is not thread-safe: create one per thread.
     """
 
     def __init__(self, scene: PlanningScene, joint_names: Iterable[str] | None = None):
@@ -72,14 +72,14 @@ class ExactChecker:
         for i, g in enumerate(self.geometries):
             if g.link < 0:
                 self._transforms[i].setTransform(self._R_local[i], self._t_local[i])
-        self._stamp = np.zeros(n, dtype=np.int64)  # which query a transform was last computed for
+        self._stamp = np.zeros(n, dtype=np.int64)  # number of the query that last updated each transform
         self._query = 0
 
     def _prepare_pairs(self) -> None:
         scene, geometries = self.scene, self.geometries
         rigid = {link: i for i, links in enumerate(self.model.rigid_groups) for link in links}
-        # What stands in the world and what is rigid with the robot's root never move against each other:
-        # a base on its table is how robots are mounted, not a collision.
+        # World objects and links rigidly fixed to the root never move against each other: contact between a
+        # robot's base and its table is the mounting, not a collision.
         root = rigid[self.model.root_link]
         home = [root if g.link < 0 else rigid[self.tree.link_names[g.link]] for g in geometries]
         moved_by = [self._group_joints_above(g.link) for g in geometries]
@@ -114,17 +114,20 @@ class ExactChecker:
             return frozenset()
         mine = set(self.columns.tolist())
         path = self.tree.path_to(self.tree.link_names[link])
-        # By joint, not by column: two fingers that mimic one joint do move against each other.
+        # By joint, not by column: two fingers that mimic one joint move against each other.
         return frozenset(int(j) for j in path if self.tree.kind[j] != 0 and int(self.tree.column[j]) in mine)
 
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:
-        """All joints (dof,) with the group's at q."""
+        """Return the positions of all joints (dof,), with the group's joints at q (n,)."""
         self._q[self.columns] = float_array(q, (len(self.columns),), "a configuration")
         return self._q
 
     def place(self, q: ArrayLike) -> None:
-        """Move everything to q; the distance methods below speak of this placement."""
+        """Move all bodies to the configuration q (n,).
+
+        The pair methods refer to the last placement.
+        """
         self.Ts = self.tree.link_transforms(self.full(q))
         world_boxes(
             self.Ts,
@@ -138,7 +141,7 @@ class ExactChecker:
         self._query += 1
 
     def place_object(self, i: int, T_world_solid: SE3) -> None:
-        """Move a geometry that stands in the world, by index, until it is moved again."""
+        """Move a world geometry, given by index, to a pose until it is moved again."""
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
         self._world_centre[i] = T_world_solid.apply(g.centre)
@@ -155,7 +158,11 @@ class ExactChecker:
         return transform
 
     def pair_gaps(self, pairs: NDArray[np.int64]) -> Array:
-        """Lower bounds of the distance of each pair (p, 2) [m]."""
+        """Return lower bounds [m] of the distances of geometry pairs (p, 2).
+
+        Raises:
+            InputError: `pairs` is not an int64 array (p, 2).
+        """
         if not isinstance(pairs, np.ndarray) or pairs.ndim != 2 or pairs.dtype != np.int64:
             raise InputError(f"pairs must be whole numbers (p, 2), not {pairs!r}")
         gaps = np.empty(len(pairs))
@@ -166,16 +173,16 @@ class ExactChecker:
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._request.security_margin = margin
         self._result.clear()
-        if gb.many is not None:  # it stands in the world, so that it is the second of a pair
+        if gb.primitives is not None:  # such shapes are world objects, so they come second in a pair
             here, there = self._transform(a), self._transform(b)
-            return touches_many(ga, here, gb.many, there, self._request, self._result)
+            return touches_primitives(ga, here, gb.primitives, there, self._request, self._result)
         hit = coal.collide(
             ga.exact, self._transform(a), gb.exact, self._transform(b), self._request, self._result
         )
         return bool(hit) or self._one_inside(a, b)
 
     def _one_inside(self, a: int, b: int) -> bool:
-        """Whether one of two geometries whose surfaces do not touch lies wholly inside the other."""
+        """Return True if one of two geometries without surface contact encloses the other."""
         for outer, inner in ((a, b), (b, a)):
             around, other = self.geometries[outer].solid, self.geometries[inner].solid
             if around.hollow is None or not self._solid_inside(outer):
@@ -188,21 +195,28 @@ class ExactChecker:
         return False
 
     def _solid_inside(self, i: int) -> bool:
-        """What a mesh of the world encloses is solid if it has no rim; a robot's links always are."""
+        """Return True if the interior of a mesh is solid.
+
+        Links are always solid; a world object is solid if its mesh is watertight.
+        """
         return self._link[i] >= 0 or self.geometries[i].solid.closed
 
     def pair_touches(self, a: int, b: int) -> bool:
-        """Whether two geometries by index are in contact; quicker than their distance."""
+        """Return True if two geometries, given by index, touch; faster than `pair_distance`."""
         return self._touch(a, b, 0.0)
 
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
-        """Signed distance [m] of two geometries by index; `outer` measures the convex outer shapes."""
+        """Return the signed distance [m] of two geometries, given by index.
+
+        Args:
+            outer: measure between the convex outer shapes instead of the exact shapes.
+        """
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._distance_result.clear()
-        if gb.many is not None:
+        if gb.primitives is not None:
             here, there = self._transform(a), self._transform(b)
             request, result = self._distance_request, self._distance_result
-            return distance_to_many(ga, here, gb.many, there, request, result, outer)
+            return distance_to_primitives(ga, here, gb.primitives, there, request, result, outer)
         distance = float(
             coal.distance(
                 ga.outer if outer else ga.exact, self._transform(a),
@@ -213,14 +227,17 @@ class ExactChecker:
         if outer:
             return distance
         if distance > 0 and self._one_inside(a, b):
-            return -distance  # as deep as the nearest surface is far
+            return -distance  # the depth is the distance to the nearest surface
         if distance <= 0 and (ga.hollow is not None or gb.hollow is not None):
             return min(distance, self._deepest(a, b))
         return distance
 
     def _deepest(self, a: int, b: int) -> float:
-        """Distance [m] of two geometries in contact, one of them a surface of triangles: coal's distance is
-        that of the first triangle which it finds in contact, however deep others are."""
+        """Return the penetration of two touching geometries as a negative distance [m].
+
+        At least one geometry is a triangle surface. The value is the deepest penetration of all triangle
+        pairs, whereas `coal.distance` returns only that of the first triangle pair in contact.
+        """
         ga, gb = self.geometries[a].solid, self.geometries[b].solid
         self._all_result.clear()
         count = coal.collide(
@@ -229,18 +246,23 @@ class ExactChecker:
         depths = [self._all_result.getContact(k).penetration_depth for k in range(count)]
         return float(min(depths, default=0.0))
 
-    def contact_of(self, a: int, b: int) -> Contact:
-        """Two geometries by index as a contact, with its distance and place."""
-        distance = self.pair_distance(a, b)
+    def contact_of(self, a: int, b: int, distance: float | None = None) -> Contact:
+        """Return two geometries by index as a contact, with distance and location.
+
+        Args:
+            distance: result [m] of `pair_distance(a, b)` if that was this checker's last call.
+        """
+        if distance is None:
+            distance = self.pair_distance(a, b)
         p = (self._distance_result.getNearestPoint1() + self._distance_result.getNearestPoint2()) / 2
         if not np.all(np.isfinite(p)):
             p = (self._world_centre[a] + self._world_centre[b]) / 2
         x, y, z = (float(v) for v in p)
         return Contact(self.geometries[a].body, self.geometries[b].body, distance, (x, y, z))
 
-    # --- questions ---
+    # --- queries ---
     def is_free(self, q: ArrayLike) -> bool:
-        """Whether nothing that the group can move touches anything (padding included)."""
+        """Return True if no body that the group can move touches another body (with padding)."""
         self.checks += 1
         self.place(q)
         box_gaps(self.pairs, self._world_centre, self._world_half, self._gaps)
@@ -250,12 +272,15 @@ class ExactChecker:
         return True
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Lower the padding of pairs that are closer than it at q, but do not touch: a motion may start
-        there and leave, it just comes no closer (0.1 mm less than now)."""
+        """Reduce the padding of pairs that are closer than their padding at q but do not touch.
+
+        The new padding is 0.1 mm less than the current distance, so a motion can start at q and leave, but
+        cannot come closer.
+        """
         self.relaxed_margins(q)
 
     def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
-        """`relax_margins`; returns what was lowered: (body, object) and the margin left [m]."""
+        """Run `relax_margins` and return the reduced paddings [m] by (body, object)."""
         self.place(q)
         lowered: dict[tuple[str, str], float] = {}
         for pairs, margins in ((self.pairs, self.margins), (self.fixed_pairs, self.fixed_margins)):
@@ -271,15 +296,22 @@ class ExactChecker:
     def certify(
         self, waypoints: ArrayLike, slack: ArrayLike | None = None, *, evidence: bool = True
     ) -> Certificate:
-        """Prove a piecewise linear motion (k, n) free of contact (see `certify_path`).
+        """Certify that a piecewise linear motion (k, n) is collision-free (see `certify_path`).
 
         Args:
-            evidence: for other checkers, where it costs time; here the pair that touches is always named.
+            waypoints: (k, n) joint positions.
+            slack: (n,) largest deviation of each joint from the straight edges [rad or m].
+            evidence: no effect; this checker always reports the touching pair. Other checkers need extra time
+                for it.
         """
         return certify_path(self, waypoints, slack)
 
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
-        """Every pair of bodies that touches at q (or is within the padding), deepest first."""
+        """Return every pair of bodies that touches at q (n,), deepest first.
+
+        Args:
+            padded: also return pairs that are closer than their padding.
+        """
         self.place(q)
         worst: dict[frozenset[str], Contact] = {}
         for pairs, margins in ((self.pairs, self.margins), (self.fixed_pairs, self.fixed_margins)):
@@ -295,10 +327,11 @@ class ExactChecker:
         return sorted(worst.values(), key=lambda c: c.distance)
 
     def nearest(self, q: ArrayLike, cutoff: float = np.inf) -> Contact | None:
-        """The closest pair of bodies that the group can move against each other.
+        """Return the closest pair of bodies that the group can move against each other.
 
         Args:
-            cutoff: pairs farther apart [m] are not measured; None is returned if all are.
+            q: (n,) configuration.
+            cutoff: pairs farther apart [m] are not measured; if all pairs are, the result is None.
         """
         self.place(q)
         gaps = self.pair_gaps(self.pairs)
@@ -338,8 +371,13 @@ def _geometries(scene: PlanningScene) -> list[Geometry]:
     return found
 
 
-def neighbours(scene: PlanningScene, name: str, within: float = 0.002) -> list[str]:
-    """Objects whose surface is at most `within` [m] from an object in the world: what it stands on."""
+def neighbors(scene: PlanningScene, name: str, within: float = 0.002) -> list[str]:
+    """Return the objects within a distance [m] of a world object, for example its supports.
+
+    Args:
+        name: object in the world.
+        within: largest distance of the surfaces [m].
+    """
     item = scene.object(name)
     request, near = coal.DistanceRequest(), []
     for other in scene.objects.values():
@@ -357,12 +395,12 @@ def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.Dista
             result.clear()
             one = (solid(shape_a), coal.Transform3s(A.rotation.matrix, A.translation))
             two = (solid(shape_b), coal.Transform3s(B.rotation.matrix, B.translation))
-            if one[0].many is not None:
+            if one[0].primitives is not None:
                 one, two = two, one
-            if one[0].many is not None:
-                continue  # clouds stand where they are: nobody asks
-            if two[0].many is not None:
-                found = distance_to_many(*one, two[0].many, two[1], request, result)
+            if one[0].primitives is not None:
+                continue  # distances between two point clouds are not needed
+            if two[0].primitives is not None:
+                found = distance_to_primitives(*one, two[0].primitives, two[1], request, result)
             else:
                 found = coal.distance(one[0].exact, one[1], two[0].exact, two[1], request, result)
             best = min(best, found)
@@ -370,7 +408,12 @@ def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.Dista
 
 
 def overlaps(scene: PlanningScene, name: str, tolerance: float = 5e-4) -> list[tuple[str, float]]:
-    """Objects that an object in the world is inside of, with the depth [m], deepest first."""
+    """Return the objects that overlap an object in the world, with depths [m], deepest first.
+
+    Args:
+        name: object in the world.
+        tolerance: smaller overlaps [m] are ignored.
+    """
     item, request = scene.object(name), coal.DistanceRequest()
     depths = [(o.name, -_object_distance(item, o, request)) for o in scene.objects.values() if o.name != name]
     return sorted([(n, d) for n, d in depths if d > tolerance], key=lambda nd: -nd[1])

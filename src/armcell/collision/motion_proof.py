@@ -1,6 +1,7 @@
-"""Whether a timed motion is free of contact in a scene, also beside other motions; else where and when not.
+"""Certification of timed motions against a measured scene and other running motions.
 
-The motion gate (`control/gate.py`) asks this for every motion at its start, and again when the scene changes.
+If a motion is not certified collision-free, the result is its first contact with the time. The motion gate
+(`control/gate.py`) certifies every motion at its start and again when the scene changes.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision.arms import ARM_JOINTS, Arms
 from armcell.collision.certificate import Certificate
+from armcell.collision.displaced import displacement
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting import certify_from_rest
 from armcell.core import Contact, JointTrajectory
@@ -23,21 +25,26 @@ from armcell.timing.chords import acceleration_bounds, positions_at
 Array = NDArray[np.float64]
 
 ERRORS = (5e-4, 5e-5)
-"""[rad or m] About the most that a joint is off the straight pieces that are proven: the finer ones are tried
-where the coarse ones cannot be proven."""
+"""[rad or m] Approximate largest deviations of a joint from the piecewise linear path to certify, in order of
+use: the finer path is used only if the coarse path cannot be certified."""
 
-LONGEST = 0.05  # [s] of a piece: the time of a contact is reported as precisely
-SAMPLES = 0.01  # [s] between the states among which the nearest is sought
-SAME = 2e-3  # [rad or m] by which another state may be farther than the nearest and still be the one
+DISPLACED = 4e-3
+"""[m] Largest displacement of bodies from the planned scene for which a motion is certified in the planned
+scene; smaller than the padding of planners."""
+
+LONGEST = 0.05  # [s] longest piece of the path, so also the precision of the reported contact time
+SAMPLES = 0.01  # [s] time between the samples among which `passed_at` searches the nearest state
+SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most this count as equally near
 
 
 @dataclass(frozen=True)
 class Conflict:
-    """The first contact on the rest of a motion.
+    """The first contact on the remaining part of a motion.
 
     Attributes:
-        time: [s] on the motion's own clock.
-        at_start: the robot is in contact where it is now, deeper than resting contact.
+        time: time of the contact on the motion's own clock [s].
+        contact: the pair of bodies; None if it is unknown.
+        at_start: True if the robot is already in contact, deeper than resting contact.
     """
 
     time: float
@@ -47,12 +54,13 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A motion from now on.
+    """A running motion, evaluated from the current instant on.
 
     Attributes:
-        passed: [s] of the trajectory that is done.
-        fade: what is added to the trajectory on its first part, from time 0 on: the speed of an arm that was
-            moving when the motion began.
+        trajectory: the planned trajectory.
+        passed: trajectory time already executed [s].
+        fade: offset that is added to the start of the trajectory, from its time 0 on; it fades out the
+            velocity of an arm that was moving when the motion began.
     """
 
     trajectory: JointTrajectory
@@ -61,21 +69,21 @@ class Moving:
 
     @property
     def remaining(self) -> float:
-        """[s] until it rests."""
+        """Time until the motion ends [s]."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
-        """Commanded positions (k, n) at times (k,) [s] from now, at rest after the end."""
+        """Return the commanded positions (k, n) at times (k,) [s] from now; constant after the end."""
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.fade is None else q + positions_at(self.fade, self.passed + after)
 
     def accelerations(self) -> Array:
-        """The most that each joint (n,) accelerates [rad/s^2 or m/s^2]."""
+        """Return upper bounds (n,) of each joint's acceleration [rad/s^2 or m/s^2]."""
         most = acceleration_bounds(self.trajectory)
         return most if self.fade is None else most + acceleration_bounds(self.fade)
 
     def knots(self) -> Array:
-        """Times [s] from now at which the motion's polynomials change."""
+        """Return the times [s] from now at which the motion's polynomial segments meet."""
         times = self.trajectory.times - self.passed
         if self.fade is not None:
             times = np.union1d(times, self.fade.times - self.passed)
@@ -83,41 +91,58 @@ class Moving:
 
 
 def first_conflict(
-    scene: PlanningScene, motion: Moving, others: Sequence[Moving] = (), shift: float = 0.0
+    scene: PlanningScene,
+    motion: Moving,
+    others: Sequence[Moving] = (),
+    shift: float = 0.0,
+    planned: PlanningScene | None = None,
 ) -> Conflict | None:
-    """What a robot, or what it holds, would touch on the rest of a motion; None where it is proven free.
+    """Return the first contact on the rest of a motion, or None if it is collision-free.
 
-    Proven between samples too, rounded corners and the gap between the measured and the commanded start
-    included. Padding does not count, and what the scene allows to touch may touch. The motion may lead out
-    of resting contact at its start (`certify_from_rest`).
+    None is a certificate. It covers the robot and all objects that it holds, including the states between
+    samples, rounded corners, and the gap between the measured and the commanded start. Padding and contacts
+    that the scene allows are ignored. The motion may start in resting contact if it leads out of the contact
+    (`certify_from_rest`).
 
     Args:
-        scene: as measured now. Joints that nothing moves stay where they are.
-        others: motions of other joints that run beside it, on the same clock.
-        shift: [s] that the motion may be late or early against the others.
+        scene: the current scene as measured; joints outside the motions keep their positions.
+        motion: the motion to certify.
+        others: motions of other joints that run in parallel, on the same clock.
+        shift: largest delay or lead of the motion relative to the others [s].
+        planned: the scene in which the motion was planned. If the measured scene differs from it by less than
+            `DISPLACED`, the function first certifies the motion in this scene, for which the kernel has
+            cached data.
     Raises:
-        InputError: a position that is not finite.
+        InputError: a position is not finite.
     """
     if motion.remaining <= 0 and not len(motion.trajectory.times):
         return None
     names = tuple(n for m in (motion, *others) for n in m.trajectory.joint_names)
+    delays = (0.0,) if not others or shift <= 0 else (0.0, shift, -shift)
+    if planned is not None and (off := displacement(planned, scene, names)) < DISPLACED:
+        checker = KernelChecker(planned, names)
+        here = scene.positions[checker.columns]
+        if all(_free(checker, *_timed(here, motion, others, late, ERRORS[0])[1:], off) for late in delays):
+            return None
     checker = KernelChecker(scene, names)
     here = scene.positions[checker.columns]
-    for late in (0.0,) if not others or shift <= 0 else (0.0, shift, -shift):
+    for late in delays:
         found = _conflict(checker, here, motion, others, late)
         if found is not None:
             return found
     return None
 
 
+def _free(checker: KernelChecker, points: Array, room: Array, distance: float = 0.0) -> bool:
+    return checker.certify(points, room, distance=distance, evidence=False).free
+
+
 def _conflict(
     checker: KernelChecker, here: Array, motion: Moving, others: Sequence[Moving], late: float
 ) -> Conflict | None:
     for error in ERRORS:
-        times, points, room = _pieces(motion, others, late, error)
-        require(bool(np.isfinite(points).all()), "the motion has a position that is not finite")
-        times, points = np.concatenate([[0.0], times]), np.vstack([here, points])  # up to where it is sent
-        if checker.certify(points, room, evidence=False).free:
+        times, points, room = _timed(here, motion, others, late, error)
+        if _free(checker, points, room):
             return None
     proof = certify_from_rest(checker, points, room)
     if proof.free:
@@ -129,28 +154,47 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """The first of all failures, where a proof has found one of them."""
+    """Return the certificate of the first contact, by bisection from any contact found."""
     edges = len(points) - 1
-    free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # up to which point it is free, and is not
+    free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix
     while not_free - free > 1:
         middle = (free + not_free) // 2
-        if checker.certify(points[: middle + 1], room, evidence=False).free:
+        if _free(checker, points[: middle + 1], room):
             free = middle
         else:
             not_free = middle
     if free == 0:
-        return proof  # it begins in resting contact, or fails at once
+        return proof  # the motion begins in resting contact or fails on its first edge
     first = checker.certify(points[free : not_free + 1], room)
     if first.free:
         return proof
     return Certificate(False, (free + first.at * (not_free - free)) / edges, first.contact)
 
 
+def _timed(
+    here: Array, motion: Moving, others: Sequence[Moving], late: float, error: float
+) -> tuple[Array, Array, Array]:
+    """Return the piecewise linear path of all motions, starting at the measured positions.
+
+    Args:
+        here: (n,) measured positions, which become the first waypoint.
+    Returns:
+        As `_pieces`.
+    """
+    times, points, room = _pieces(motion, others, late, error)
+    require(bool(np.isfinite(points).all()), "the motion has a position that is not finite")
+    return np.concatenate([[0.0], times]), np.vstack([here, points]), room
+
+
 def _pieces(
     motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """All motions as straight pieces: times (k,) from now, positions (k, n), each joint's error (n,)."""
-    starts = [late, *([0.0] * len(others))]  # one that is early has begun already
+    """Convert all motions to one piecewise linear path.
+
+    Returns:
+        Times (k,) [s] from now, positions (k, n), and the largest deviation of each joint (n,) [rad or m].
+    """
+    starts = [late, *([0.0] * len(others))]  # a negative start means that the motion has already begun
     every = (motion, *others)
     end = max(m.remaining + max(s, 0.0) for m, s in zip(every, starts, strict=True))
     most = np.concatenate([m.accelerations() for m in every])
@@ -159,17 +203,18 @@ def _pieces(
     count = max(int(np.ceil(end / longest)), 1)
     knots = [m.knots() + s for m, s in zip(every, starts, strict=True)]
     ends = [m.remaining + s for m, s in zip(every, starts, strict=True)]
-    times = np.unique(np.concatenate([np.linspace(0.0, end, count + 1), *knots, ends]))
-    times = times[(times >= 0.0) & (times <= end)]
+    times = np.sort(np.concatenate([np.linspace(0.0, end, count + 1), *knots, ends]))
+    times = times[(times >= 0.0) & (times <= end) & (np.diff(times, prepend=-1.0) > 0.0)]
     points = np.hstack([m.positions(np.maximum(times - s, 0.0)) for m, s in zip(every, starts, strict=True)])
     return times, points, most * float(np.diff(times).max(initial=0.0)) ** 2 / 8
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
-    """Whether two arms could touch if each makes its motion whenever and however slowly it wants.
+    """Return True if two arms could touch when each runs its motion at any time and speed.
 
-    For real arms, which a speed slider or a pause slows. True also where no proof is possible: the motions
-    are not of two arms that share no joint.
+    A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
+    result is also True if no certificate is possible, because the motions do not belong to two arms without
+    shared joints.
     """
     mine, theirs = (_arm_of(scene, m.trajectory.joint_names) for m in (motion, other))
     if mine is None or theirs is None:
@@ -178,11 +223,14 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
         return True
     a, room_a = _of_group(scene, motion, mine)
     b, room_b = _of_group(scene, other, theirs)
-    return not Arms(scene, (mine, theirs)).apart_at_any_pace(a, room_a, b, room_b, 0.0)
+    return not Arms(scene, (mine, theirs)).keeps_clearance_at_any_pace(a, room_a, b, room_b, 0.0)
 
 
 def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
-    """Positions (k, n) and errors (n,) of all joints of a group; those that nothing moves stay."""
+    """Return positions (k, n) and deviations (n,) of all joints of a group during a motion.
+
+    Joints outside the motion keep their positions.
+    """
     _, points, room = _pieces(motion, (), 0.0, ERRORS[0])
     joints = scene.model.group(group).joint_names
     columns = [joints.index(n) for n in motion.trajectory.joint_names]
@@ -192,7 +240,7 @@ def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, 
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
-    """The smallest group of an arm that has some joints."""
+    """Return the name of the smallest arm group that contains all given joints, or None."""
     wanted = set(joint_names)
     groups = [g for g in scene.model.groups.values() if wanted <= set(g.joint_names)]
     groups = [g for g in groups if len(g.joint_names) >= ARM_JOINTS]
@@ -200,12 +248,14 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
 
 
 def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
-    """How far along a trajectory [s] a robot at q (n,) is that may have been slowed.
+    """Return the trajectory time [s] that a possibly slowed robot at q (n,) has reached.
 
     Args:
-        most: [s] it is no farther than that.
+        trajectory: the trajectory that the robot executes.
+        q: (n,) measured positions.
+        most: upper bound of the result [s].
     Returns:
-        The earliest time at which the trajectory is about as near to q as it ever is.
+        The earliest time at which the distance to q is within `SAME` of its minimum.
     """
     most = min(max(most, 0.0), trajectory.duration)
     times = np.linspace(0.0, most, max(int(np.ceil(most / SAMPLES)), 1) + 1)

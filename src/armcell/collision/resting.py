@@ -1,8 +1,9 @@
-"""Motions that begin in resting contact: one rule for planners, straight lines and the motion gate.
+"""Certification of motions that start in resting contact, for planners and the motion gate.
 
-A held object that stands on a table, or a finger that leans against an object, touches at 0.0 mm. Such a
-motion may begin if it leads out of the contact: a touching pair does not get deeper, it separates within
-`DRAG`, and from the place where it is `APART` the motion is proven without any exception.
+A held object on a table, or a finger on an object, touches at a distance of 0.0 mm. A motion may start in
+such a resting contact if it leads out of the contact: a touching pair must not get deeper and must separate
+within `DRAG`. From the position where all pairs are `APART`, the rest of the motion must be certified without
+exceptions.
 """
 
 from __future__ import annotations
@@ -23,52 +24,56 @@ Array = NDArray[np.float64]
 Pair = frozenset[str]
 
 RESTING = 2e-3
-"""[m] Deepest contact that counts as resting; physics' soft contacts sink in by less than 1 mm."""
+"""[m] Deepest contact that counts as resting; soft contacts in physics penetrate by less than 1 mm."""
 
 APART = 1e-3
-"""[m] Distance from which a pair counts as separated."""
+"""[m] Distance above which a pair counts as separated."""
 
 DEEPER = 5e-4
-"""[m] By which a pair may come closer again on its way out: rounding of a motion's corners."""
+"""[m] Distance by which a separating pair may approach again, because motions round their corners."""
 
 DRAG = 5e-3
-"""[m] That a body may move along another one, and twice their depth, before their contact has ended."""
+"""[m] Distance that a body may slide along another one, plus twice the depth, before their contact ends."""
 
 TOUCH = 1e-5
-"""[m] Nearer pairs touch: the kernel calls 2 micrometers a contact, coal one."""
+"""[m] Pairs closer than this touch; contact starts at 2 um in the kernel and at 1 um in coal."""
 
 STEP = 2e-4
-"""[m] Most that a touching pair moves between two of the configurations at which it is measured."""
+"""[m] Largest motion of a touching pair between two configurations at which its distance is measured."""
 
 STEPS = 3000
-"""Of those: a pair that is not apart after so many slides along another one."""
+"""Largest number of measured configurations; a pair still not separated then slides along its contact."""
 
 ROOM = 1.5
-"""Times the slack's own motion that a pair must be apart before a proof with slack can succeed."""
+"""Smallest ratio of a pair's distance to its motion within the slack at which certification can succeed."""
 
 COARSE = 0.02
-"""[rad or m] Between configurations where the distance of separated pairs is looked up, not proven."""
+"""[rad or m] Largest step between configurations at which distances are sampled without certification."""
 
-GROWTH = 1e-5  # [m] of a distance in half of `COARSE`, of a pair that moves apart
-FAR = 0.25  # [m] `KernelChecker.clearance` reports no more
-LARGEST = 10.0  # [m] of a solid's half size: half-spaces have no corners
+GROWTH = 1e-5  # [m] smallest increase of the distance of a separating pair within half of `COARSE`
+ROUNDING = 1e-9  # [m] of a measured distance: a pair that only slides does not move apart
+FAR = 0.25  # [m] largest clearance that `KernelChecker.clearance` returns
+LARGEST = 10.0  # [m] upper limit of a solid's half extents, because half-spaces have no corners
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
 def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) -> dict[Pair, Contact]:
-    """Pairs of bodies that touch at q (n,), or nearly do: by names, their nearest contact.
+    """Return the pairs of bodies that touch or nearly touch at q (n,), with their contacts.
+
+    Each pair has the contact at its smallest distance.
 
     Args:
-        within: [m] the largest distance, of all pairs or of each of the checker's (p,).
+        within: largest distance [m], for all pairs or for each of the checker's pairs (p,).
     """
     exact.place(q)
     found: dict[Pair, Contact] = {}
     most = np.broadcast_to(np.asarray(within, dtype=float), len(exact.pairs))
     for p in np.flatnonzero(exact.pair_gaps(exact.pairs) < most):
         a, b = int(exact.pairs[p, 0]), int(exact.pairs[p, 1])
-        if exact.pair_distance(a, b) >= most[p]:
+        distance = exact.pair_distance(a, b)
+        if distance >= most[p]:
             continue
-        contact = exact.contact_of(a, b)
+        contact = exact.contact_of(a, b, distance)
         pair = frozenset((contact.body_a, contact.body_b))
         if pair not in found or contact.distance < found[pair].distance:
             found[pair] = contact
@@ -76,8 +81,10 @@ def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) 
 
 
 def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
-    """The contacts at q (n,) of bodies that the group moves, deepest first; what only the kernel calls a
-    contact is named by the pair that is nearest."""
+    """Return the contacts at q (n,) of bodies that the group moves, deepest first.
+
+    If only the kernel reports a contact, the result is the nearest pair of the exact checker.
+    """
     contacts = sorted(resting_pairs(checker.exact, q, TOUCH).values(), key=lambda c: c.distance)
     if contacts or not checker.touches(q):
         return contacts
@@ -86,7 +93,7 @@ def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
 
 
 def allowing(scene: PlanningScene, pairs: Iterable[Pair]) -> PlanningScene:
-    """The scene in which some pairs of bodies may touch."""
+    """Return the scene with contact allowed between the given pairs of bodies."""
     for pair in pairs:
         a, b = sorted(pair)
         scene = scene.with_allowed(a, (b,))
@@ -101,18 +108,20 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Prove a piecewise linear motion (k, n) free of contact; it may lead out of resting contact.
+    """Certify a piecewise linear motion (k, n) that may lead out of resting contact.
 
-    Pairs that touch at the start, or are too near to be proven with the slack, are measured by the exact
-    checker until they are apart; all other pairs are proven as ever.
+    The exact checker measures pairs that touch at the start, or that are too close for a certificate with
+    slack, until they are separated. All other pairs are certified on the whole motion as usual.
 
     Args:
-        slack: how far each joint (n,) may be off the edges [rad or m].
-        deepest: [m] contact at the start that may be left.
-        evidence: where the start is free and the proof fails, find out which pair it is.
+        checker: the checker of the scene.
+        waypoints: (k, n) joint positions.
+        slack: (n,) largest deviation of each joint from the straight edges [rad or m].
+        deepest: largest penetration depth at the start that the motion may leave [m].
+        evidence: if the start is collision-free but the certification fails, find the pair in contact.
     Returns:
-        A certificate; `at` counts along the waypoints, 0..1. `at` 0 with a contact: the start is in contact
-        deeper than `deepest`.
+        A certificate; its `at` is the fraction of the motion, from 0 to 1. If `at` is 0 and there is a
+        contact, the start is in contact deeper than `deepest`.
     """
     points = np.ascontiguousarray(waypoints, dtype=float)
     if len(points) == 1:
@@ -133,7 +142,7 @@ def certify_from_rest(
     leaving = Leaving(exact, points[0], _measured(checker, points, near))
     at, contact = leaving.until_apart(points, lambda q: not checker.touches(q))
     if contact is None and at < edges and not checker.certify(_from(points, at), evidence=False).free:
-        # The kernel's pieces of a mesh reach beyond it: farther on it can be proven.
+        # The kernel's pieces extend beyond the mesh, so certification can succeed from a later position.
         farther, blocked = leaving.until_apart(points, lambda q: checker.clearance([q], APART) > APART / 2)
         at = farther if blocked is None else at
     others = KernelChecker(allowing(checker.scene, near), checker.joint_names).certify(points, slack)
@@ -151,7 +160,7 @@ def certify_from_rest(
         return Certificate(False, _along(at, bare.at, rest, edges), bare.contact)
     if slack is None:
         return Certificate(True)
-    # Pairs may be too near for the slack while they move apart: until then they are proven without it.
+    # While separating pairs are still too close for the slack, the motion is certified without slack.
     farther, contact = Leaving(exact, points[0], near).until_beyond(points, at, need)
     if contact is not None:
         return Certificate(False, farther / edges, contact)
@@ -165,8 +174,10 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Those of the pairs near each other that have to be measured on a motion's way out: the touching ones,
-    where the kernel proves that the others do not touch."""
+    """Return the near pairs whose distances must be measured along the motion out of contact.
+
+    These are the touching pairs if the kernel certifies all others, else all near pairs.
+    """
     touch = [pair for pair, contact in near.items() if contact.distance <= TOUCH]
     if len(touch) == len(near):
         return near
@@ -177,22 +188,28 @@ def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact
 def separation(
     exact: ExactChecker, points: Array, near: Mapping[Pair, Contact]
 ) -> tuple[float, Contact | None]:
-    """Where along a motion (k, n) pairs in resting contact are all separated, counted in edges.
+    """Return the position along a motion (k, n) where all resting contacts have ended.
 
+    Args:
+        exact: the exact checker.
+        points: (k, n) waypoints.
+        near: pairs in resting contact at the start.
     Returns:
-        That place; the end if the pairs are apart there, though by less than `APART`. With a contact: where a
-        pair gets deeper or is dragged along, or the end, where it still touches.
+        The position, and a contact or None. The position is counted in edges: 2.5 is the middle of the third
+        edge. It is the end if the pairs separate by less than `APART`. With a contact, it is the position
+        where the pair gets deeper or is dragged along, or the end, where the pair still touches.
     """
     return Leaving(exact, points[0], near).until_apart(points)
 
 
 def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
-    """`KernelChecker.clearance` of a motion (k, n) that may begin in resting contact [m].
+    """Return the clearance [m] of a motion (k, n) that may start in resting contact.
 
-    A pair that touches at the start counts from the place where it no longer moves apart.
+    Like `KernelChecker.clearance`, but a pair that touches at the start counts only from the position where
+    it stops separating.
     """
     points = np.ascontiguousarray(waypoints, dtype=float)
-    checker = checker.without_room or checker
+    checker = checker.without_arm_clearance or checker
     if not checker.touches(points[0]):
         return checker.clearance(points)
     near = resting_pairs(checker.exact, points[0])
@@ -208,10 +225,12 @@ def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
 
 
 class Leaving:
-    """Pairs of bodies in resting contact, and whether a motion leads out of it.
+    """Pairs of bodies in resting contact, with tests whether a motion leads out of the contact.
 
     Args:
-        q: (n,) where the motion begins. near: pairs of bodies that touch there, or nearly do.
+        exact: the exact checker.
+        q: (n,) start of the motion.
+        near: pairs of bodies that touch or nearly touch at the start.
     """
 
     def __init__(self, exact: ExactChecker, q: ArrayLike, near: Iterable[Pair]):
@@ -226,7 +245,10 @@ class Leaving:
         self._bound: MotionBound | None = None
 
     def refuses(self, q: ArrayLike) -> Contact | None:
-        """The pair that keeps the robot from standing at q (n,) on its way out, or None."""
+        """Return the contact that forbids configuration q (n,) while the robot leaves, or None.
+
+        The robot leaves resting contact; the configuration must not cause a new, deeper, or dragged contact.
+        """
         self.exact.place(q)
         distances = self._distances()
         broken = self._broken(distances, np.minimum(self.first, APART))
@@ -235,21 +257,25 @@ class Leaving:
     def until_apart(
         self, points: Array, free: Callable[[Array], bool] = lambda q: True
     ) -> tuple[float, Contact | None]:
-        """See `separation`.
+        """Return the position along a motion where all pairs in resting contact are separated.
 
         Args:
-            free: whether the place where the pairs are apart will do to begin a proof at (n,).
+            points: (k, n) waypoints.
+            free: predicate on configurations (n,); the position is accepted as the start of a certificate
+                only if the predicate is True.
+        Returns:
+            As `separation`.
         """
         best = np.minimum(self.first, APART)
         distances, last = self.first, len(points) - 1
-        travel, steps = np.zeros(len(self.first)), 0  # bounds of how far pairs have moved
+        travel, steps = np.zeros(len(self.first)), 0  # upper bounds of each pair's relative motion [m]
         if not self.touching.any() and free(points[0]):
             return 0.0, None
         for i in range(last):
             a, dq, t = points[i], points[i + 1] - points[i], 0.0
             per_edge = self.bound.along(dq)
             while t < 1.0:
-                # As far as no pair can have come into contact unseen, or a touching one much deeper.
+                # The largest step in which no pair can touch unnoticed and no touching pair gets much deeper.
                 most = np.maximum(0.5 * distances, np.where(self.touching, STEP, TOUCH))
                 before = t
                 t = min(t + float(np.min(most / np.maximum(per_edge, 1e-12), initial=np.inf)), 1.0)
@@ -259,7 +285,7 @@ class Leaving:
                 distances = self._distances()
                 broken = self._broken(distances, best, travel)
                 if broken is None and steps > STEPS:
-                    broken = int(np.argmin(distances))  # it keeps so near that it does not lead out
+                    broken = int(np.argmin(distances))  # the pair stays too close to leave the contact
                 if broken is not None:
                     return i + t, self._contact(broken)
                 best = np.maximum(best, np.minimum(distances, APART))
@@ -269,14 +295,20 @@ class Leaving:
         return float(last), self._contact(int(ends[0])) if len(ends) else None
 
     def until_beyond(self, points: Array, at: float, need: Array) -> tuple[float, Contact | None]:
-        """The first place after another one (in edges) where all pairs are as far apart [m] as they need to
-        be, or the end. With a contact: a pair that no longer moves apart before that.
+        """Return the first position along a motion where all pairs have their required distances.
+
+        Positions are counted in edges: 2.5 is the middle of the third edge.
 
         Args:
-            need: (p,) of all the checker's pairs.
+            points: (k, n) waypoints.
+            at: position at which the search starts.
+            need: (p,) required distances [m] of all pairs of the checker.
+        Returns:
+            The position (the end if there is none) and None, or the position where a pair stops separating
+            too early and its contact.
         """
         before = np.full(len(self.rows), -np.inf)
-        since = np.inf  # [rad or m] that the joints have moved since `before`
+        since = np.inf  # [rad or m] joint motion since `before` was measured
         last, place = _between(points, at), at
         for place in _places(points, at):
             q = _between(points, place)
@@ -295,14 +327,18 @@ class Leaving:
         return place, None
 
     def while_parting(self, points: Array, at: float) -> float:
-        """Where the pairs that touched stop moving apart, from a place (in edges) on; the end if never."""
+        """Return the position along a motion where the touching pairs stop separating.
+
+        The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
+        separate all the time.
+        """
         before = -np.inf
         for place in _places(points, at):
             self.exact.place(_between(points, place))
             now = float(np.min(self._distances(FAR)[self.touching], initial=np.inf))
             if now >= FAR:
                 return place
-            if now < before:
+            if now <= before + ROUNDING:
                 return place
             before = now
         return float(len(points) - 1)
@@ -314,17 +350,24 @@ class Leaving:
         return self._bound
 
     def _distances(self, within: float = 0.02) -> Array:
-        """Of each pair as placed [m]; lower bounds of those farther apart than `within`."""
+        """Return the current distance [m] of each pair in resting contact.
+
+        For pairs farther apart than `within`, the values are lower bounds.
+        """
         distances = self.exact.pair_gaps(self.pairs)
         for k in np.flatnonzero(distances < within):
             distances[k] = self.exact.pair_distance(int(self.pairs[k, 0]), int(self.pairs[k, 1]))
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """The pair that touches where it must not: new, deeper than before, or dragged along.
+        """Return the index of a pair in forbidden contact, or None.
+
+        Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
         Args:
-            travel: bounds (p,) of how far the pairs have moved [m], where they are known.
+            distances: (p,) current distances [m].
+            best: (p,) largest distances reached so far [m], limited to `APART`.
+            travel: (p,) upper bounds of each pair's relative motion [m], if known.
         """
         new = ~self.touching & (distances <= 0.0)
         deeper = self.touching & (distances < best - DEEPER)
@@ -339,19 +382,22 @@ class Leaving:
         return None
 
     def _travel(self, k: int) -> float:
-        """How far [m] the bodies of a pair have moved against each other: the smaller of two views."""
+        """Return how far [m] the bodies of pair k moved relative to each other since the start.
+
+        The value is the smaller of the two motions seen from either body.
+        """
         now = self._corners(k)
         return min(
             float(np.max(np.linalg.norm(b - a, axis=1))) for a, b in zip(self.corners[k], now, strict=True)
         )
 
     def _corners(self, k: int) -> tuple[Array, Array]:
-        """(8, 3) corners of each geometry of a pair, in the other's frame."""
+        """Return the box corners (8, 3) of each geometry of pair k, in the other geometry's frame."""
         a, b = (self._placed(int(i)) for i in self.pairs[k])
         return (a[1] - b[0][:3, 3]) @ b[0][:3, :3], (b[1] - a[0][:3, 3]) @ a[0][:3, :3]
 
     def _placed(self, i: int) -> tuple[Array, Array]:
-        """Pose (4, 4) of a geometry as placed, and its corners (8, 3), in the world."""
+        """Return the pose (4, 4) of a placed geometry and its box corners (8, 3), world frame."""
         geometry = self.exact.geometries[i]
         T = geometry.T_link_solid.matrix
         if geometry.link >= 0:
@@ -370,13 +416,19 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _from(points: Array, at: float) -> Array:
-    """The rest of a motion (k, n), from a place on (in edges)."""
+    """Return the rest of a motion (k, n) from a position on.
+
+    The position is counted in edges: 2.5 is the middle of the third edge.
+    """
     i = min(int(at), len(points) - 2)
     return np.vstack([_between(points, at), points[i + 1 :]])
 
 
 def _places(points: Array, at: float) -> Iterable[float]:
-    """Places (in edges) at most `COARSE` apart, from one to the end."""
+    """Yield positions along a motion with joint steps of at most `COARSE`, from `at` to the end.
+
+    Positions are counted in edges: 2.5 is the middle of the third edge.
+    """
     i = min(int(at), len(points) - 2)
     for k in range(i, len(points) - 1):
         begin = at - k if k == i else 0.0
@@ -387,8 +439,15 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """A share of what is left of a motion after a place (in edges), as a share of the whole motion."""
+    """Convert a fraction of the rest of a motion to a fraction of the whole motion.
+
+    Args:
+        at: position where the rest begins, counted in edges.
+        share: fraction of the rest, from 0 to 1.
+        rest: (m, n) waypoints of the rest.
+        edges: number of edges of the whole motion.
+    """
     i = min(int(at), edges - 1)
-    k = share * (len(rest) - 1)  # along `rest`, whose first edge is what is left of edge i
+    k = share * (len(rest) - 1)  # position along `rest`, whose first edge is the remainder of edge i
     place = at + k * (i + 1 - at) if k < 1 else i + k
     return float(place / edges)

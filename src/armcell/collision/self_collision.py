@@ -1,8 +1,8 @@
-"""Which pairs of links need no checking, found from the meshes.
+"""Computation of the link pairs whose collisions can be disabled (SRDF collision matrix).
 
-Sampling alone calls a pair "never in contact" that touches once in a million states. So pairs with few joints
-between them are proven apart (`kernel.near`), and for the others the samples are only the start: from those
-where a pair comes near, a search goes on to where it comes nearest.
+Sampling alone reports "never in contact" for a pair that touches once in a million states. Pairs with few
+joints between them are therefore proven apart (`kernel.near`). For the other pairs, samples in which the
+links are near are start states of a local search for contact.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]
 
-NEAR = 0.03  # [m] samples as near as this are where the search for contact begins
-STARTS, STEPS = 6, 120  # of that search, for each pair
-RARE = 2000  # samples in contact for the kernel: with more there is no doubt that the meshes touch too
+NEAR = 0.03  # [m] samples with a smaller distance are start states of the search for contact
+STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
+RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
 MOSTLY = 0.95
-"""MoveIt's figure for "always" in collision. A pair that touches in so many states, but not in all, is a
-flaw of the meshes; with it hardly any state would be free."""
+"""Fraction of contact samples from which MoveIt treats a pair as always in collision. A pair that touches in
+this many states, but not in all, indicates faulty meshes; checking the pair would leave hardly any
+collision-free state."""
 
 
 @dataclass(frozen=True)
 class LinkPair:
-    """What is known of two links.
+    """A pair of links with its sampled contacts and the reason to disable its collisions.
 
-    `reason` is the SRDF's word for ignoring their contact: "Adjacent" (joined by a joint), "Always" and
-    "Never" (in contact in all or none of the samples), "Default" (in contact in the default state, or in a
-    named state of the gripper that both belong to, or nearly always); empty where the pair has to be checked.
+    `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
+    none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
+    contains both links, or in nearly all samples). It is empty if the pair must be checked.
     """
 
     link_a: str
@@ -44,7 +45,7 @@ class LinkPair:
     reason: str
     touching: int  # samples in contact
     samples: int
-    proven: bool = False  # for all states, not only those sampled
+    proven: bool = False  # whether the absence of contact is proven for all states, not only for the samples
 
     @property
     def links(self) -> frozenset[str]:
@@ -54,13 +55,14 @@ class LinkPair:
 def link_pairs(
     model: RobotModel, samples: int = 100_000, seed: int = 0, progress: Progress | None = None
 ) -> list[LinkPair]:
-    """Every pair of links with collision geometry, in the model's order.
+    """Return every pair of links with collision geometry, in the model's order.
 
     Args:
-        model: its default state and its end effectors' named states decide what is "Default"; pairs that it
-            disables already are looked at as all others.
-        samples: states, uniform within the joint limits.
-        progress: told how many samples are done.
+        model: its default state and the named states of its end effectors determine the reason "Default".
+            Pairs that the model already disables are evaluated like all others.
+        samples: number of states, uniformly distributed within the joint limits.
+        seed: seed of the random states.
+        progress: callback that receives the number of finished samples.
     """
     return _Survey(model, samples, seed).pairs(progress)
 
@@ -68,15 +70,20 @@ def link_pairs(
 def disabled_collision_pairs(
     model: RobotModel, samples: int = 10_000, seed: int = 0, progress: Progress | None = None
 ) -> dict[frozenset[str], str]:
-    """Pairs of links with the reason ("Adjacent", "Default", "Always", "Never") to ignore their contact.
+    """Return the link pairs whose collisions can be disabled, with the reason.
 
-    See `link_pairs`, which gives the counts as well.
+    The reasons are "Adjacent", "Default", "Always", and "Never". `link_pairs` also returns the sample counts.
+
+    Args:
+        samples: number of random states.
+        seed: seed of the random states.
+        progress: callback that receives the number of finished samples.
     """
     return {pair.links: pair.reason for pair in link_pairs(model, samples, seed, progress) if pair.reason}
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Links joined by a joint, links without geometry between them passed over (a flange, a frame)."""
+    """Return pairs of links joined by a joint; links without geometry in between are skipped."""
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
         parent = joint.parent
@@ -89,7 +96,10 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """States (count, dof), uniform within the limits; joints without any turn once."""
+    """Return states (count, dof), uniformly distributed within the joint limits.
+
+    Joints without limits take values from -pi to pi.
+    """
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     return rng.uniform(low, high, (count, model.dof))
@@ -137,7 +147,12 @@ class _Survey:
         return found
 
     def _count(self, progress: Progress | None) -> tuple[dict[frozenset[str], int], dict[frozenset, Array]]:
-        """How often each pair that may meet touches; and where those that never do are near, (k, dof)."""
+        """Count the contact samples of each pair, and collect near states of pairs without contact.
+
+        Returns:
+            Number of contact samples by pair, and states (k, dof) in which the links are near, by pair; the
+            second result leaves out pairs that are proven apart.
+        """
         if self.model.dof == 0:
             return {}, {}
         sampler = PairSampler(KernelChecker(self.scene))
@@ -147,7 +162,7 @@ class _Survey:
         for n, (a, b) in enumerate(sampler.pairs):
             if names[n] in self.adjacent:
                 continue
-            # The kernel's solids are a little larger than the meshes, which have the last word.
+            # The kernel's solids are slightly larger than the meshes, so the meshes decide.
             states = self.states[close[n]]
             if 0 < counts[n] <= RARE and not any(self._touch(a, b, q) for q in states):
                 counts[n] = 0
@@ -161,7 +176,7 @@ class _Survey:
         return dict(zip(names, counts.tolist(), strict=True)), unproven
 
     def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
-        """Pairs in contact in the default state, or within a gripper in one of its named states."""
+        """Return the pairs in contact in the default state or, within a gripper, in a named state."""
         model = self.model
         q = model.default_positions()
         found = {frozenset((c.body_a, c.body_b)) for c in self.exact.contacts(q)}
@@ -178,7 +193,7 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Groups of grippers: those of end effectors, and what shares no joint with any chain."""
+        """Return the groups of grippers: those of end effectors and those without joints of a chain."""
         model = self.model
         hands = {e.group for e in model.end_effectors.values()}
         driven = {n for g in model.groups.values() if g.tip_link for n in g.joint_names}
@@ -186,7 +201,7 @@ class _Survey:
 
     # --- on the meshes themselves ---
     def _distance(self, a: str, b: str) -> float:
-        """Signed distance [m] of two links where the exact checker has placed them."""
+        """Return the signed distance [m] of two links at the exact checker's current placement."""
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 
     def _touch(self, a: str, b: str, q: Array) -> bool:
@@ -196,7 +211,13 @@ class _Survey:
         return any(self.exact.pair_touches(int(i), int(j)) for i, j in near)
 
     def _can_meet(self, a: str, b: str, near: Array) -> bool:
-        """Whether a search that starts at states (k, dof) where two links are near ends in contact."""
+        """Search for a contact of two links by a random local search.
+
+        Args:
+            near: (k, dof) states in which the links are near; some of them are start states.
+        Returns:
+            True if the search finds a contact.
+        """
         columns = self._between(a, b)
         low, high = self.model.lower[columns], self.model.upper[columns]
         starts = near[self.rng.permutation(len(near))[:STARTS]]
@@ -219,7 +240,7 @@ class _Survey:
         return False
 
     def _between(self, a: str, b: str) -> list[int]:
-        """Columns of the joints that move one link against another."""
+        """Return the columns of the joints that move one link relative to another."""
         tree = self.exact.tree
         apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
         return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -1,4 +1,4 @@
-"""Which points of a cloud are the robot itself, or what it holds: they are no obstacles."""
+"""Self-filter: removes points of the robot and its held objects from a point cloud."""
 
 from __future__ import annotations
 
@@ -31,41 +31,56 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 
 PADDING = 0.02
-"""[m] around the shapes: what a depth camera and the robot's calibration are off by."""
+"""[m] Distance around the shapes that covers the errors of the depth camera and the robot's calibration."""
 
 
 def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
-    """The points (n, 3) [m, world frame] that are neither the robot nor what it holds (see `robot_mask`)."""
+    """Return the points (n, 3) [m, world frame] outside the robot and its held objects.
+
+    See `robot_mask`.
+    """
     cloud = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
     return cloud[~robot_mask(scene, cloud, padding, objects)]
 
 
 def robot_mask(
-    scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
-) -> NDArray[np.bool_]:
-    """Which points (n, 3) [m, world frame] are inside links or held objects, or within the padding of them.
+    scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = (),
+    scale: float = 1.0,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Return a mask (n,) of the points inside links or held objects, or within the padding.
 
-    Faces are moved out by the padding, so that at corners and edges points a little farther off count too.
+    The padding moves the faces of a shape outward, so the padded region extends a little farther at edges and
+    corners.
 
     Args:
-        objects: names of objects in the world to count as well, so that they are not there twice.
+        points: (n, 3) [m, world frame].
+        padding: [m] distance around the shapes.
+        objects: names of world objects to include, so that the point cloud does not duplicate them.
+        scale: scale factor of every link's shapes, multiplied with the scene's own link scale.
     """
-    return _mask(_placed(scene, objects), points, padding)
+    placed = ((shape, T, factor * scale) for shape, T, factor in _placed(scene, objects))
+    return _mask(placed, points, padding)
 
 
 def object_mask(
     scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """Which points (n, 3) [m, world frame] are inside objects of the scene, or within the padding of them."""
+    """Return a mask (n,) of the points inside scene objects or within the padding.
+
+    Args:
+        points: (n, 3) [m, world frame].
+        padding: [m] distance around the shapes.
+        objects: names of the objects.
+    """
     every = ((s, scene.object(n).T_world_object @ T, 1.0) for n in objects for s, T in scene.object(n).shapes)
     return _mask(every, points, padding)
 
 
 def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding: float) -> NDArray[np.bool_]:
     if not np.isfinite(padding) or padding < 0:
-        raise InputError(f"padding is {padding:g}, it must be a number of metres >= 0")
+        raise InputError(f"padding is {padding:g}, it must be a number of meters >= 0")
     cloud = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
     mask = np.zeros(len(cloud), bool)
     columns = np.ascontiguousarray(cloud.T)
@@ -78,7 +93,7 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Shapes with T_world_shape and the factor they are grown by."""
+    """Yield shape, T_world_shape, and scale of the robot, its held objects, and other objects."""
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]
     for link in scene.model.links.values():
@@ -91,7 +106,7 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Points (3, n) in the box around a shape in the world."""
+    """Return a mask of the points (3, n) inside the padded world bounding box of a shape."""
     centre, half = local_bounds(shape)
     centre = T.apply(centre * scale)
     half = np.abs(T.rotation.matrix) @ (half * scale + padding)
@@ -102,7 +117,10 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """How far (n,) [m] points (n, 3) are beyond the face of a convex shape that they are farthest beyond."""
+    """Return how far (n,) [m] points (n, 3) are outside a convex shape, negative inside.
+
+    The value is the largest signed distance from any of the shape's faces.
+    """
     r, z = np.hypot(p[:, 0], p[:, 1]), p[:, 2]
     match shape:
         case Box():
@@ -132,7 +150,7 @@ def _outside(shape: Shape, p: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def _faces(mesh: Mesh) -> Array:
-    """Outward normals and offsets (f, 4) of a convex mesh."""
+    """Return the outward normals and offsets (f, 4) of a convex mesh's faces."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations

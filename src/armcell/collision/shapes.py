@@ -1,4 +1,4 @@
-"""Shapes as coal geometries: primitives kept as primitives, meshes exact."""
+"""Conversion of shapes to coal geometries: primitives stay primitives, meshes stay exact."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.many import Many
+from armcell.collision.primitive_set import PrimitiveSet
 from armcell.collision.winding import winding_numbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 from armcell.core.geometry import local_bounds
@@ -18,29 +18,29 @@ Array = NDArray[np.float64]
 
 CONVEX_EXCESS = 1e-3
 CONVEX_DENT = 2e-4
-"""A closed mesh is treated as its convex hull if that has at most `CONVEX_EXCESS` more volume (a share) and
-no vertex is deeper than `CONVEX_DENT` [m] inside it."""
+"""A closed mesh is replaced by its convex hull if the hull's volume exceeds the mesh's by at most the
+fraction `CONVEX_EXCESS` and no vertex is deeper than `CONVEX_DENT` [m] inside the hull."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape ready for coal. `outer` is a convex geometry around it (itself, if it is convex).
+    """A shape prepared for coal: its exact geometry and a convex outer geometry around it.
 
-    coal sees only the surface of a mesh that is not convex: `hollow` is that mesh, to ask what is inside, and
-    `closed` says that it has no rim. What has very many parts is `many` (and `exact` the box around it, not
-    to be used).
+    For a convex shape, `outer` is `exact`. For a nonconvex mesh, coal sees only the surface: `hollow` is the
+    mesh, for tests whether a point is inside, and `closed` is True if it is watertight. For a point cloud or
+    octree, `primitives` holds the parts and `exact` is only the bounding box.
     """
 
     exact: coal.CollisionGeometry
     outer: coal.CollisionGeometry
-    centre: Array  # (3,) of the box around it, in the shape's frame [m]
-    half: Array  # (3,) half extents of that box [m]
+    centre: Array  # (3,) center of the bounding box [m, shape frame]
+    half: Array  # (3,) half extents of the bounding box [m]
     hollow: Mesh | None = None
-    many: Many | None = None
+    primitives: PrimitiveSet | None = None
     closed: bool = True
 
     def holds(self, point: Array) -> bool:
-        """Whether a point (3,) of the shape's frame is inside a mesh that is not convex."""
+        """Return True if a point (3,) [m, shape frame] is inside a nonconvex mesh."""
         if self.hollow is None or np.any(np.abs(point - self.centre) > self.half):
             return False
         return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
@@ -48,7 +48,7 @@ class Solid:
 
 @lru_cache(maxsize=1024)
 def solid(shape: Shape, scale: float = 1.0) -> Solid:
-    """The coal geometry of a shape, grown by a factor about its own origin."""
+    """Return the coal geometry of a shape, scaled by a factor about its origin (cached)."""
     centre, half = local_bounds(shape)
     match shape:
         case Box():
@@ -65,7 +65,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             exact = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         case PointCloud() | Octree():
             around = coal.Box(*np.maximum(2 * half * scale, 1e-6))
-            return Solid(around, around, centre * scale, half * scale, None, Many.of(shape, scale))
+            return Solid(around, around, centre * scale, half * scale, None, PrimitiveSet.of(shape, scale))
         case Mesh():
             outer = convex_hull(shape.vertices * scale)
             if is_convex(shape):
@@ -78,8 +78,11 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Whether a closed mesh fills its convex hull (within `CONVEX_EXCESS`)."""
-    import trimesh  # slow to load, and not needed where there are no meshes
+    """Return True if a watertight mesh fills its convex hull up to `CONVEX_EXCESS`.
+
+    No vertex may be deeper than `CONVEX_DENT` inside the hull.
+    """
+    import trimesh  # slow to import, and needed only for meshes
     from scipy.spatial import ConvexHull
 
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
@@ -95,7 +98,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
-    """Whether a mesh has no rim: what it encloses is solid. One with a rim is a surface, nothing more."""
+    """Return True if a mesh is watertight, so that its interior is solid."""
     import trimesh
 
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
@@ -109,12 +112,12 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
 
 
 def convex_hull(vertices: Array) -> coal.CollisionGeometry:
-    """The hull of points (v, 3); the box around them where they are flat."""
+    """Return the convex hull of points (v, 3), or their bounding box if the points are coplanar."""
     try:
-        if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # qhull in coal may end the process
+        if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # coal's qhull may abort the process on these
             raise ValueError("flat")
         return coal.ConvexBase.convexHull(_points(vertices), True, "Qt")
-    except Exception:  # a flat mesh: the box around it is a convex outer shape as well
+    except Exception:  # a flat mesh: its bounding box is a convex outer shape, too
         low, high = vertices.min(0), vertices.max(0)
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
         extents = np.maximum(high - low, 1e-6)
@@ -122,7 +125,7 @@ def convex_hull(vertices: Array) -> coal.CollisionGeometry:
 
 
 def triangle_model(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
-    """A triangle mesh for coal; only its surface counts."""
+    """Return a triangle mesh for coal; coal treats it as a surface without interior."""
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(faces), len(vertices))
     triangles = coal.StdVec_Triangle()

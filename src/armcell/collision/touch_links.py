@@ -1,4 +1,4 @@
-"""Which links hold an object: those that touch it, or nearly do."""
+"""Detection of the links that touch a held object."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from armcell.core import InputError
 from armcell.scene import PlanningScene
 
 NEAR = 0.002
-"""[m] Fingers that hold an object are modelled or measured that far off it."""
+"""[m] Distance up to which a finger counts as touching: tolerance of its model and of the measured pose."""
 
 
 def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tuple[str, ...]:
-    """Links whose surface is at most `within` [m] from an object where both now are, nearest first.
+    """Return the links within a distance [m] of an object at the current state, nearest first.
 
-    What the scene allows to touch does not matter.
+    Allowed contacts of the scene do not affect the result.
+
+    Raises:
+        InputError: `within` is negative or not finite.
     """
     if not np.isfinite(within) or within < 0:
-        raise InputError(f"within is {within:g}, it must be a number of metres >= 0")
+        raise InputError(f"within is {within:g}, it must be a number of meters >= 0")
     scene.object(name)
     checker = ExactChecker(scene)
     checker.place(scene.positions)
@@ -35,5 +38,8 @@ def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tup
 
 
 def attached_by_contact(scene: PlanningScene, name: str, link: str, within: float = NEAR) -> PlanningScene:
-    """An object fixed to a link where it is; it may touch the links that it touches now, and no other."""
+    """Return the scene with an object attached to a link at its current relative pose.
+
+    The touch links are the links that currently touch the object (see `touching_links`).
+    """
     return scene.with_attached(name, link, touching_links(scene, name, within))

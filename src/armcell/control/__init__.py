@@ -1,7 +1,15 @@
-"""Make it move: the Driver protocol, the drivers, the executor, the supervisor, an emulated controller."""
+"""Robot control: drivers, trajectory executor, safety supervisor, emulated UR controller."""
 
-from armcell.control import drivers as _registered  # noqa: F401  (fills the table)
-from armcell.control.driver import ContactRecord, Driver, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.control import drivers as _registered  # noqa: F401  (registers the drivers)
+from armcell.control.driver import (
+    ContactRecord,
+    Driver,
+    DriverOptions,
+    GripperReading,
+    ReportsModes,
+    WeldRecord,
+    drivers,
+)
 from armcell.control.drivers.ur.dashboard import DashboardClient
 from armcell.control.executor import ExecutionSettings, execute, playing
 from armcell.control.following import Follower, Steps
@@ -34,6 +42,7 @@ __all__ = [
     "GuardedMotion",
     "MotionGate",
     "Rack",
+    "ReportsModes",
     "SafetyEvent",
     "Steps",
     "Supervisor",

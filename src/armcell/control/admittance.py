@@ -1,7 +1,8 @@
-"""Admittance: a measured force moves the set point a little, so that it stays near the force wanted.
+"""Admittance control: moves the setpoint so that the contact force stays near its target.
 
-v = (f - f_wanted) / damping beyond a dead band, within a speed and a distance (Hogan, "Impedance control",
-1985, turned round for robots that take positions). A first-order filter takes off the sensor's noise.
+Outside a dead band, v = (f - f_target) / damping, limited in speed and total offset (Hogan, "Impedance
+control", 1985, in its admittance form for position-controlled robots). A first-order filter suppresses the
+sensor's noise.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdmittanceSettings:
-    """Of one direction or several; SI units."""
+    """Parameters of an admittance controller with one or several force directions; SI units."""
 
-    damping: float = 20_000.0  # [N s/m] the larger, the slower the set point gives way
-    dead_band: float = 2.0  # [N] force errors below which nothing moves
+    damping: float = 20_000.0  # [N s/m] a larger value makes the setpoint yield more slowly
+    dead_band: float = 2.0  # [N] force errors below this value cause no motion
     max_speed: float = 0.01  # [m/s]
-    max_offset: float = 4e-4  # [m] of the set point from where it was planned
-    filter_time: float = 0.02  # [s] of the force's first-order filter
+    max_offset: float = 4e-4  # [m] largest offset from the planned setpoint
+    filter_time: float = 0.02  # [s] time constant of the first-order force filter
 
     def __post_init__(self) -> None:
         for name in ("damping", "max_speed", "max_offset"):
@@ -34,10 +35,11 @@ class AdmittanceSettings:
 
 
 class Admittance:
-    """The offset of a set point (n,) [m] that follows force errors (n,) [N].
+    """Admittance controller that offsets a setpoint (n,) [m] to reduce force errors (n,) [N].
 
     Attributes:
-        offset: where the set point is from where it was planned. force: as filtered.
+        offset: current offset from the planned setpoint (n,) [m].
+        force: filtered force measurement (n,) [N].
     """
 
     def __init__(self, settings: AdmittanceSettings, size: int = 3):
@@ -46,7 +48,14 @@ class Admittance:
         self._first = True
 
     def update(self, force: ArrayLike, dt: float, wanted: ArrayLike = 0.0) -> Array:
-        """The offset after `dt` [s] under a measured force; positive force errors move it forwards."""
+        """Return the setpoint offset (n,) [m] after one control period under the measured force.
+
+        Args:
+            force: measured force (n,) [N]. A force above the target moves the setpoint in the positive
+                direction.
+            dt: control period [s].
+            wanted: target force, a scalar or (n,) [N].
+        """
         s, f = self.settings, np.asarray(force, dtype=float)
         share = 1.0 if self._first or s.filter_time == 0 else dt / (s.filter_time + dt)
         self._first = False

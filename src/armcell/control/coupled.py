@@ -1,4 +1,4 @@
-"""Arms that are coupled: one trajectory, one clock, one scaling for all, watched at every tick."""
+"""Synchronized execution of one trajectory on several arms: one clock, one speed scaling."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from armcell.core.protocols import offers
 
 Array = NDArray[np.float64]
 
-LATEST = 4  # periods of a real robot's driver that one tick makes up for
-RAMP = 2.0  # [1/s] how fast the scaling may change: a pause brakes within half a second
+LATEST = 4  # driver periods of a real robot that one tick can catch up
+RAMP = 2.0  # [1/s] limit on the scaling's rate: a pause brakes within half a second
 
 
 def execute_coupled(
@@ -30,16 +30,16 @@ def execute_coupled(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Play one trajectory of several arms on one clock, and wait until all rest at its end.
+    """Play one trajectory of several arms on one clock and wait until all arms rest at its end.
 
     Args:
-        motion: from a `MotionGate`, which proves it first; when it is set, all arms stop.
-        correct: gets the time on the trajectory and the set points (n,), (n,); returns those to send.
-        watch: looked at after every tick; a failure it returns stops all arms and is the result.
-        scalings: what each arm lets itself be slowed to, 0..1; the smallest slows the common clock. By
-            default what the driver tells of sliders and pauses, where it does.
+        motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops all arms.
+        correct: maps the trajectory time [s] and the setpoints q, v, each (n,), to the setpoints to send.
+        watch: called after every tick; a failure that it returns stops all arms and becomes the result.
+        scalings: returns each arm's allowed speed fraction, 0..1; the smallest one slows the common clock.
+            By default, the speed fraction that the driver reports for sliders and pauses, if it reports one.
     Returns:
-        As `execute`, or what `watch` returned.
+        The result as from `execute`, or the failure that `watch` returned.
     """
     executable(motion)
     try:
@@ -106,7 +106,7 @@ def _coupled(
         step = RAMP * driver.period
         scale = min(max(wanted, scale - step), scale + step)
         passed = driver.period
-        if paced is not None:  # a real robot's time passes by itself; this program being late is no jump
+        if paced is not None:  # real time passes on its own: a late program must not cause a jump
             passed, last = min(paced.tick - last, LATEST * driver.period), paced.tick
         clock = min(clock + scale * passed, trajectory.duration)
         q, v = playback.at(clock)
@@ -146,14 +146,20 @@ def _coupled(
 
 
 class _Sent:
-    """Set points of the last `latency` [s]: a real robot is on its way to one of them."""
+    """Setpoints of the last `latency` seconds; a real robot lags behind the newest setpoint."""
 
     def __init__(self, latency: float):
         self._latency = latency
         self._kept: deque[tuple[float, Array]] = deque()
 
     def nearest(self, measured: Array, q: Array, now: float) -> Array:
-        """The one of them that is nearest to where the robot is, the last one (n,) among them."""
+        """Return the recorded setpoint (n,) that is nearest to the measured position.
+
+        Args:
+            measured: measured joint positions (n,) [rad or m].
+            q: newest setpoint (n,), added to the history first.
+            now: driver time [s].
+        """
         self._kept.append((now, q))
         while self._kept[0][0] < now - self._latency:
             self._kept.popleft()

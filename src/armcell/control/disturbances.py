@@ -1,4 +1,4 @@
-"""What is wrong with a robot and what happens to it: values of a cell that campaigns vary."""
+"""Disturbances of a simulated cell: robot errors and events that test campaigns vary."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Push:
-    """A force on a link or a movable object, at its centre of mass, in world axes.
+    """A force on a link or a movable object, applied at its center of mass, in world axes.
 
     Attributes:
-        on: link or object.
-        at: [s] when it begins, on the driver's clock.
+        on: name of the link or object.
+        at: start time [s] on the driver's clock.
         duration: [s]
-        force: [N]
+        force: (3,) [N]
     """
 
     on: str
@@ -25,13 +25,13 @@ class Push:
 
 @dataclass(frozen=True)
 class Move:
-    """An object put elsewhere, which nobody but a camera is told.
+    """A displacement of an object during a run that only cameras can observe.
 
     Attributes:
-        object: fixed or movable.
-        at: [s] when, on the driver's clock.
-        by: [m] from where it then is, in world axes.
-        turn: [rad] about the upright axis through its origin.
+        object: name of a fixed or movable object.
+        at: time [s] on the driver's clock.
+        by: displacement (3,) [m] from the object's pose at that time, in world axes.
+        turn: rotation [rad] about the vertical axis through the object's origin.
     """
 
     object: str
@@ -42,14 +42,14 @@ class Move:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """None by default.
+    """Disturbances of one simulated cell; the default contains none.
 
     Attributes:
-        joint_offsets: [rad] by joint: how much further it really stands than its encoder says.
-        joint_noise: [rad] standard deviation of an arm's measured positions, each joint and time by itself.
-        latency: [s] from a command to the arm until it acts.
-        pushes: forces from outside.
-        moves: objects put elsewhere.
+        joint_offsets: joint name to offset [rad] of the true joint position from the encoder's reading.
+        joint_noise: standard deviation [rad] of the measured arm positions, independent per joint and time.
+        latency: delay [s] between a command to the arm and its effect.
+        pushes: external forces.
+        moves: displacements of objects.
     """
 
     joint_offsets: Mapping[str, float] = field(default_factory=dict)

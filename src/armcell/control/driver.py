@@ -1,8 +1,8 @@
-"""The Driver protocol: what every robot, simulated or real, offers to the rooms above."""
+"""The Driver protocol: the interface that every robot, simulated or real, implements."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -18,16 +18,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class GripperReading:
-    """What a gripper reports."""
+    """State that a gripper reports: its opening, its force, and the object it holds."""
 
     width: float  # [m]
     force_per_finger: float  # [N]
-    held: str | None = None  # object between the fingers, where the driver can tell
+    held: str | None = None  # object between the fingers, if the driver detects it
 
 
 @dataclass(frozen=True)
 class ContactRecord:
-    """A contact nobody asked for, as the driver saw it."""
+    """An unexpected contact that a driver observed."""
 
     body_a: str
     body_b: str
@@ -38,7 +38,7 @@ class ContactRecord:
 
 @dataclass(frozen=True)
 class WeldRecord:
-    """An object held by something else than friction."""
+    """An object that a constraint other than friction attached to a gripper."""
 
     object: str
     gripper: str
@@ -50,22 +50,23 @@ class WeldRecord:
 @dataclass(frozen=True)
 @checked()
 class DriverOptions:
-    """What a cell gives every driver; each takes what it needs."""
+    """Options that a cell passes to every driver; each driver reads the ones it needs."""
 
     seed: int = 0
     time_scale: float | None = None  # None: lock-step; 1.0: real time
-    physics: Any = None  # sim's PhysicsSettings
+    physics: Any = None  # armcell.sim.PhysicsSettings
     cameras: tuple = ()
-    decals: tuple = ()  # pictures on things, for the cameras
+    decals: tuple = ()  # images on objects, for the cameras
     extra: dict[str, Any] = field(default_factory=dict)
 
 
 class Driver(Protocol):
-    """A connected robot. Connect and disconnect by `with driver:`; the constructor does no I/O.
+    """A connection to a robot, real or simulated; `with driver:` connects and disconnects.
 
-    Time is the driver's own clock [s]; `advance` is the only thing that lets it pass, so no caller sleeps.
-    One thread drives it. Where others may look meanwhile it has a `lock`, too, which is held while the state
-    changes: joints and objects that are read within it are of one moment.
+    The constructor performs no I/O. Time is the driver's own clock [s]; only `advance` moves it forward, so
+    callers never sleep. One thread drives the robot. If other threads may read the state, the driver also
+    has a `lock`, held while the state changes: joints and objects read under the lock belong to the same
+    instant.
     """
 
     name: str
@@ -74,7 +75,7 @@ class Driver(Protocol):
 
     @property
     def is_paced(self) -> bool:
-        """Whether its clock keeps to the wall's: nothing that takes long may be done between two steps."""
+        """Whether the driver's clock follows wall time; callers must not block between two steps."""
         ...
 
     def __enter__(self) -> Driver: ...
@@ -84,64 +85,67 @@ class Driver(Protocol):
     def now(self) -> float: ...
 
     def joint_state(self) -> JointState:
-        """All actuated joints, in the model's order."""
+        """Return the state of all actuated joints, in the model's order."""
         ...
 
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Set the joints' targets [rad, rad/s]; returns what was actually sent."""
+        """Set the joint targets [rad, rad/s] and return the setpoints that were actually sent."""
         ...
 
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
-        """Drive to a width [m] with at most a force per finger [N]. Width 0 grasps."""
+        """Drive the gripper to a width [m] with a limited force per finger [N]; width 0 grasps."""
         ...
 
     def gripper(self, gripper: str) -> GripperReading: ...
 
     def wrench(self, gripper: str) -> Array:
-        """Force [N] over torque [Nm] (6,) on a hand by what touches it, about its tcp, in world axes.
+        """Return the external wrench on a gripper: force [N], then torque [Nm] (6,).
 
-        Without the hand's own weight. Zero for a robot that feels nothing.
+        The torque is about the TCP, the axes are the world's, and the hand's own weight is excluded. The
+        wrench is zero for a robot without force sensing.
         """
         ...
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s]."""
+        """Advance the driver's clock by `duration` [s]."""
         ...
 
     def stop(self) -> None:
-        """Hold the measured position now."""
+        """Stop the robot immediately and hold its measured joint positions."""
         ...
 
     def resume(self) -> None:
-        """Make ready for motions again after whatever has stopped it. Nothing moves, old goals are forgotten.
+        """Make a stopped robot ready for motions again, without moving it; old goals are discarded.
 
-        Where nothing has stopped it nothing happens, also while it moves. May be called from any thread.
+        If nothing has stopped the robot, the call has no effect, even during a motion. Any thread may call
+        this.
 
         Raises:
-            ArmcellError: it cannot be made ready from here; says why and what to do. It stays stopped.
+            ArmcellError: the driver cannot make the robot ready. The message states the reason and the
+                remedy, and the robot stays stopped.
         """
         ...
 
     def object_poses(self) -> dict[str, SE3]:
-        """T_world_object of the movable objects, as far as the driver knows them."""
+        """Return T_world_object of the movable objects that the driver knows."""
         ...
 
     def targets(self) -> JointState | None:
-        """What the arm joints were last told to be; None before anything was."""
+        """Return the last commanded arm joint positions, or None before the first command."""
         ...
 
     def contacts(self) -> list[Contact]:
-        """What touches now; a driver that cannot tell says nothing."""
+        """Return the current contacts; an empty list from a driver that cannot detect contacts."""
         ...
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Contacts that are part of the task from now on (or no longer)."""
+        """Declare that contacts of `body` with `others` are part of the task, or no longer are."""
         ...
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        """A held object may from now on touch nothing but its supports."""
+        """Report every contact of a held object from now on, except contacts with its supports."""
         ...
 
     def unwatch_object(self, name: str) -> None: ...
@@ -152,7 +156,7 @@ class Driver(Protocol):
 
 
 class SeesNoContacts:
-    """What a driver without physics says of contacts: nothing."""
+    """Contact methods of a driver without physics: no contact is ever reported."""
 
     def contacts(self) -> list[Contact]:
         return []
@@ -174,49 +178,65 @@ class SeesNoContacts:
 
 
 class Rehearsing(Protocol):
-    """A driver that tries a trajectory elsewhere before a robot gets it."""
+    """A driver that dry-runs a trajectory in simulation before the robot executes it."""
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Why it must not be driven, or None."""
+        """Simulate the trajectory; return the reason not to execute it, or None."""
         ...
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
-        """Compare a motion that is commanded point by point with its rehearsal, which was the last.
+        """Return a monitor that compares a streamed motion with the most recent dry run.
 
         Args:
-            forced: what is felt decides on the way, so forces and speeds say nothing.
+            forced: True if measured forces modify the motion, so that currents and speeds are not compared.
         """
         ...
 
 
 class Watch(Protocol):
-    """A motion under way, told of by who commands it."""
+    """Monitor of a motion that the caller streams point by point."""
 
     def sent(self, clock: float, off: Array) -> None:
-        """A point was commanded: of this time [s] on the trajectory, and so far off it (n,)."""
+        """Record a point that the caller has commanded, for comparison with the dry run.
+
+        Args:
+            clock: time of the point on the trajectory [s].
+            off: offset of the commanded point from the trajectory (n,).
+        """
         ...
 
     def look(self) -> None: ...
 
     def end(self, how: str) -> None:
-        """done, or why not."""
+        """End the monitoring of a motion; `how` is "done" or the reason for the failure."""
         ...
 
 
 class Player(Protocol):
-    """A driver that plays a part of a trajectory by itself: the same commands, less between them."""
+    """A driver that plays parts of a trajectory itself, with less overhead between the commands."""
 
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Command and let time pass until `until` [s] on the trajectory, or a joint is off by more than a
-        tolerance [rad or m]; at least one period.
+        """Play the trajectory until `until` [s] or until a tracking error exceeds the tolerance.
+
+        At least one driver period passes.
 
         Args:
-            began: the driver's time [s] at which the trajectory began.
+            began: driver time [s] at which the trajectory started.
+            until: trajectory time [s] at which to return.
+            tolerance: largest tracking error [rad or m] of a joint.
         Returns:
-            The largest error, and the index of its joint.
+            The largest tracking error [rad or m] and the index of its joint.
         """
+        ...
+
+
+class ReportsModes(Protocol):
+    """A driver of real arms that report their robot mode and safety mode."""
+
+    def arm_modes(self) -> Mapping[str, tuple[int, int]]:
+        """Return (robot mode, safety mode) by arm, in Universal Robots' numbers (`ur_wire.modes`)."""
         ...
 
 
@@ -225,4 +245,4 @@ class DriverFactory(Protocol):
 
 
 drivers: Registry[DriverFactory] = Registry("mode")
-"""Drivers by the name of the mode that uses them: sim, fake, real."""
+"""Driver factories by the mode that uses them: sim, fake, real."""

@@ -1,4 +1,4 @@
-"""The executor: plays a trajectory on a driver with FollowJointTrajectory's semantics."""
+"""The trajectory executor: plays a trajectory on a driver, as FollowJointTrajectory does."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from armcell.planning import explain_start
 @dataclass(frozen=True)
 @checked()
 class ExecutionSettings:
-    """Tolerances of a motion. 0.01 rad at the start is MoveIt's default."""
+    """Tolerances and time limits of an execution; 0.01 rad at the start is MoveIt's default."""
 
-    start_tolerance: float = 0.01  # [rad or m] measured start against the trajectory's
-    path_tolerance: float = 0.1  # [rad or m] tracking error that aborts
+    start_tolerance: float = 0.01  # [rad or m] between the measured state and the trajectory's start
+    path_tolerance: float = 0.1  # [rad or m] tracking error that aborts the motion
     goal_tolerance: float = 0.005  # [rad or m]
     goal_speed: float = 0.02  # [rad/s or m/s] below which the arm counts as at rest
     settle_time: float = 1.0  # [s] to reach the goal after the trajectory's end
-    blend_time: float = 0.2  # [s] in which the speed of an arm that moves already fades into the motion's
-    stall_time: float = 5.0  # [s] without progress until a robot that plays it itself is given up
+    blend_time: float = 0.2  # [s] for blending a moving arm's velocity into the new motion
+    stall_time: float = 5.0  # [s] without progress before a motion that the robot plays itself is aborted
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -37,7 +37,7 @@ class ExecutionSettings:
             require(value > 0, f"{field.name} is {value:g}, it must be positive")
 
 
-AT_ONCE = 0.02  # [s] of a trajectory that a driver plays by itself
+AT_ONCE = 0.02  # [s] of trajectory that a driver plays itself per call
 Progress = Callable[[float], None]
 
 
@@ -50,16 +50,16 @@ def execute(
     """Play a trajectory to its end and wait until the arm rests at the goal.
 
     Args:
-        motion: from a `MotionGate`, which proves it first; when it is set, the arm stops where it is.
-        progress: called after each command with the fraction done, 0..1. Without it, a driver that can plays
-            `AT_ONCE` seconds at once, and `motion` is looked at in between.
+        motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops the arm.
+        progress: called after each command with the completed fraction, 0..1. Without it, a driver that
+            implements `Player` plays `AT_ONCE` seconds per call, and the executor checks `motion` in between.
     Returns:
-        SUCCESS; CONTROL_FAILED (wrong start, left the path, goal not reached) with joint and error;
-        MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE or START_STATE_IN_COLLISION with the pair, the place and
-        the time, where the motion is not proven free; PREEMPTED. After any but SUCCESS the driver holds the
-        measured position.
+        SUCCESS; CONTROL_FAILED with joint and error if the start differs, the arm leaves the path, or the arm
+        misses the goal; MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE or START_STATE_IN_COLLISION with the
+        pair, the position and the time if the motion is not collision-free; PREEMPTED. After every result
+        except SUCCESS, the driver holds the measured position.
     """
-    # of the driver's own class: what stands before another driver and changes commands is not passed by
+    # look up the class: a wrapper that forwards attributes and modifies commands must not be bypassed
     plays = progress is None and hasattr(type(driver), "play")
     alone = cast(Player, driver) if plays else None
     steps = playing(driver, motion, settings, progress, alone)
@@ -78,14 +78,17 @@ def playing(
     progress: Progress | None = None,
     alone: Player | None = None,
 ) -> Steps:
-    """`execute` step by step, for whoever lets the time pass: each `next` commands the driver for its next
-    period. Several of these, of different joints, can run on one driver at once.
+    """Execute a motion step by step: each `next` commands the driver for its next period.
 
-    An arm that moves already, as when a newer motion takes over, is not stopped first: the difference to the
-    trajectory's start, in position and speed, fades out. (Not so for a robot that plays trajectories itself.)
+    The caller advances the driver's clock between two steps. Several of these generators, for different
+    joints, can run on one driver at the same time.
+
+    An arm that already moves, for example because a newer motion takes over, is not stopped first: the offset
+    from the trajectory's start, in position and velocity, fades out. This does not apply to robots that play
+    trajectories themselves.
 
     Args:
-        alone: the driver, where it may let the time of the trajectory pass by itself.
+        alone: the driver as a `Player` if it may advance the clock itself; None to command every period.
     """
     executable(motion)
     try:
@@ -185,7 +188,10 @@ def _played(
 def _fade(
     measured: JointState, trajectory: JointTrajectory, settings: ExecutionSettings
 ) -> JointTrajectory | None:
-    """What a moving arm still has of its own motion, a quintic that ends in nothing; None for one at rest."""
+    """Return the quintic blend from an arm's current motion into a trajectory; None at rest.
+
+    The blend is an offset from the trajectory that ends at zero position and velocity.
+    """
     moves = measured.velocities
     if moves is None or np.max(np.abs(moves)) <= settings.goal_speed or trajectory.duration <= 0:
         return None

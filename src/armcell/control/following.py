@@ -1,4 +1,4 @@
-"""Executing a trajectory that the robot itself plays: it is handed over, watched, and judged as any other."""
+"""Execution of trajectories that the robot plays itself: hand over, monitor, and evaluate."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from armcell.control.safety import Fault
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
 
 Steps = Generator[None, None, ExecutionResult]
-"""A motion under way: each `next` after a period of the driver, until it ends with its result."""
+"""Generator of a running motion: resume it once per driver period; its return value is the result."""
 
 
 class Following(Protocol):
-    """A trajectory under way."""
+    """Handle of a trajectory that a robot is executing."""
 
     def clock(self) -> float:
-        """How far along the trajectory the robot is [s]; slider and pause slow it."""
+        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down."""
         ...
 
     def state(self) -> str:
-        """running, done, cancelled, or why the robot gave it up."""
+        """Return "running", "done", "cancelled", or the reason for which the robot aborted."""
         ...
 
     def paused(self) -> bool: ...
@@ -37,47 +37,47 @@ class Following(Protocol):
 
 
 class Follower(Protocol):
-    """A driver whose robot plays trajectories itself."""
+    """A driver whose robot plays a whole trajectory itself, after one call of `follow`."""
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start it.
+        """Start a trajectory on the robot and return its handle.
 
         Raises:
-            InputError: the robot may not move, or other joints than the arms' are asked for.
+            InputError: the robot may not move, or the trajectory names joints that are not arm joints.
         """
         ...
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms whose joints these are where they are."""
+        """Stop the arms that own these joints and hold their positions."""
         ...
 
     def fault(self) -> Fault | None:
-        """Why nothing may move, or None."""
+        """Return the fault that prevents motion of the robot, or None."""
         ...
 
 
 class Paced(Protocol):
-    """A driver whose robots may be slowed from outside, and are behind what they are sent.
+    """A driver whose robots can be slowed externally and lag behind the streamed setpoints.
 
     Attributes:
-        latency: how far at most [s].
+        latency: largest lag behind the setpoints [s].
     """
 
     latency: float
 
     @property
     def tick(self) -> float:
-        """What the next command is for [s]: the time that `advance` has let pass."""
+        """Driver time [s] of the next command: the total duration passed to `advance`."""
         ...
 
     @property
     def speed_fraction(self) -> float:
-        """What sliders and pauses leave of the speed: the slowest arm's, 0 to 1."""
+        """Speed fraction, 0..1, that sliders and pauses allow; the value of the slowest arm."""
         ...
 
 
 class SentClock:
-    """Where on a trajectory robots are that get its points ahead of their time."""
+    """History of streamed setpoints that maps send times to trajectory times."""
 
     KEPT = 200  # points
 
@@ -85,11 +85,20 @@ class SentClock:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """A point was sent: for when [s, monotonic], of what time on the trajectory, how far off it (n,)."""
+        """Record a streamed setpoint with its due time and its time on the trajectory.
+
+        Args:
+            when: monotonic time [s] at which the point is due.
+            clock: time of the point on the trajectory [s].
+            off: offset of the point from the trajectory (n,), or None.
+        """
         self._points.append((when, clock, off))
 
     def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
-        """Time on the trajectory [s] and how far off it (n,), of the point for a moment; ends are held."""
+        """Return the trajectory time [s] and offset (n,) of the point due at a monotonic time [s].
+
+        Before the first and after the last recorded point, the nearest one applies.
+        """
         points = list(self._points)
         if not points:
             return 0.0, None
@@ -101,13 +110,13 @@ class SentClock:
         return c0 + (c1 - c0) * (when - t0) / (t1 - t0), off
 
 
-CANCEL_TIME = 2.0  # [s] within which a cancelled arm must rest
-LATENCY = 0.06  # [s] by which the measured state may be behind the trajectory's clock
+CANCEL_TIME = 2.0  # [s] time limit for a cancelled arm to come to rest
+LATENCY = 0.06  # [s] largest lag of the measured state behind the trajectory clock
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Of a motion: as ExecutionSettings has them."""
+    """Tolerances of a motion that the robot plays itself, copied from `ExecutionSettings`."""
 
     path_tolerance: float  # [rad]
     goal_tolerance: float  # [rad]
@@ -124,7 +133,16 @@ def followed(
     cancel: threading.Event | None,
     progress: Callable[[float], None] | None,
 ) -> Steps:
-    """The part of `playing` behind the check of the start. Arguments as there."""
+    """Run `playing` after its start check, on a robot that plays trajectories itself.
+
+    Args:
+        driver, follower: the same driver in both roles.
+        settings: tolerances and timeouts.
+        cancel: stops the motion when set.
+        progress: called with the completed fraction, 0..1.
+    Returns:
+        A generator to resume once per driver period; its value is the execution result.
+    """
     names, began, duration = trajectory.joint_names, driver.now, trajectory.duration
     first = float(trajectory.times[0])
     tracking, advanced_at, furthest, done_at = 0.0, began, 0.0, None
@@ -147,7 +165,7 @@ def followed(
     if fault is not None:
         return stopped_by(fault)
     if duration <= 0.0:
-        return ended(ErrorCode.SUCCESS, "")  # it is there already: the start was checked
+        return ended(ErrorCode.SUCCESS, "")  # the arm is at the goal: the start check has passed
     following = follower.follow(trajectory)
     while True:
         yield
@@ -198,7 +216,7 @@ def followed(
 def _cancelled(
     driver: Driver, following: Following, state: Callable, ended: Callable[..., ExecutionResult]
 ) -> Steps:
-    """Cancel, and wait until the arm rests."""
+    """Cancel the robot's trajectory and wait until the arm rests, at most `CANCEL_TIME` [s]."""
     at = following.clock()
     following.cancel()
     end = driver.now + CANCEL_TIME

@@ -1,9 +1,9 @@
-"""The motion gate: every motion is proven when it starts, and again whenever the world changes.
+"""The motion gate: certifies every motion at its start and again whenever the scene changes.
 
-The executor takes no trajectory, only a `GuardedMotion`, which a gate makes. So no caller (task, script,
-service, topic, viewer) can move an arm without the proof. What is proven: the rest of the motion, from the
-measured state, touches neither an object nor the robot itself, nor another arm, which rests where it is
-measured or moves along its own remaining trajectory.
+The executor accepts only a `GuardedMotion`, which a gate creates, and no bare trajectory. No caller (task,
+script, service, topic, viewer) can therefore move an arm without a collision check. The check certifies that
+the rest of the motion, from the measured state, touches no object, no part of the robot, and no other arm;
+another arm either rests at its measured position or moves along its own remaining trajectory.
 """
 
 from __future__ import annotations
@@ -28,60 +28,59 @@ from armcell.scene import PlanningScene, new_obstacles
 
 Result = TypeVar("Result", Outcome, ExecutionResult)
 CHANGED = ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
-"""How a motion ends, or is refused, that would touch something: plan again from the present scene."""
+"""Result code of a motion that is refused or stopped because of a collision: plan again."""
 
-LOOK = 0.25  # [s] between two looks whether measured objects have moved
-MOVED = 0.005  # [m] from where an object was when a motion was proven
-SAME = 2e-5  # [m or rad] by which a measured pose or joint may differ from the plan's and count as the same
-NOT_STARTED = "not_started"  # in the evidence of a motion that the gate refused
+LOOK = 0.25  # [s] between two checks for moved objects
+MOVED = 0.005  # [m] displacement of an object that triggers a new collision check
+NOT_STARTED = "not_started"  # evidence key of a motion that the gate refused
 
 
 class World(Protocol):
-    """A cell in which something moves."""
+    """Interface of a cell in which arms move, as the motion gate needs it."""
 
     @property
     def base(self) -> PlanningScene:
-        """The world as planners are to see it, with nothing of it measured: another value after a change."""
+        """Planning scene without measured values; every change of the scene yields a new object."""
         ...
 
     def scene(self) -> PlanningScene:
-        """The scene as measured now, with every arm and what hands hold."""
+        """Return the scene with the measured state of every arm and of the held objects."""
         ...
 
     def object_poses(self) -> Mapping[str, SE3]:
-        """T_world_object of the objects that are measured, held ones included."""
+        """Return T_world_object of the measured objects, including held ones."""
         ...
 
     def expected_contacts(self) -> Iterable[frozenset[str]]:
-        """Pairs of bodies whose contact is part of the task now."""
+        """Return the pairs of bodies whose contact is currently part of the task."""
         ...
 
     def clock(self) -> float:
-        """[s]"""
+        """Return the current time on the cell's clock [s]."""
         ...
 
     @property
     def keeps_time(self) -> bool:
-        """Whether a motion is always as far along as the clock says."""
+        """Whether the progress of a running motion always matches the cell's clock."""
         ...
 
     def emit(self, kind: str, text: str, **data: Any) -> None: ...
 
 
 class MotionGate:
-    """Proves motions in one world, and knows which are under way.
+    """Certifies motions in one world as collision-free and tracks the running ones.
 
-    It is asked in the thread that moves the arms. `conflict` may be asked from any thread.
+    Motions are certified in the thread that moves the arms. Any thread may call `conflict`.
 
     Args:
-        shift: [s] that motions which start independently of each other may be late or early against each
-            other; 0 where one program starts them all.
+        shift: largest time offset [s] between motions that start independently of each other; 0 if one
+            program starts all motions.
     """
 
     def __init__(self, world: World, shift: float = 0.0):
         self.world, self.shift = world, shift
         self.version = 0
-        """Changes when a motion ends early: what runs beside it was proven against the rest of it."""
+        """Incremented when a motion ends early: concurrent motions were checked against its remainder."""
         self._running: list[GuardedMotion] = []
 
     def motion(
@@ -91,26 +90,32 @@ class MotionGate:
         cancel: threading.Event | None = None,
         scene: Callable[[], PlanningScene] | None = None,
     ) -> GuardedMotion:
-        """A motion for the executor.
+        """Return a guarded motion that the executor can play.
 
         Args:
-            planned_in: the scene in which it was planned; the contacts that it allows belong to the motion.
-            scene: the scene to prove it in; by default the world's, as measured.
+            planned_in: scene in which the trajectory was planned; its allowed contacts apply to the motion.
+            cancel: event that stops the motion when set.
+            scene: returns the scene for the collision check; by default the world's measured scene.
         """
         return GuardedMotion(self, trajectory, planned_in, cancel, scene)
 
     def conflict(
-        self, motion: Moving, scene: PlanningScene, but: GuardedMotion | None = None
+        self,
+        motion: Moving,
+        scene: PlanningScene,
+        but: GuardedMotion | None = None,
+        planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """What a motion would touch from now on, beside all motions that are under way.
+        """Return the first collision of a motion from now on, also with running motions, or None.
 
         Args:
-            but: a motion that does not count: the one that is asked about.
+            but: a running motion to ignore, usually the motion under test.
+            planned: scene in which the motion was planned; it makes the check faster.
         """
         mine = set(motion.trajectory.joint_names)
         running = [r for r in list(self._running) if r is not but and not mine & set(r.joint_names)]
         others = [r.moving(scene) for r in running]
-        found = first_conflict(scene, motion, others, self.shift)
+        found = first_conflict(scene, motion, others, self.shift, planned)
         if found is not None or self.world.keeps_time:
             return found
         for other in others:
@@ -128,7 +133,7 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """A trajectory that the executor accepts; set like an event, it makes the executor stop."""
+    """A trajectory that the executor accepts; setting this event makes the executor stop."""
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
         super().__init__()
@@ -139,22 +144,23 @@ class Executable(threading.Event, ABC):
 
     @abstractmethod
     def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
-        """Prove the motion; why it must not start, or None.
+        """Check the motion for collisions; return the result that refuses it, or None.
 
         Args:
-            fade: what is added to the trajectory at its beginning: the motion of an arm that is not at rest.
+            fade: offset added to the start of the trajectory: the remaining motion of an arm that is not at
+                rest.
         """
 
     @abstractmethod
     def end(self, result: Result) -> Result:
-        """The motion has ended with a result; returns the result with the reason that the gate knows."""
+        """Mark the motion as ended; return `result`, with the gate's reason if the gate stopped it."""
 
 
 def executable(motion: object) -> Executable:
-    """The motion, if the executor may play it.
+    """Return `motion` unchanged if the executor may play it, else raise an error.
 
     Raises:
-        InputError: it is a bare trajectory, which nothing has proven.
+        InputError: `motion` is a bare trajectory that no gate has checked.
     """
     if isinstance(motion, Executable):
         return motion
@@ -165,7 +171,7 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """A motion in a simulation of its own, where a contact is a finding: dry runs, tests, benchmarks."""
+    """A motion in an isolated simulation (dry run, test, benchmark) where contacts are findings."""
 
     def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
         return None
@@ -175,7 +181,7 @@ class UngatedMotion(Executable):
 
 
 class GuardedMotion(Executable):
-    """A motion that is proven when it starts, and again when the world changes."""
+    """A motion that is checked for collisions at its start and again when the world changes."""
 
     def __init__(
         self,
@@ -190,11 +196,11 @@ class GuardedMotion(Executable):
         self._planned_in = planned_in
         self._scene = gate.world.scene if scene is None else scene
         self._fade: JointTrajectory | None = None
-        self._began: float | None = None  # [s] of the world's clock
-        self._known: tuple[PlanningScene, int] | None = None  # the world and the version it was proven in
-        self._poses: Mapping[str, SE3] = {}  # of measured objects that no hand held, when it was proven
+        self._began: float | None = None  # [s] on the world's clock
+        self._known: tuple[PlanningScene, int] | None = None  # world and gate version of the last check
+        self._poses: Mapping[str, SE3] = {}  # of measured objects not held at the last check
         self._poses_due = 0.0  # [s]
-        self._objects: frozenset[str] = frozenset()  # of the world, when it was proven: no hand held them
+        self._objects: frozenset[str] = frozenset()  # in the world, not held, at the last check
         self.conflict: Conflict | None = None
         self._text = ""
 
@@ -202,10 +208,10 @@ class GuardedMotion(Executable):
     def joint_names(self) -> tuple[str, ...]:
         return self.trajectory.joint_names
 
-    # --- what the executor calls ---
+    # --- called by the executor ---
     def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
         if not len(self.trajectory.times):
-            return None  # a stop
+            return None  # an empty trajectory means stop
         self._fade = fade
         self._prove()
         if self.conflict is None:
@@ -244,12 +250,12 @@ class GuardedMotion(Executable):
             result, code=CHANGED, message=self._text, evidence={**result.evidence, **self._evidence()}
         )
 
-    # --- the proof ---
+    # --- collision check ---
     def moving(self, scene: PlanningScene) -> Moving:
-        """What is left of it.
+        """Return the part of the motion that the arm has not executed yet.
 
         Args:
-            scene: as measured; where motions do not keep time it says how far along the robot is.
+            scene: measured scene; its joint state gives the progress if motions do not follow the clock.
         """
         if self._began is None:
             return Moving(self.trajectory, 0.0, self._fade)
@@ -260,7 +266,7 @@ class GuardedMotion(Executable):
         return Moving(self.trajectory, min(passed, self.trajectory.duration), self._fade)
 
     def _moved(self) -> list[str]:
-        """Measured objects that are elsewhere than when the motion was proven."""
+        """Return the measured objects that have moved since the motion was last checked."""
         now = self._world.clock()
         if not self._poses or now < self._poses_due:
             return []
@@ -272,7 +278,7 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Look for a conflict; of the world's objects only with those named, if any are."""
+        """Check the remaining motion for collisions; if `names` is given, only with those objects."""
         self._known = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)
@@ -284,10 +290,8 @@ class GuardedMotion(Executable):
         expected = dict.fromkeys(self._world.expected_contacts(), True)
         planned = {} if self._planned_in is None else self._planned_in.allowed_pairs
         scene = replace(scene, allowed_pairs={**expected, **planned, **scene.allowed_pairs})
-        if self._planned_in is not None:
-            scene = as_planned(scene, self._planned_in, self.joint_names)
         motion = self.moving(scene)
-        found = self._gate.conflict(motion, scene, self)
+        found = self._gate.conflict(motion, scene, self, None if names else self._planned_in)
         if found is not None:
             self.conflict = found
             self._text = describe(found, motion.passed, began=self._began is not None)
@@ -308,46 +312,12 @@ class GuardedMotion(Executable):
         return data
 
 
-def as_planned(scene: PlanningScene, planned: PlanningScene, moving: Iterable[str]) -> PlanningScene:
-    """The measured scene with the plan's values where the two differ by less than `SAME`.
-
-    Measurements repeat but for rounding. The collision kernel keeps what it worked out for a plan, and finds
-    it again only for equal values.
-
-    Args:
-        moving: joints that keep their measured positions.
-    """
-    if scene.model is not planned.model:
-        return scene
-    near = np.abs(planned.positions - scene.positions) < SAME
-    near[scene.model.columns(moving)] = False
-    objects, attached = dict(scene.objects), dict(scene.attached)
-    for name, measured in scene.objects.items():
-        known = planned.objects.get(name)
-        if (
-            known is not None
-            and measured.shapes is known.shapes
-            and _near(measured.T_world_object, known.T_world_object)
-        ):
-            objects[name] = known
-    for name, held in scene.attached.items():
-        known = planned.attached.get(name)
-        if known is not None and held.link == known.link and _near(held.T_link_object, known.T_link_object):
-            attached[name] = replace(held, T_link_object=known.T_link_object)
-    positions = np.where(near, planned.positions, scene.positions)
-    return replace(scene, positions=positions, objects=objects, attached=attached)
-
-
-def _near(a: SE3, b: SE3) -> bool:
-    turned = np.abs(a.rotation.matrix - b.rotation.matrix).max()
-    return max(turned, np.abs(a.translation - b.translation).max()) < SAME
-
-
 def describe(found: Conflict, passed: float, began: bool) -> str:
-    """A conflict in one sentence: the pair, where and when, and what to do.
+    """Return one sentence about a conflict: the pair, the position, the time, and the remedy.
 
     Args:
-        passed: [s] of the motion that are done. began: it was under way already.
+        passed: completed part of the motion [s].
+        began: True if the motion was already running.
     """
     contact, ahead = found.contact, found.time - passed
     if contact is None:
@@ -366,7 +336,7 @@ def describe(found: Conflict, passed: float, began: bool) -> str:
 
 @dataclass(frozen=True)
 class DriverWorld:
-    """The world of a driver that is used without a cell: its scene with joints and objects as measured."""
+    """World of a driver without a cell: its scene with the measured joints and objects."""
 
     driver: Any
     base: PlanningScene

@@ -1,7 +1,8 @@
-"""The safety supervisor: one arm's trouble stops every arm, and only an explicit call lets them move again.
+"""The safety supervisor: a fault of one arm stops all arms until an explicit call clears it.
 
-It is not a safety system in the sense of a standard. It runs on an ordinary computer and can fail with it;
-the robot controllers' own safety functions, emergency stops, fences and a risk assessment stay necessary.
+The supervisor is not a safety system in the sense of a standard. It runs on an ordinary computer and can fail
+with that computer; the robot controllers' own safety functions, emergency stops, fences and a risk assessment
+remain necessary.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Fault:
-    """Why an arm must not move."""
+    """The reason for which an arm must not move."""
 
     arm: str
     kind: str  # "protective stop", "emergency stop", "stale state", ...
@@ -37,8 +38,8 @@ class Fault:
 
 
 def cannot_resume(reason: str, cure: str | None) -> InputError:
-    """Why arms stay stopped, and what to do before the next `resume()`."""
-    if cure and "start armcell" in cure:  # no resume helps
+    """Return the error for a failed `resume()`, with the reason and the remedy."""
+    if cure and "start armcell" in cure:  # resuming cannot help
         return InputError(f"cannot resume: {reason}", cure=cure)
     return InputError(
         f"cannot resume: {reason}", cure=f"{cure or 'see the pendant'}; then call resume() again"
@@ -47,7 +48,7 @@ def cannot_resume(reason: str, cure: str | None) -> InputError:
 
 @dataclass(frozen=True)
 class SafetyEvent:
-    """One line of the supervisor's record."""
+    """One entry of the safety supervisor's event log."""
 
     time: float  # [s] monotonic clock
     wall: float  # [s] since the epoch
@@ -57,19 +58,19 @@ class SafetyEvent:
 
 
 class Supervised(Protocol):
-    """An arm as the supervisor sees it."""
+    """Interface of an arm, as the safety supervisor needs it."""
 
     def fault(self) -> Fault | None:
-        """What is wrong now."""
+        """Return the arm's current fault, or None."""
         ...
 
     def halt(self) -> None:
-        """Stop, forget every goal, take the measured pose for the setpoint. Must not raise or wait."""
+        """Stop the arm, discard all goals, and hold the measured pose; must not raise or block."""
         ...
 
 
 class Supervisor:
-    """Watches arms; `check` is to be called often (every state, and by a clock)."""
+    """Stops all arms when one has a fault; call `check` often (on every state and periodically)."""
 
     def __init__(self, arms: Mapping[str, Supervised], on_trip: Callable[[Fault], None] | None = None):
         self._arms, self._on_trip = dict(arms), on_trip
@@ -82,7 +83,7 @@ class Supervisor:
         log.info("safety: %s: %s: %s", arm, kind, text)
 
     def check(self) -> Fault | None:
-        """Trip if any arm has a fault; returns what has tripped it, now or before."""
+        """Stop all arms if any arm has a fault; return the latched fault, or None."""
         if self.tripped is None:
             for arm in self._arms.values():
                 found = arm.fault()
@@ -92,7 +93,7 @@ class Supervisor:
         return self.tripped
 
     def trip(self, fault: Fault) -> None:
-        """Stop every arm. Further faults are recorded by the first one's arm only."""
+        """Latch a fault and stop every arm; further faults are ignored until `clear`."""
         with self._lock:
             if self.tripped is not None:
                 return
@@ -106,10 +107,10 @@ class Supervisor:
             self._on_trip(fault)
 
     def clear(self) -> None:
-        """Let the arms move again, by the operator's word.
+        """Clear the latched fault so that arms can move; call only after the operator confirms.
 
         Raises:
-            InputError: something is still wrong; says what and what helps.
+            InputError: an arm still has a fault; the message states the fault and the remedy.
         """
         with self._lock:
             for arm in self._arms.values():

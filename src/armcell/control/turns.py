@@ -1,8 +1,8 @@
-"""Several programs on one robot's clock: each sees a driver of its own, one of them runs at a time.
+"""Cooperative scheduling of several programs on one robot clock; one program runs at a time.
 
-A program that lets time pass gives its turn to the next; when all wait, the robot's time passes up to the
-earliest of them. So two arms' programs run side by side as plain blocking code, and in physics the same
-programs give the same run.
+Each program gets its own driver view. A program that lets time pass yields to the next one; when all programs
+wait, the robot's clock advances to the earliest wake-up time. Programs for two arms can therefore run
+concurrently as plain blocking code, and in simulation the same programs always produce the same run.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ EPSILON = 1e-9  # [s]
 
 
 class _Ended(BaseException):
-    """Another program failed: this one is to end where it waits. Not an Exception, so nothing catches it."""
+    """Ends a waiting program after another one failed; a BaseException, so no handler stops it."""
 
 
 class Turns:
-    """Whose turn it is. Used by `run_by_turns`."""
+    """Scheduler that runs one program at a time on a shared driver clock; see `run_by_turns`."""
 
     def __init__(self, driver: Driver, names: Iterable[str]):
         self.driver = driver
@@ -55,13 +55,13 @@ class Turns:
             raise _Ended
 
     def sleep(self, name: str, duration: float) -> None:
-        """Let time pass for one program."""
+        """Suspend one program for `duration` [s] of driver time and let the others run."""
         self._wake[name] = self.driver.now + duration
         self._pass_on(name)
         self.wait_for_turn(name)
 
     def finish(self, name: str, error: BaseException | None = None) -> None:
-        """A program has ended; with an error all others end as well."""
+        """Remove a finished program from the schedule; an error ends all other programs as well."""
         if error is not None and not isinstance(error, _Ended) and self.failed is None:
             self.failed = error
         del self._wake[name]
@@ -72,7 +72,7 @@ class Turns:
         else:
             try:
                 self._pass_on(name)
-            except BaseException as broken:  # the driver failed: nobody else would notice
+            except BaseException as broken:  # the driver failed: the other programs must end too
                 self.failed = broken
                 self._gates[next(iter(self._wake))].release()
 
@@ -90,7 +90,7 @@ class Turns:
 
 
 class ArmView:
-    """A driver as one program sees it: time passes for all, `stop` stops only its own joints."""
+    """Driver view for one program: time passes for all programs, `stop` acts on its own joints."""
 
     def __init__(self, turns: Turns, name: str, joint_names: tuple[str, ...]):
         self._turns, self._driver, self._joints = turns, turns.driver, joint_names
@@ -161,7 +161,7 @@ class ArmView:
 
 
 class FollowingView(ArmView):
-    """The same of a robot that plays trajectories itself."""
+    """Driver view for one program on a robot that plays trajectories itself."""
 
     def stop(self) -> None:
         cast(Follower, self._driver).hold(self._joints)
@@ -185,12 +185,13 @@ class FollowingView(ArmView):
 def run_by_turns(
     driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmView], None]]
 ) -> None:
-    """Run programs side by side on one driver until all have ended.
+    """Run several programs concurrently on one driver and return when all have ended.
 
     Args:
-        joints: by program, the joints that its `stop` holds.
+        joints: program name to the joints that its `stop` holds.
+        programs: program name to the function to run, called with its driver view.
     Raises:
-        Whatever the first program that failed raised; the robot has been stopped then.
+        BaseException: the first exception that a program raised, after the robot has been stopped.
     """
     turns = Turns(driver, programs)
     view = FollowingView if offers(driver, Follower) else ArmView
@@ -210,7 +211,7 @@ def run_by_turns(
     turns.start()
     try:
         turns.wait_until_done()
-    except BaseException as error:  # an interrupt: every program ends where it next lets time pass
+    except BaseException as error:  # an interrupt: every program ends at its next sleep
         turns.failed = turns.failed or error
         turns.wait_until_done()
     for thread in threads:

@@ -1,4 +1,4 @@
-"""Values and names shared by every room: poses, joints, shapes, results, errors, registry."""
+"""Value types that all packages share: poses, joints, shapes, requests, results, errors, registry."""
 
 from armcell.core.clouds import Octree, PointCloud, finite_points
 from armcell.core.constraints import (

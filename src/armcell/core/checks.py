@@ -1,4 +1,4 @@
-"""Checks of values: settings as files give them, fields of value types, arrays for compiled code."""
+"""Validation of settings from files, fields of value types, and arrays for compiled code."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core.errors import ArmcellError, InputError, UnknownNameError
 
 T = TypeVar("T")
+_FLOAT = np.dtype(np.float64)
+_FEW = 32  # numbers, which are looked at one by one faster than by np.isfinite
 
 
 def settings_from(cls: type[T], values: Any, what: str) -> T:
-    """A settings dataclass from a mapping, as a file gives it; nested settings are mappings too.
+    """Create a settings dataclass from a mapping (a parsed file); nested settings are nested mappings.
 
     Raises:
-        InputError: unknown name (lists those there are), wrong type, missing or impossible value.
+        InputError: unknown name (lists the valid names), wrong type, missing or invalid value.
     """
     if not isinstance(values, Mapping):
         raise InputError(f"{what} is {values!r}, a mapping is needed")
@@ -44,9 +46,11 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """A value of the kind the default is of."""
+    """Convert a value to the type of the default."""
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)
+    if (reads := getattr(type(default), "from_setting", None)) is not None:  # a value with a form of its own
+        return reads(value, what)
     if isinstance(default, str):
         if not isinstance(value, str):
             raise InputError(f"{what} is {value!r}, a text is needed")
@@ -69,7 +73,7 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 
 def is_number(value: Any, infinite: bool = False) -> bool:
-    """Whether a value is one real number, finite unless `infinite` (NaN never is)."""
+    """Return whether a value is one real number; infinity counts only with `infinite`, NaN never."""
     if not isinstance(value, int | float | np.integer | np.floating):
         return False
     try:
@@ -81,16 +85,23 @@ def is_number(value: Any, infinite: bool = False) -> bool:
 def float_array(
     values: ArrayLike, shape: tuple[int | None, ...] | None, what: str, finite: bool = True
 ) -> NDArray[np.float64]:
-    """The values as a float array of a shape, before compiled code receives them.
+    """Convert values to a float array of a given shape; call this before passing them to compiled code.
 
     Args:
-        shape: the shape needed; None stands for any length, a leading -1 for any number of axes, and None
-            instead of a shape for any.
-        what: names the values in the message.
+        shape: the required shape. None in it accepts any length, a leading -1 any number of axes; None
+            instead of a shape accepts any shape.
+        what: name of the values in the message.
         finite: reject NaN and infinity.
     Raises:
-        InputError: another shape, not real numbers, or not finite.
+        InputError: wrong shape, not real numbers, or not finite.
     """
+    if (
+        type(values) is np.ndarray
+        and values.dtype is _FLOAT
+        and values.shape == shape
+        and (not finite or (values.ndim == 1 and values.size < _FEW and math.isfinite(sum(values.tolist()))))
+    ):
+        return values  # as nearly always: without the checks in full, which take three times as long
     try:
         array = np.asarray(values)
         if array.dtype != np.float64:
@@ -109,10 +120,10 @@ def float_array(
 
 
 def unit_vector(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """A direction (3,) scaled to length 1.
+    """Normalize a direction (3,) to length 1.
 
     Raises:
-        InputError: not three finite numbers, or all of them zero.
+        InputError: not three finite numbers, or all are zero.
     """
     vector = float_array(values, (3,), what)
     length = float(np.linalg.norm(vector))
@@ -133,14 +144,14 @@ _TUPLE = {
 
 
 def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
-    """Class decorator, below `@dataclass`: the constructor rejects NaN, infinity and other than numbers.
+    """Class decorator (below `@dataclass`): the constructor rejects NaN, infinity and non-numbers.
 
-    It checks fields that are annotated as float, int or a tuple of floats, also where None is allowed.
+    It checks fields annotated as float, int or a tuple of floats, including optional ones.
 
     Args:
-        unbounded: fields that may be infinite. Fields whose default is infinite may, too.
+        unbounded: fields that may be infinite, besides those with an infinite default.
     Raises:
-        InputError: by the constructor.
+        InputError: raised by the constructor.
     """
 
     def decorate(cls: type[T]) -> type[T]:
@@ -162,7 +173,7 @@ def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
         def __post_init__(self: Any) -> None:
             try:
                 if original is not None:
-                    original(self)  # its messages say more
+                    original(self)  # its messages are more specific
             except ArmcellError:
                 raise
             except Exception:

@@ -1,6 +1,6 @@
-"""Shapes of very many parts, as cameras and maps give them: points with a radius, occupied cells.
+"""Obstacle shapes with many parts, from cameras and maps: point clouds and occupied cells.
 
-They are obstacles: they stand in the world and are not carried. They may be empty.
+They belong to the world and cannot be attached. They may be empty.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 
 def finite_points(points: ArrayLike) -> tuple[Array, int]:
-    """Those of some points (n, 3) that have no NaN or infinity in them, and how many were left out.
+    """Return the finite points of (n, 3) and the number of dropped points.
 
-    Depth cameras mark what they do not see by NaN.
+    Depth cameras mark pixels without depth by NaN.
     """
     every = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
     kept = np.all(np.isfinite(every), axis=1)
@@ -30,7 +30,7 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PointCloud:
-    """Balls of one radius [m] around points (n, 3) [m] in the shape's frame.
+    """Point cloud: balls of one radius [m] around points (n, 3) [m] in the shape's frame.
 
     Raises:
         InputError: a point is not finite (see `finite_points`), or the radius is not positive.
@@ -52,15 +52,15 @@ class PointCloud:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest corner (3,), (3,) [m]; zeros where there is nothing."""
+        """Lowest and highest corner (3,), (3,) [m] of the bounding box; zeros if the shape is empty."""
         return _bounds(self.points, self.radius)
 
 
 @dataclass(frozen=True, eq=False)
 class Octree:
-    """Occupied cells: cubes along the axes of the shape's frame, as an octomap's leaves.
+    """Occupied cells of an octomap: cubes aligned with the axes of the shape's frame.
 
-    centres (n, 3) [m], sizes (n,) full edge lengths [m]. They may overlap; they need not lie on a grid.
+    centres (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
     """
 
     centres: Array
@@ -80,7 +80,7 @@ class Octree:
 
     @staticmethod
     def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
-        """From a grid of bool (i, j, k) of cells of one size [m]; full cubes of eight become one cell.
+        """Create from a boolean grid (i, j, k) with cells of one size [m]; merges eight full neighbors.
 
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].
@@ -107,7 +107,7 @@ class Octree:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest corner (3,), (3,) [m]; zeros where there is nothing."""
+        """Lowest and highest corner (3,), (3,) [m] of the bounding box; zeros if the shape is empty."""
         return _bounds(self.centres, self.sizes[:, None] / 2)
 
 

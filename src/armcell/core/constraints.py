@@ -1,4 +1,4 @@
-"""What a motion or its goal must keep to: positions, orientations, joints; as moveit_msgs/Constraints."""
+"""Constraints on a motion or its goal, as in moveit_msgs/Constraints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WORLD = "world"
 @dataclass(frozen=True)
 @checked()
 class JointConstraint:
-    """One joint between position - tolerance_below and position + tolerance_above [rad or m]."""
+    """Keep a joint between position - tolerance_below and position + tolerance_above [rad or m]."""
 
     joint: str
     position: float
@@ -25,10 +25,10 @@ class JointConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PositionConstraint:
-    """A point of a link in a region: inside any one of its shapes."""
+    """Keep a point of a link inside a region: inside at least one of the region's shapes."""
 
     region: tuple[tuple[Shape, SE3], ...]  # (shape, T_frame_shape)
-    link: str | None = None  # the group's tip where None; also an attached object or a subframe
+    link: str | None = None  # default: the group's tip; also an attached object or a subframe
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in the link's frame
     frame: str = WORLD
 
@@ -36,10 +36,10 @@ class PositionConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OrientationConstraint:
-    """A link turned as wanted, up to a tolerance about each axis [rad]; pi or more leaves that axis free.
+    """Keep a link's orientation within a tolerance about each axis [rad]; pi or more frees that axis.
 
-    The error is the rotation from the wanted to the present orientation, in the wanted one's axes: as a
-    rotation vector, or as intrinsic x-y-z Euler angles (MoveIt's default, with its singularity at 90 deg
+    The error is the rotation from the desired to the current orientation, in the axes of the desired
+    orientation: a rotation vector, or intrinsic x-y-z Euler angles (MoveIt's default, singular at 90 deg
     about y).
     """
 
@@ -53,26 +53,26 @@ class OrientationConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class VisibilityConstraint:
-    """A disc that a sensor sees: no link of the robot is in the cone from the sensor's origin to the disc.
+    """Keep a disc visible to a sensor: no robot link is in the cone from the sensor to the disc.
 
-    The sensor's own link and the one that carries the disc do not count, nor does what is attached (as in
-    MoveIt). Objects of the world are not looked at.
+    The sensor's own link, the link that carries the disc, and attached objects do not count (as in MoveIt).
+    World objects are not checked.
     """
 
     sensor: str  # link or frame that carries the sensor
-    T_frame_target: SE3  # the disc's centre; its z is the side that is to be seen
+    T_frame_target: SE3  # the disc's center; its z axis points to the visible side
     target_radius: float  # [m]
     frame: str = WORLD  # of the target
-    T_link_sensor: SE3 = SE3.identity()  # where the sensor is in its frame
-    view_axis: str = "z"  # of the sensor: the way it looks; or "x"
-    max_view_angle: float | None = None  # [rad] between the way it looks and the disc's axis; None: any
-    max_range_angle: float | None = None  # [rad] between the way it looks and the disc's centre; None: any
-    cone_sides: int = 16  # of the pyramid that stands for the cone
+    T_link_sensor: SE3 = SE3.identity()  # sensor pose in the frame of `sensor`
+    view_axis: str = "z"  # viewing axis of the sensor: "z" or "x"
+    max_view_angle: float | None = None  # [rad] between viewing axis and disc axis; None: any
+    max_range_angle: float | None = None  # [rad] between viewing axis and disc center; None: any
+    cone_sides: int = 16  # sides of the pyramid that approximates the cone
 
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """All of them at once."""
+    """A set of constraints that must all hold."""
 
     joints: tuple[JointConstraint, ...] = ()
     positions: tuple[PositionConstraint, ...] = ()

@@ -1,4 +1,4 @@
-"""Two bodies that touch."""
+"""A contact between two bodies."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Contact:
-    """Two bodies (links or objects) that touch, or nearly do.
+    """Two bodies (links or objects) in contact or close to contact.
 
-    `distance` is negative by the depth of penetration [m]; `position` (3,) is in the world frame [m].
+    `distance` [m] is negative in penetration; `position` (3,) is in the world frame [m].
     """
 
     body_a: str

@@ -1,4 +1,4 @@
-"""`Endpoint`: a socket that others can reach, and the sockets that processes have open (Linux)."""
+"""Listening sockets: reserve and open ports, and list the sockets of processes (Linux)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Endpoint:
 
     Attributes:
         host: numeric address as bound; 0.0.0.0 and :: mean every interface.
-        service: what answers there; for people.
+        service: human-readable name of the service behind the socket.
     """
 
     protocol: str
@@ -35,13 +35,13 @@ class Endpoint:
 
     @classmethod
     def of(cls, sock: socket.socket, service: str = "") -> Endpoint:
-        """The endpoint of a bound socket."""
+        """Create the endpoint of a bound socket."""
         host, port = sock.getsockname()[:2]
         return cls("udp" if sock.type == socket.SOCK_DGRAM else "tcp", host, port, service)
 
     @property
     def is_local(self) -> bool:
-        """Whether only this machine can reach it."""
+        """Return whether only this machine can reach the endpoint."""
         return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
 
     def __str__(self) -> str:
@@ -51,21 +51,21 @@ class Endpoint:
 
 
 def reserve(host: str, port: int) -> socket.socket:
-    """Take a TCP port without opening it: connections are refused until `listen`.
+    """Reserve a TCP port without opening it: connections are refused until `listen`.
 
-    A server reserves its port first, so that a port in use is an error before anything is loaded, and listens
-    when the service behind the port exists.
+    A server reserves its port before it loads anything, so that a port in use is an early error, and listens
+    when the service behind the port is ready.
 
     Args:
-        port: 0 is any free one.
+        port: 0 selects any free port.
     Raises:
-        OSError: the port is taken, or the host is not an address of this machine.
+        OSError: the port is in use, or the host is not an address of this machine.
     """
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # despite connections that have just ended
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # despite connections in TIME_WAIT
         sock.bind((host, port))
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # and from now on nobody else may bind it
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # from now on no other program may bind it
     except BaseException:
         sock.close()
         raise
@@ -76,11 +76,11 @@ def listen(sock: socket.socket, backlog: int) -> None:
     """Open a reserved port.
 
     Args:
-        backlog: connections that may wait to be accepted.
+        backlog: number of connections that may wait to be accepted.
     Raises:
-        InputError: another program has taken the port in this very moment.
+        InputError: another program has taken the port since `reserve`.
     """
-    # Needed despite connections of the last server that have just ended; ours inherit it for the next one.
+    # Needed despite the last server's connections in TIME_WAIT; ours inherit the option for the next server.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         sock.listen(backlog)
@@ -90,23 +90,23 @@ def listen(sock: socket.socket, backlog: int) -> None:
 
 
 def host_in_url(host: str) -> str:
-    """A host as URLs write it: an IPv6 address in brackets."""
+    """Format a host for a URL: an IPv6 address gets brackets."""
     return f"[{host}]" if ":" in host else host
 
 
 def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
-    """The listening TCP sockets and the bound UDP sockets of processes, read from /proc.
+    """List the listening TCP sockets and bound UDP sockets of processes, from /proc.
 
     Args:
-        pids: of the processes; this one by default. Those that have ended count as without sockets.
+        pids: process IDs; this process by default. Ended processes have no sockets.
     Returns:
-        Endpoints without a service; empty where the system has no /proc.
+        Endpoints without a service name; empty on systems without /proc.
     """
     found: set[Endpoint] = set()
     for pid in [os.getpid()] if pids is None else pids:
         inodes = set()
         for entry in _entries(PROC / str(pid) / "fd"):
-            with contextlib.suppress(OSError):  # closed meanwhile
+            with contextlib.suppress(OSError):  # the socket has closed
                 link = os.readlink(entry)
                 if link.startswith("socket:["):
                     inodes.add(link.removeprefix("socket:[").removesuffix("]"))
@@ -116,7 +116,7 @@ def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
 
 
 def descendants(pid: int) -> list[int]:
-    """A process and all that it started, directly or not; only itself where the system has no /proc."""
+    """List a process and all its descendants; only the process itself on systems without /proc."""
     children: dict[int, list[int]] = {}
     for entry in _entries(PROC):
         if entry.name.isdigit():
@@ -141,7 +141,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Rows of a table of /proc/net that belong to some of the inodes."""
+    """Yield the rows of a /proc/net table whose inode is in a set."""
     try:
         lines = file.read_text().splitlines()[1:]
     except OSError:  # the process has ended, or the kernel has no IPv6
@@ -156,7 +156,7 @@ def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
 
 
 def _numeric(text: str) -> str:
-    """An address of /proc/net: 32-bit words in the byte order of this machine, in hexadecimal."""
+    """Decode an address of /proc/net: hexadecimal 32-bit words in the machine's byte order."""
     words = [int(text[i : i + 8], 16) for i in range(0, len(text), 8)]
     raw = b"".join(word.to_bytes(4, sys.byteorder) for word in words)
     return str(ipaddress.ip_address(raw))

@@ -1,7 +1,7 @@
-"""Error codes for honest failures, exceptions for misuse and bad input.
+"""Error codes for legitimate failures, exceptions for misuse and bad input.
 
-A request that can fail honestly returns a result with an `ErrorCode`; the exceptions here are for what
-the caller can put right: a name that does not exist, a broken file, a missing extra.
+A request that can legitimately fail returns a result with an `ErrorCode`. The exceptions are for errors
+that the caller can fix: an unknown name, a broken file, a missing extra.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 class ErrorCode(IntEnum):
-    """MoveIt's error codes (moveit_msgs/MoveItErrorCodes), its misspelling included."""
+    """MoveIt's error codes (moveit_msgs/MoveItErrorCodes), including the misspelled one."""
 
     SUCCESS = 1
     FAILURE = 99999
@@ -52,11 +52,11 @@ class ErrorCode(IntEnum):
 
 
 class ArmcellError(Exception):
-    """Base of every error armcell raises on purpose. `str()` is one clear line."""
+    """Base class of armcell's errors. `str()` is a one-line message."""
 
 
 class InputError(ArmcellError):
-    """Something given to armcell is wrong: says what, where, why and what would mend it."""
+    """Invalid input: the message states the element, the file, the cause and the hint."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class InputError(ArmcellError):
 
 
 class UnknownNameError(InputError):
-    """A name that does not exist; lists those that do and the nearest one."""
+    """Unknown name: the message lists the valid names and the closest one."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], **where):
         self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML has keys of any kind

@@ -1,4 +1,4 @@
-"""What a running cell tells whoever watches it: viewer, recorder, report, wire."""
+"""States and events that a running cell sends to its observers (viewer, recorder, report, wire)."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from armcell.core.transforms import SE3
 
 @dataclass(frozen=True, eq=False)
 class StateSample:
-    """The cell at one instant of its own clock."""
+    """State of the cell at one instant of its clock."""
 
     time: float  # [s]
     joints: JointState  # all actuated joints, with velocities and efforts where known
     object_poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object, movable objects
     gripper_width: dict[str, float] = field(default_factory=dict)  # [m] by gripper
     gripper_force: dict[str, float] = field(default_factory=dict)  # [N] per finger, by gripper
-    targets: JointState | None = None  # what the joints were last told to be, where the driver knows
-    contacts: tuple[Contact, ...] = ()  # of physics; a real robot sees none
+    targets: JointState | None = None  # last commanded positions, if the driver knows them
+    contacts: tuple[Contact, ...] = ()  # from physics; a real robot reports none
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """Something that happened: a stage began or ended, a weld was made, a contact was unwanted.
+    """An event of a run, for example the start of a stage, a weld, or an unwanted contact.
 
-    `kind` is one of "stage", "plan", "scene", "grasp", "weld", "contact", "stop", "error", "note". A stage's
-    event has its name as text and `data["phase"]` "begin" or "end"; a plan's has the evidence it was made
-    with; a scene's has what was added, moved, removed or allowed.
+    `kind` is one of "stage", "plan", "scene", "grasp", "weld", "contact", "stop", "error", "note". The event
+    of a stage has the stage's name as text and `data["phase"]` "begin" or "end"; the event of a plan contains
+    the plan's evidence; the event of a scene lists added, moved, removed and allowed bodies.
     """
 
     time: float
@@ -39,7 +39,7 @@ class Event:
 
 
 class Observer(Protocol):
-    """Called from the thread that steps the cell; must return quickly."""
+    """Receives states and events. Called by the thread that steps the cell, so it must return quickly."""
 
     def on_state(self, sample: StateSample) -> None: ...
 

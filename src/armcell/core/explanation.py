@@ -1,4 +1,4 @@
-"""Why a request failed, and what would help: in words and as data."""
+"""Explanations of failed requests, with suggestions, as text and as data."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """One change of the scene or the request that would help.
+    """A change of the scene or the request that would help.
 
     Attributes:
-        text: the change in words, an instruction ("move the goal 12 mm along +z").
-        effort: how large the change is, to compare suggestions of one kind [m or rad].
-        works: whether the changed request was planned and succeeded; None: not tried; False: it is needed,
-            but not enough alone.
+        text: the change as an instruction ("move the goal 12 mm along +z").
+        effort: size of the change [m or rad], to compare suggestions of one kind.
+        works: True if planning succeeded with the change; None if not tried; False if the change is
+            necessary but not sufficient.
     """
 
     text: str
@@ -40,7 +40,7 @@ class Suggestion:
     works: bool | None = None
 
     def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
-        """The scene and the request with the change made; the given ones stay as they are."""
+        """Return the scene and the request with the change applied; the arguments stay unchanged."""
         return self.change(scene, request, **self.arguments)
 
     def as_dict(self) -> dict[str, Any]:
@@ -56,15 +56,15 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Why not, and what would help.
+    """The causes of a failure and the changes that would help.
 
     Attributes:
         summary: one line.
-        details: one line for each finding.
-        suggestions: those that were tried and work first; `effort` compares those of one kind.
-        contacts: what touches, deepest first.
-        state: the robot as it stands where they touch.
-        nearest: the robot at the nearest goal (or start) that works.
+        details: one line per finding.
+        suggestions: verified suggestions first; `effort` compares suggestions of one kind.
+        contacts: the contacts, deepest first.
+        state: the robot state in which the contacts occur.
+        nearest: the robot state at the nearest valid goal (or start).
         data: the findings by name.
     """
 
@@ -78,7 +78,7 @@ class Explanation:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def text(self) -> str:
-        """Everything, line by line."""
+        """The whole explanation as text, one finding per line."""
         lines = [f"{self.code.name}: {self.summary}", *(f"  {line}" for line in self.details)]
         if self.suggestions:
             lines.append("what would help:")
@@ -87,7 +87,7 @@ class Explanation:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The explanation as a dictionary of JSON types."""
         return {
             "code": int(self.code),
             "code_name": self.code.name,
@@ -102,7 +102,7 @@ class Explanation:
 
 
 def plain(value: Any) -> Any:
-    """A value as what JSON knows: numbers that are not finite become None, poses position and quaternion."""
+    """Convert a value to JSON types: non-finite numbers become None, poses position and quaternion."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, Enum):

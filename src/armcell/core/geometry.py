@@ -1,6 +1,6 @@
-"""Shapes: the solids that links and objects are made of. Each is centred on its own frame.
+"""Shapes of links and objects. Each shape is centered on its own frame.
 
-Cylinder, capsule and cone have their axis along local z. Sizes are full lengths in metres.
+Cylinder, capsule and cone have their axis along local z. Sizes are full lengths in meters.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _positive(what: str, **sizes: float) -> None:
 @dataclass(frozen=True)
 @checked()
 class Box:
-    """Full edge lengths x, y, z [m]."""
+    """A box with full edge lengths x, y, z [m]."""
 
     x: float
     y: float
@@ -74,7 +74,7 @@ class Cylinder:
 @dataclass(frozen=True)
 @checked()
 class Capsule:
-    """`length` is that of the cylindrical part; the whole is `length + 2 radius`."""
+    """A capsule: `length` is the length of the cylindrical part; the total is `length + 2 radius` [m]."""
 
     radius: float
     length: float
@@ -90,7 +90,7 @@ class Capsule:
 @dataclass(frozen=True)
 @checked()
 class Cone:
-    """Base at -length/2, apex at +length/2."""
+    """A cone with its base at -length/2 and its apex at +length/2 [m]."""
 
     radius: float
     length: float
@@ -105,7 +105,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Plane:
-    """The half space z <= 0 of its own frame is solid."""
+    """A half space: z <= 0 in its own frame is solid."""
 
     @property
     def half_extents(self) -> Array:
@@ -114,7 +114,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh, already scaled to metres."""
+    """A triangle mesh in meters."""
 
     vertices: Array  # (v, 3) [m]
     faces: NDArray[np.int32]  # (f, 3)
@@ -143,7 +143,7 @@ Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | O
 
 
 def extent(shape: Shape, direction: Array) -> tuple[float, float]:
-    """Lowest and highest coordinate [m] of a shape along a unit direction (3,) of its own frame."""
+    """Return the lowest and highest coordinate [m] of a shape along a unit direction (3,) in its frame."""
     x, y, z = (float(v) for v in direction)
     across = float(np.hypot(x, y))
     match shape:
@@ -174,7 +174,7 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
 
 
 def local_bounds(shape: Shape) -> tuple[Array, Array]:
-    """Centre and half extents (3,), (3,) [m] of the axis-aligned box around a shape, in its frame."""
+    """Return center and half extents (3,), (3,) [m] of a shape's axis-aligned bounding box, in its frame."""
     if isinstance(shape, Mesh):
         low, high = shape.vertices.min(0), shape.vertices.max(0)
         return (low + high) / 2, (high - low) / 2

@@ -1,4 +1,4 @@
-"""What a camera saw from above, as one height per cell of a grid."""
+"""Height map of a scene seen from above."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from armcell.core.errors import InputError
 class HeightMap:
     """Heights over a rectangle of the world's x and y.
 
-    Cells that nothing was seen of are as high as the highest seen beside them: what is hidden may be there.
+    Unseen cells have the height of the highest seen neighbor, because hidden objects may be there.
     """
 
     heights: NDArray[np.float64]  # (nx, ny) [m, world z]
     seen: NDArray[np.bool_]  # (nx, ny)
-    origin: tuple[float, float]  # [m, world] middle of the first cell
+    origin: tuple[float, float]  # [m, world] center of the first cell
     resolution: float  # [m]
 
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Middles (n, 3) [m, world] of the tops of cells (n, 2)."""
+        """Return the centers (n, 3) [m, world] of the tops of cells (n, 2)."""
         cells = float_array(cells, (None, 2), "cells").astype(np.int64)
         if ((cells < 0) | (cells >= self.heights.shape)).any():
             raise InputError(f"a cell is outside a map of {self.heights.shape} cells")
@@ -35,7 +35,7 @@ class HeightMap:
         return found
 
     def cells_within(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
-        """(nx, ny) the cells with their middle in a rectangle of the world."""
+        """Return a mask (nx, ny) of the cells whose center is in a rectangle of the world."""
         low, high = float_array(low, (2,), "low"), float_array(high, (2,), "high")
         nx, ny = self.heights.shape
         x = self.origin[0] + self.resolution * np.arange(nx)

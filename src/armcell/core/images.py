@@ -1,4 +1,4 @@
-"""What cameras give: how pixels look out, and one picture with its depth, place and time."""
+"""Camera intrinsics and images with depth, pose and time."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ MAX_PIXELS = 8192
 @dataclass(frozen=True)
 @checked()
 class Pinhole:
-    """A pinhole camera's intrinsics. Pixels have whole numbers at their centres; x is right, y down.
+    """Intrinsics of a pinhole camera. Pixel centers have integer coordinates; x is right, y down.
 
-    `distortion` is ROS's and OpenCV's "plumb_bob": k1, k2, p1, p2, k3; none for an image that is rectified.
+    `distortion` is "plumb_bob" as in ROS and OpenCV: k1, k2, p1, p2, k3; empty for a rectified image.
     """
 
     width: int  # [px]
@@ -48,7 +48,7 @@ class Pinhole:
 
     @staticmethod
     def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
-        """Square pixels, centred, with a vertical field of view."""
+        """Create intrinsics with square pixels, a centered principal point and a vertical field of view."""
         if not 1.0 <= fovy_deg <= 170.0:
             raise InputError(f"a camera has a field of view of {fovy_deg} deg", cure="use 1 to 170")
         f = height / 2 / float(np.tan(np.deg2rad(fovy_deg) / 2))
@@ -56,16 +56,16 @@ class Pinhole:
 
     @property
     def matrix(self) -> Array:
-        """K (3, 3) [px]."""
+        """Camera matrix K (3, 3) [px]."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property
     def fovy_deg(self) -> float:
-        """Vertical field of view of a camera that is centred."""
+        """Vertical field of view [deg], for a centered principal point."""
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels (n, 2) of points (n, 3) [m, camera frame], without distortion; NaN behind the camera."""
+        """Project points (n, 3) [m, camera frame] to pixels (n, 2) without distortion; NaN behind it."""
         p = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
         z = np.where(p[:, 2] > 0, p[:, 2], np.nan)
         return np.column_stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy])
@@ -74,16 +74,16 @@ class Pinhole:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CameraImage:
-    """One picture: colour (h, w, 3) uint8, depth (h, w) [m] along the optical axis, either or both.
+    """One image: color (h, w, 3) uint8, depth (h, w) [m] along the optical axis, or both.
 
-    Where nothing was seen depth is 0 (NaN and negative numbers mean the same). The camera's frame is
-    optical: z forward, x right, y down.
+    Pixels without depth are 0 (NaN and negative numbers mean the same). The camera frame is optical: z
+    forward, x right, y down.
     """
 
     camera: str
     pinhole: Pinhole
     T_world_camera: SE3
-    time: float = 0.0  # [s] of the cell's clock, when it was taken
+    time: float = 0.0  # [s] of the cell's clock
     rgb: NDArray[np.uint8] | None = None
     depth: NDArray[np.float32] | None = None
 

@@ -1,4 +1,4 @@
-"""How sure a counted share is."""
+"""Confidence intervals of success rates."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's score interval of a share of successes (1927); z 1.96 is 95 %. Without trials: (0, 1).
+    """Return Wilson's score interval (1927) of a success rate; z = 1.96 for 95 %; (0, 1) without trials.
 
     Raises:
-        ValueError: more successes than trials, or less than none.
+        ValueError: more successes than trials, or a negative number.
     """
     if not 0 <= successes <= trials:
         raise ValueError(f"{successes} successes in {trials} trials")

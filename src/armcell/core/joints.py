@@ -1,4 +1,4 @@
-"""Joint-space values: state, path, trajectory. Each carries its joint names; reindex by name at edges."""
+"""Joint-space values: state, path, trajectory. Each carries its joint names; reindex at interfaces."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: Array) -> bool:
-    """Whether all of (n,) are finite: `np.isfinite(values).all()`, several times faster for few numbers."""
+    """Return whether all values (n,) are finite; faster than `np.isfinite(values).all()` for small n."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Positions [rad or m] of named joints, with velocities [rad/s or m/s] where known."""
+    """Positions [rad or m] of named joints, with velocities [rad/s or m/s] if known."""
 
     joint_names: Names
     positions: Array  # (n,)
@@ -62,7 +62,7 @@ class JointState:
         joint_names: Names, positions: Array, velocities: Array | None = None, efforts: Array | None = None,
         time: float = 0.0,
     ) -> JointState:  # fmt: skip
-        """Without a check and without a copy: for drivers, which read thousands a second and keep none."""
+        """Create a state without checks and copies, for drivers that read thousands per second."""
         state = object.__new__(JointState)
         state.__dict__.update(
             joint_names=joint_names, positions=positions, velocities=velocities, efforts=efforts, time=time
@@ -74,10 +74,10 @@ class JointState:
         return JointState(tuple(values), np.array(list(values.values()), dtype=float))
 
     def reindexed(self, joint_names: Iterable[str]) -> JointState:
-        """The same state in another joint order, or of fewer joints.
+        """Return the state in another joint order, or of a subset of joints.
 
         Raises:
-            UnknownNameError: a joint this state does not have.
+            UnknownNameError: this state does not have the joint.
         """
         names = tuple(joint_names)
         cols = self.columns(names)
@@ -85,15 +85,15 @@ class JointState:
         return JointState(names, self.positions[cols], pick(self.velocities), pick(self.efforts), self.time)
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Where the joints stand in this state.
+        """Return the indices of joints in this state.
 
         Raises:
-            UnknownNameError: a joint this state does not have.
+            UnknownNameError: this state does not have the joint.
         """
         return _columns(self.joint_names, joint_names)
 
     def updated(self, other: JointState) -> JointState:
-        """This state with the joints of `other` overwritten (positions only)."""
+        """Return this state with the positions of `other`'s joints replaced."""
         positions = self.positions.copy()
         positions[_columns(self.joint_names, other.joint_names)] = other.positions
         return JointState(self.joint_names, positions, time=other.time or self.time)
@@ -107,7 +107,7 @@ class JointState:
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Waypoints in joint space, joined by straight lines, without time."""
+    """Waypoints in joint space, connected by straight segments, without time."""
 
     joint_names: Names
     waypoints: Array  # (k, n) [rad or m]
@@ -124,7 +124,7 @@ class JointPath:
 
     @property
     def length(self) -> float:
-        """Sum of the edges' Euclidean lengths [rad]."""
+        """Sum of the segments' Euclidean lengths [rad]."""
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
 
     def reversed(self) -> JointPath:
@@ -133,7 +133,7 @@ class JointPath:
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """Timed joint motion. `velocities` and `accelerations` may be missing, as in trajectory_msgs."""
+    """Timed joint motion. `velocities` and `accelerations` are optional, as in trajectory_msgs."""
 
     joint_names: Names
     times: Array  # (k,) [s], from the start, strictly increasing
@@ -176,10 +176,10 @@ class JointTrajectory:
         return JointState(self.joint_names, self.positions[-1])
 
     def reindexed(self, joint_names: Iterable[str]) -> JointTrajectory:
-        """The same motion in another joint order, or of fewer joints.
+        """Return the motion in another joint order, or of a subset of joints.
 
         Raises:
-            UnknownNameError: a joint this trajectory does not have.
+            UnknownNameError: this trajectory does not have the joint.
         """
         names = tuple(joint_names)
         if names == self.joint_names:
@@ -191,10 +191,10 @@ class JointTrajectory:
         )
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration at time t [s], held at both ends.
+        """Return position, velocity and acceleration at time t [s]; constant outside the duration.
 
-        Between points: quintic where accelerations are given, cubic where velocities are, else linear
-        (the rule of ROS's joint_trajectory_controller).
+        The interpolation is quintic with accelerations, cubic with velocities only, otherwise linear (as in
+        ROS's joint_trajectory_controller).
         """
         times, n = self.times, len(self.joint_names)
         if len(times) == 0:
@@ -211,7 +211,7 @@ class JointTrajectory:
         return self._between(i, t - times[i], [h**k for k in range(6)])
 
     def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
-        """`sample` at many times (k,) [s], each (k, n): the same numbers, quicker than one by one."""
+        """Evaluate `sample` at times (k,) [s]; arrays (k, n), the same values, faster than single calls."""
         known, at = self.times, float_array(times, (None,), "times")
         if len(known) == 0:
             raise InputError("an empty trajectory has no position at any time")
@@ -227,8 +227,10 @@ class JointTrajectory:
         return q, v, a
 
     def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration s [s] after point i, given powers 0 to 5 of the interval's
-        length; for one moment, or for many with s and h (k, 1)."""
+        """Evaluate position, velocity and acceleration s [s] after point i.
+
+        Args:
+            h: powers 0 to 5 of the interval's length. For k times, s and the powers have shape (k, 1)."""
         p0, p1 = self.positions[i], self.positions[i + 1]
         if self.velocities is None:
             v = (p1 - p0) / h[1]

@@ -1,4 +1,4 @@
-"""Pauses that the interpreter makes, and how a program that keeps to a clock is spared the long ones."""
+"""Avoids long garbage-collection pauses in programs that must keep time."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def no_long_pauses() -> Iterator[None]:
-    """What the process has made until now is not searched for garbage inside.
+    """Context manager: exclude all existing objects from garbage collection.
 
-    A full search stops all threads for as long as there are objects: 0.14 s for 200,000 (a cell and the
-    compiled code), more than a second for 700,000. It is made once on the way in.
+    A full collection pauses all threads: 0.14 s for 200,000 objects (a cell with compiled code), more than a
+    second for 700,000. One collection runs on entry.
     Source: https://docs.python.org/3/library/gc.html#gc.freeze
     """
     gc.collect()

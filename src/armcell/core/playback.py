@@ -1,4 +1,4 @@
-"""`Playback`: a trajectory read at many times, one after the other."""
+"""Fast evaluation of a trajectory at many increasing times."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ T = TypeVar("T", float, Array)
 
 
 class Playback:
-    """Reads what `JointTrajectory.sample` does, many times faster, and no accelerations.
+    """Evaluates a trajectory like `JointTrajectory.sample`, but much faster and without accelerations.
 
-    Between two points, position and velocity are polynomials of the time since the first of them. Their
-    coefficients are worked out once, for all intervals.
+    Position and velocity are polynomials in the time since the start of an interval; the constructor computes
+    the coefficients of all intervals.
 
     Attributes:
-        duration: of the trajectory [s].
+        duration: duration of the trajectory [s].
     """
 
     def __init__(self, trajectory: JointTrajectory):
@@ -55,7 +55,7 @@ class Playback:
         self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Position and velocity (n,) at time t [s], held at both ends."""
+        """Return position and velocity (n,) at time t [s]; constant outside the duration."""
         known, n = self._times, self._n
         if not known[0] < t < known[-1]:
             return (self._first if t <= known[0] else self._last).copy(), np.zeros(n)
@@ -64,7 +64,7 @@ class Playback:
         return both[:n], both[n:]
 
     def at_times(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Positions and velocities (k, n) at times (k,) [s], held at both ends."""
+        """Return positions and velocities (k, n) at times (k,) [s]; constant outside the duration."""
         t, known, n = float_array(times, (None,), "times"), self._knots, self._n
         positions = np.where((t <= known[0])[:, None], self._first, self._last)
         velocities = np.zeros_like(positions)

@@ -1,4 +1,4 @@
-"""What an object offers, also one that stands before another and passes calls on."""
+"""Checks for optional capabilities of drivers, also through forwarding wrappers."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ T = TypeVar("T")
 
 
 def offers(thing: Any, protocol: type[T]) -> TypeIs[T]:
-    """Whether an object has every member of a protocol.
+    """Return whether an object has every member of a protocol.
 
-    `isinstance` does not find what comes by `__getattr__` since Python 3.12 (`inspect.getattr_static`), so a
-    driver behind another would be none of its kind.
+    Since Python 3.12, `isinstance` does not see members that `__getattr__` forwards
+    (`inspect.getattr_static`), so it would miss the capabilities of a wrapped driver.
     """
     members = {**vars(protocol), **inspect.get_annotations(protocol)}
     return all(hasattr(thing, name) for name in members if not name.startswith("_"))

@@ -1,4 +1,4 @@
-"""Open tables of plug-ins: planners, IK solvers, stages, drivers, by name."""
+"""Registries of components by name: planners, IK solvers, stages, drivers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """`@registry.register("name")` adds, `registry["name"]` finds or says what exists."""
+    """Registry: `@registry.register("name")` adds a component, `registry["name"]` returns it."""
 
     def __init__(self, kind: str):
         self.kind = kind

@@ -1,4 +1,4 @@
-"""What can be asked of a planner."""
+"""Planning requests and goals."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from armcell.core.transforms import SE3
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """Joint positions to reach; joints not named stay where they are.
+    """Goal in joint positions; other joints keep their positions.
 
-    The positions themselves are taken where they can be; else others within the tolerance. With `turns`, a
-    joint may also end whole turns away: as near to the start as its limits allow.
+    The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
+    joint may end whole turns away from its goal, as close to the start as its limits allow.
     """
 
     state: JointState
-    tolerance: float = 1e-4  # [rad or m], of each joint that is named
+    tolerance: float = 1e-4  # [rad or m] of each named joint
     turns: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """A pose of a link (the group's tip by default) in the world frame.
+    """Goal pose of a link (default: the group's tip) in the world frame.
 
-    The pose itself is taken where it can be; else one within the tolerances: a ball around the position, and
-    rotations by less than an angle, or by less than three about the axes of the wanted orientation.
+    The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
+    position, and a rotation by less than one angle, or less than three angles about the goal's axes.
     """
 
     T_world_link: SE3
@@ -43,14 +43,14 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class NamedGoal:
-    """A named state of the group (SRDF group_state)."""
+    """Goal at a named state of the group (SRDF group_state)."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintGoal:
-    """Any state that keeps to all of these: position only, orientation only, a region, joint ranges."""
+    """Goal region: any state that satisfies all constraints (position, orientation, region, joint ranges)."""
 
     constraints: Constraints
 
@@ -65,45 +65,45 @@ ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "va
 @dataclass(frozen=True, eq=False)
 @checked()
 class PlanRequest:
-    """A free-space motion of one group. Defaults are MoveIt's where it has one."""
+    """Request for a collision-free motion of one group. Defaults are MoveIt's where MoveIt has one."""
 
     group: str
-    goals: tuple[Goal, ...]  # any one of them will do
-    start: JointState | None = None  # the scene's state where None; joints not named keep the scene's
+    goals: tuple[Goal, ...]  # the planner may choose any of them
+    start: JointState | None = None  # default: the scene's state; unnamed joints keep the scene's positions
     planner_id: str = "RRTConnect"
     pipeline_id: str = "native"
     planning_time: float = 5.0  # [s]
-    attempts: int = 1  # made side by side, with different seeds; the shortest path is taken
+    attempts: int = 1  # run in parallel with different seeds; the shortest path wins
     velocity_scaling: float = 1.0  # (0, 1]
     acceleration_scaling: float = 1.0  # (0, 1]
     seed: int = 0
-    torque_limits: bool = False  # keep the URDF's effort limits, with what the robot carries
+    torque_limits: bool = False  # keep the URDF's effort limits, including attached objects
     jerk_limits: bool = False  # keep the model's jerk limits, exactly on the path (not with torque_limits)
-    path_constraints: Constraints = Constraints()  # kept all along the motion
-    parameters: Mapping[str, Any] = field(default_factory=dict)  # of the planner, by its own names
-    planner_configs: Mapping[str, Any] = field(default_factory=dict)  # an ompl_planning.yaml, as it is read
-    workspace: tuple[Corner, Corner] | None = None  # [m] low and high corner; the tip stays in it
+    path_constraints: Constraints = Constraints()  # hold along the whole motion
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # the planner's own parameters
+    planner_configs: Mapping[str, Any] = field(default_factory=dict)  # a parsed ompl_planning.yaml
+    workspace: tuple[Corner, Corner] | None = None  # [m] lower and upper corner; the tip stays inside
     max_cartesian_speed: float | None = None  # [m/s] of `speed_link`
-    speed_link: str | None = None  # the group's tip where None; also an attached object
+    speed_link: str | None = None  # default: the group's tip; also an attached object
     adapters: tuple[str, ...] = ADAPTERS
-    arm_clearance: float = 0.02  # [m] between the arms of a group of several, as far as start and goals allow
+    arm_clearance: float = 0.02  # [m] between the arms of a multi-arm group, as far as start and goals allow
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class CartesianRequest:
-    """Straight lines of a link through poses, as compute_cartesian_path."""
+    """Request for straight-line motions of a link through poses, as in compute_cartesian_path."""
 
     group: str
     waypoints: tuple[SE3, ...]  # T_world_link
     link: str | None = None
     start: JointState | None = None
     max_step: float = 0.005  # [m] between checked poses
-    jump_threshold: float = 0.2  # [rad] largest step of a turning joint between two of them; 0: any
-    prismatic_jump_threshold: float = 0.05  # [m] the same of a sliding joint; 0: any
-    relative_jump_threshold: float = 0.0  # largest step as a multiple of the mean step, as MoveIt's; 0: any
+    jump_threshold: float = 0.2  # [rad] largest step of a revolute joint between two poses; 0: any
+    prismatic_jump_threshold: float = 0.05  # [m] the same for a prismatic joint; 0: any
+    relative_jump_threshold: float = 0.0  # largest step as a multiple of the mean step, as in MoveIt; 0: any
     avoid_collisions: bool = True
-    path_constraints: Constraints = Constraints()  # kept all along the line
+    path_constraints: Constraints = Constraints()  # hold along the whole line
     velocity_scaling: float = 1.0
     acceleration_scaling: float = 1.0
     max_cartesian_speed: float | None = None  # [m/s]
@@ -111,6 +111,6 @@ class CartesianRequest:
 
 @dataclass(frozen=True, eq=False)
 class SequenceRequest:
-    """Motions one after the other; after each a blend radius [m] around its end, 0 where it stops there."""
+    """Request for a sequence of motions, each with a blend radius [m] around its end (0: stop there)."""
 
     items: tuple[tuple[PlanRequest, float], ...]

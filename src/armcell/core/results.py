@@ -1,4 +1,4 @@
-"""What a request answers: code, message and the evidence behind it."""
+"""Results of requests: code, message and evidence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Base of all results: an error code, one line for people, and evidence by name."""
+    """Base class of results: an error code, a one-line message, and evidence by name."""
 
     code: ErrorCode
     message: str = ""
@@ -34,9 +34,9 @@ class Outcome:
         return self.code is ErrorCode.SUCCESS
 
     def explain(self, seconds: float = 10.0) -> Explanation:
-        """Why it failed and what would help; takes time, at most about so many seconds.
+        """Explain the failure and suggest changes, within about the given number of seconds.
 
-        Where nobody can look further into it: the code, the message and the contacts of the evidence.
+        Without a diagnosis for the kind of request, it contains the code, the message and the contacts.
         """
         if self.explainer is not None:
             return self.explainer(seconds)
@@ -49,7 +49,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class IKResult(Outcome):
-    """`positions` (dof,) of the group's joints, or the closest found when it failed."""
+    """Result of inverse kinematics: `positions` (dof,) of the group, or the closest ones after a failure."""
 
     positions: Array | None = None
     position_error: float = np.inf  # [m]
@@ -58,7 +58,7 @@ class IKResult(Outcome):
 
 @dataclass(frozen=True)
 class PlanResult(Outcome):
-    """A path and its timed form. Both are None unless the code is SUCCESS (or a partial Cartesian path)."""
+    """Result of planning: a path and its trajectory; None after a failure, except partial Cartesian paths."""
 
     path: JointPath | None = None
     trajectory: JointTrajectory | None = None
@@ -69,13 +69,13 @@ class PlanResult(Outcome):
 
     @cached_property
     def min_clearance(self) -> float:
-        """[m] along the motion, over the pairs checked; worked out when it is first asked for."""
+        """Minimum clearance [m] along the motion over the checked pairs; computed on first access."""
         return self.clearance() if self.clearance is not None else np.inf
 
 
 @dataclass(frozen=True)
 class ExecutionResult(Outcome):
-    """How a motion ended. Times in the driver's clock [s]."""
+    """Result of an execution. Times are in the driver's clock [s]."""
 
     started: float = 0.0
     finished: float = 0.0

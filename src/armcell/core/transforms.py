@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +23,7 @@ QUAT_NORM_TOLERANCE = 1e-3
 
 
 def skew(v: ArrayLike) -> Array:
-    """The 3x3 matrix with `skew(v) @ w == cross(v, w)`."""
+    """Return the 3x3 matrix with `skew(v) @ w == cross(v, w)`."""
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -35,14 +34,17 @@ def _finite(values: ArrayLike, count: int, what: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SO3:
-    """A rotation, kept as a 3x3 matrix."""
+    """A rotation, stored as a 3x3 matrix."""
 
     matrix: Array  # (3, 3)
 
     def __post_init__(self) -> None:
         m = self.matrix if isinstance(self.matrix, np.ndarray) else np.array(self.matrix, dtype=object)
-        if np.shape(m) != (3, 3) or not math.isfinite(sum(chain(*m.tolist()))):  # quicker than np.sum
-            raise InputError(f"a rotation needs a finite (3, 3) matrix, not {m!r}")
+        if m.shape == (3, 3):
+            (a, b, c), (d, e, f), (g, h, i) = m.tolist()
+            if math.isfinite(a + b + c + d + e + f + g + h + i):  # half the time of sum(), a third of np.sum
+                return
+        raise InputError(f"a rotation needs a finite (3, 3) matrix, not {m!r}")
 
     @staticmethod
     def identity() -> SO3:
@@ -50,10 +52,10 @@ class SO3:
 
     @staticmethod
     def from_quat_wxyz(quat_wxyz: ArrayLike) -> SO3:
-        """From a unit quaternion, scalar first.
+        """Create from a unit quaternion, scalar first.
 
         Raises:
-            InputError: not four finite numbers, or the norm is not 1 within `QUAT_NORM_TOLERANCE`.
+            InputError: not four finite numbers, or a norm further from 1 than `QUAT_NORM_TOLERANCE`.
         """
         q = _finite(quat_wxyz, 4, "a quaternion")
         norm = float(np.linalg.norm(q))
@@ -74,13 +76,13 @@ class SO3:
 
     @staticmethod
     def from_quat_xyzw(quat_xyzw: ArrayLike) -> SO3:
-        """From a unit quaternion, scalar last (ROS, SciPy, Unity)."""
+        """Create from a unit quaternion, scalar last (ROS, SciPy, Unity)."""
         x, y, z, w = _finite(quat_xyzw, 4, "a quaternion")
         return SO3.from_quat_wxyz((w, x, y, z))
 
     @staticmethod
     def from_rpy(rpy: ArrayLike) -> SO3:
-        """From roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, as in URDF."""
+        """Create from roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, as in URDF."""
         r, p, y = _finite(rpy, 3, "roll-pitch-yaw")
         cr, sr, cp, sp, cy, sy = np.cos(r), np.sin(r), np.cos(p), np.sin(p), np.cos(y), np.sin(y)
         return SO3(
@@ -95,7 +97,7 @@ class SO3:
 
     @staticmethod
     def exp(rotvec: ArrayLike) -> SO3:
-        """From a rotation vector [rad] (Rodrigues' formula)."""
+        """Create from a rotation vector [rad] (Rodrigues' formula)."""
         v = _finite(rotvec, 3, "a rotation vector")
         angle = float(np.linalg.norm(v))
         K = skew(v)
@@ -105,7 +107,7 @@ class SO3:
 
     @staticmethod
     def between(a: ArrayLike, b: ArrayLike) -> SO3:
-        """The shortest rotation that turns direction `a` into direction `b`."""
+        """Return the shortest rotation that turns direction `a` into direction `b`."""
         u, v = _finite(a, 3, "a direction"), _finite(b, 3, "a direction")
         if not (u.any() and v.any()):
             raise InputError("a direction must not be zero")
@@ -144,7 +146,7 @@ class SO3:
 
     @property
     def rpy(self) -> Array:
-        """Roll, pitch, yaw [rad]; at the pitch singularity roll is 0."""
+        """Roll, pitch, yaw [rad]; roll is 0 at the pitch singularity."""
         m = self.matrix
         pitch = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
         if abs(np.cos(pitch)) < 1e-9:
@@ -152,7 +154,7 @@ class SO3:
         return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
 
     def log(self) -> Array:
-        """The rotation vector [rad], of length <= pi."""
+        """Return the rotation vector [rad], with a length of at most pi."""
         w, *v = self.quat_wxyz
         n = float(np.linalg.norm(v))
         if n < 1e-12:
@@ -176,8 +178,11 @@ class SE3:
     def __post_init__(self) -> None:
         t = self.translation
         t = t if isinstance(t, np.ndarray) else np.array(t, dtype=object)
-        if np.shape(t) != (3,) or not math.isfinite(sum(t.tolist())):
-            raise InputError(f"a pose needs three finite numbers [m] as its translation, not {t!r}")
+        if t.shape == (3,):
+            x, y, z = t.tolist()
+            if math.isfinite(x + y + z):
+                return
+        raise InputError(f"a pose needs three finite numbers [m] as its translation, not {t!r}")
 
     @staticmethod
     def identity() -> SE3:
@@ -189,12 +194,12 @@ class SE3:
 
     @staticmethod
     def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> SE3:
-        """From a position [m] and roll-pitch-yaw [rad], as URDF's `<origin>`."""
+        """Create from a position [m] and roll-pitch-yaw [rad], as in URDF's `<origin>`."""
         return SE3(SO3.from_rpy(rpy), _finite(xyz, 3, "a position"))
 
     @staticmethod
     def from_matrix(matrix: ArrayLike) -> SE3:
-        """From a 4x4 homogeneous matrix."""
+        """Create from a 4x4 homogeneous matrix."""
         m = float_array(matrix, (4, 4), "a homogeneous transform")
         R = m[:3, :3]
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
@@ -211,11 +216,11 @@ class SE3:
 
     @staticmethod
     def from_mapping(value: object, what: str = "pose") -> SE3:
-        """From a cell file's pose: `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` or
+        """Create from a pose in a cell file: `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` or
         `{xyz: [...], rpy: [...]}` / `{xyz, rpy_deg}` / `{xyz, quat_xyzw}`.
 
         Raises:
-            InputError: anything else, naming `what`.
+            InputError: any other form; the message names `what`.
         """
         try:
             if isinstance(value, Sequence) and not isinstance(value, str):
@@ -271,11 +276,11 @@ class SE3:
         return p @ self.rotation.matrix.T + self.translation
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
-        """The same orientation, moved in the parent frame [m]."""
+        """Return the pose translated in the parent frame [m]."""
         return SE3(self.rotation, self.translation + _finite((x, y, z), 3, "a shift"))
 
     def distance_to(self, other: SE3) -> tuple[float, float]:
-        """Distance in metres and in radians."""
+        """Return the distance in position [m] and in rotation [rad]."""
         angle = float(np.linalg.norm((self.rotation.inv() @ other.rotation).log()))
         return float(np.linalg.norm(self.translation - other.translation)), angle
 
@@ -284,11 +289,11 @@ class SE3:
         return metres <= position and radians <= rotation
 
     def interpolate(self, other: SE3, fraction: float) -> SE3:
-        """Straight line in position, constant angular velocity in orientation."""
+        """Interpolate linearly in position and with constant angular velocity in orientation."""
         return self.interpolated(other, [fraction])[0]
 
     def interpolated(self, other: SE3, fractions: Iterable[float]) -> list[SE3]:
-        """`interpolate` at many fractions, quicker than one by one."""
+        """Evaluate `interpolate` at many fractions, faster than single calls."""
         fractions = float_array(list(fractions), (None,), "fractions")
         rotvec = (self.rotation.inv() @ other.rotation).log()
         turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding

@@ -1,4 +1,4 @@
-"""Where to hold an object and where to put it."""
+"""Grasp and placement planning: candidates for holding an object and for putting it down."""
 
 import armcell.grasping.generators  # noqa: F401  registers them
 from armcell.grasping.candidates import (

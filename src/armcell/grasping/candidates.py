@@ -1,9 +1,9 @@
-"""Where to hold an object: grasp candidates for a parallel gripper, best first, and why others are out.
+"""Grasp candidates for a parallel gripper, best first, and reasons for rejected ones.
 
-A generator proposes poses of the tcp; all of them are then looked at in the same way, cheap things first:
-do the pads meet the object, is it narrow enough, is the hand clear of the object and of what that stands on
-(`kernel.fit`), do the contacts press against each other, is the gripper strong enough. What the arm can reach
-and what else is in the way is asked afterwards, candidate by candidate (`tasks.stages.ChooseGrasp`).
+A generator proposes TCP poses. All proposals pass the same checks, cheap ones first: do the pads meet the
+object, is the object narrow enough, is the hand clear of the object and its support (`kernel.fit`), do the
+contacts press against each other, is the gripper strong enough. Reachability and other obstacles are checked
+later for each candidate (`tasks.stages.ChooseGrasp`).
 """
 
 from __future__ import annotations
@@ -26,66 +26,66 @@ from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
-APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and least
-KEPT = 64  # sets of fitted candidates remembered
-SOFT_PATCH = 1.5e-3  # [m] radius of a contact patch that is worth half of a large one
-EDGE = 1.7  # of a patch's radius of gyration: how far out its edge is
-FAR_LEVER = 0.04  # [m] of the weight, at which a grasp is worth half
+APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and minimum
+KEPT = 64  # cached sets of fitted candidates
+SOFT_PATCH = 1.5e-3  # [m] patch radius that scores half as much as a large patch
+EDGE = 1.7  # distance of a patch's edge, in radii of gyration
+FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Grasp:
-    """A way to hold an object. The tcp's z axis is the approach direction, y the closing direction.
+    """Grasp pose; the TCP's z axis is the approach direction, its y axis the closing direction.
 
-    The hand comes along +z of the tcp, `approach` [m] if there is room and not less than `shortest_approach`,
-    and leaves the same way.
+    The hand approaches along +z of the TCP and retreats along -z. The approach is `approach` [m] long if
+    there is enough free space, and at least `shortest_approach` [m].
     """
 
     name: str
     T_object_tcp: SE3
-    width: float  # [m] of the object between the pads
-    opening: float  # [m] before the approach
+    width: float  # [m] width of the object between the pads
+    opening: float  # [m] finger opening before the approach
     force: float  # [N] per finger
-    score: float = 0.0  # higher is tried first
+    score: float = 0.0  # higher scores are tried first
     approach: float = APPROACH
     shortest_approach: float = SHORTEST_APPROACH
-    contacts: tuple[PadContact, ...] = ()  # what the pads meet at +y and -y, in the tcp frame
+    contacts: tuple[PadContact, ...] = ()  # contacts of the pads at +y and -y, TCP frame
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """A candidate that cannot be used, and why."""
+    """Rejected grasp candidate with the reason."""
 
     name: str
     reason: str
-    passed: int = 0  # how many checks it came through
-    excess: float = np.inf  # by how much it failed the next one
+    passed: int = 0  # number of passed checks
+    excess: float = np.inf  # excess over the limit of the failed check
 
 
 @dataclass
 class Proposals:
-    """What a generator hands on: names, no two alike, and tcp poses in the object's frame."""
+    """Proposals of a grasp generator: unique names and TCP poses in the object's frame."""
 
     names: list[str] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)  # (4, 4)
-    taken: dict[str, int] = field(default_factory=dict)  # how often a name was used
+    taken: dict[str, int] = field(default_factory=dict)  # number of uses by name
 
     def add(self, name: str, T_object_tcp: Array) -> None:
-        """One more; a name that was there gets a number."""
+        """Add a TCP pose (4, 4); a repeated name gets a number."""
         count = self.taken[name] = self.taken.get(name, 0) + 1
         self.names.append(name if count == 1 else f"{name} ({count})")
         self.poses.append(T_object_tcp)
 
 
 Generator = Callable[[CollisionObject, Surface, Hand, Array], Proposals]
-"""(object, its surface, the hand, direction (3,) that is up in the object's frame) -> proposals."""
+"""(object, its surface, the hand, up direction (3,) in the object's frame) -> proposals."""
 
 generators: Registry[Generator] = Registry("grasp generator")
 
 
 def generator_for(item: CollisionObject) -> str:
-    """The generator that suits an object: by its shape, from its mesh, or from its points."""
+    """Return the name of the default grasp generator for an object's kind of geometry."""
     if item.has_cloud:
         return "cloud"
     if len(item.shapes) == 1 and isinstance(item.shapes[0][0], Box | Cylinder | Capsule | Sphere):
@@ -96,11 +96,11 @@ def generator_for(item: CollisionObject) -> str:
 def grasp_candidates(
     item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
 ) -> tuple[list[Grasp], list[Rejection]]:
-    """Candidates, best first, and the rejected ones with their reasons.
+    """Return grasp candidates, best first, and the rejected ones with their reasons.
 
     Args:
-        generator: by name; by default the one that suits the object.
-        on_support: the object stands on something at its lowest point, which the hand may not touch.
+        generator: generator by name; default: by the object's geometry.
+        on_support: the object rests on a support at its lowest point, which the hand must not touch.
     Raises:
         UnknownNameError: no such generator.
         InputError: the object has no surface that can be gripped.
@@ -112,7 +112,10 @@ def grasp_candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """What does not depend on mass and friction: kept per object, gripper and direction of up."""
+    """Fitted grasp candidates, independent of mass and friction.
+
+    They are cached per object, gripper and up direction.
+    """
 
     names: tuple[str, ...]
     poses: Array  # (k, 4, 4)
@@ -161,10 +164,10 @@ def _judged(
     ]
     R, at = fitted.poses[good, :3, :3], fitted.poses[good, :3, 3]
     contacts, width = fitted.contacts[good], fitted.measures[good, 0]
-    # Angle between each pad's push and the surface: within the friction cone, or the object is squeezed out.
+    # Each pad's force must be within the friction cone, or the pads squeeze the object out.
     inwards = np.stack([contacts[:, 0, 4], -contacts[:, 1, 4]], 1).clip(-1.0, 1.0)
     slope = (np.sqrt(1 - inwards**2) / np.maximum(inwards, 1e-6)).max(1)
-    # The line through both contacts, and how far beside it the weight pulls: the pads' torsion holds that.
+    # Lever arm of the weight about the line through both contacts, held by the pads' torsional friction.
     a = contacts[:, 0, :3]
     axis = contacts[:, 1, :3] - a
     apart = np.maximum(np.linalg.norm(axis, axis=1), 1e-9)
@@ -173,17 +176,18 @@ def _judged(
     up_tcp = R.transpose(0, 2, 1) @ up
     mass_at = np.einsum("kji,kj->ki", R, fitted.surface.centre_of_mass - at) - a
     arm = np.cross(mass_at, axis)
-    tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # standing still
-    lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # and on the way, however the hand is turned
+    tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # hand at rest
+    lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # in motion, for any orientation of the hand
     patch, rub = contacts[:, :, 7].min(1), item.material.torsional_friction
-    # Beyond the pads, as a tray held by its rim, it peels them off: friction at both, and pressing unevenly.
+    # A weight far outside the pads (a tray held by its rim) pries them off: friction and uneven pressure.
     along = np.einsum("ki,ki->k", mass_at, axis)
     beyond = np.maximum(np.maximum(-along, along - apart), 0.0)
     level = np.sqrt(1 - np.einsum("ki,ki->k", axis, up_tcp).clip(-1, 1) ** 2)
     peeling = 2 * friction * force * beyond * level / (friction * apart + 2 * EDGE * patch + rub)
     least = force * holding_factor(friction, rub, tilting, patch) + peeling
     needed = force * holding_factor(friction, rub, lever, patch) + peeling
-    if item.thread is not None:  # the pads push along their faces at half the width, and across their patches
+    # friction of the pads resists at half the width and across the contact patches
+    if item.thread is not None:
         twisting = item.thread.torque / (friction * width + 2 * patch)
         least, needed = np.maximum(least, twisting), np.maximum(needed, twisting)
     slanted = np.maximum(slope, twist)
@@ -220,7 +224,7 @@ def _judged(
 
 
 def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
-    """Reason, checks passed and excess of a candidate that does not fit."""
+    """Return reason, number of passed checks and excess of a candidate that fails the fit."""
     by, opens = float(measures[2]), hand.gripper.max_width
     mm = 1000 * by
     match verdict:
@@ -236,10 +240,13 @@ def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
 
 
 def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
-    """The rejected candidate that came farthest and then failed by least, or None."""
+    """Return the rejected candidate that passed the most checks, or None.
+
+    Among equals, the candidate with the smallest excess wins.
+    """
     return min(rejected, key=how_near, default=None)
 
 
 def how_near(rejection: Rejection) -> tuple[int, float]:
-    """A key to sort rejected candidates by: the nearest miss first."""
+    """Return a sort key that orders rejected candidates by how nearly they passed."""
     return -rejection.passed, rejection.excess

@@ -1,4 +1,4 @@
-"""What one pad of a gripper meets."""
+"""Contact between one gripper pad and an object."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PadContact:
-    """A patch of contact as a soft finger: friction along the surface and torsion about its normal."""
+    """Contact patch of a soft finger: friction along the surface and torsion about its normal."""
 
-    point: Array  # (3,) [m] middle of the patch
-    normal: Array  # (3,) unit, out of the object
-    radius: float  # [m] of gyration of the patch; 0 is a point
+    point: Array  # (3,) [m] center of the patch
+    normal: Array  # (3,) unit vector, points out of the object
+    radius: float  # [m] radius of gyration of the patch; 0 for a point contact
 
     @staticmethod
     def of(row: Array) -> PadContact:
-        """From a row (8,) of `kernel.fit`."""
+        """Create a contact from a row (8,) of `kernel.fit`."""
         row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))

@@ -1,4 +1,4 @@
-"""How hard to grip: from mass, friction, the material's softness and where the weight hangs."""
+"""Grip force from mass, friction, softness of the material and position of the weight."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ Array = NDArray[np.float64]
 
 SAFETY = 3.0
 MIN_FORCE = 5.0  # [N] per finger
-LIFT_ACCELERATION = 3.0  # [m/s^2] the held object must stand besides gravity
+LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in addition to gravity
 
 
 def holding_factor(friction: float, torsional_friction: float, lever: Array, patch: Array) -> Array:
-    """How many times the force of `needed_force` it takes where the weight hangs beside the contacts.
+    """Return the factor on `needed_force` if the weight acts off the line through the contacts.
 
-    A soft finger pressed by F holds a force f along the surface and a torque t about its normal while
+    A soft finger pressed with F holds a force f along the surface and a torque t about its normal while
     (f / (mu F))^2 + (t / (g F))^2 <= 1 (Howe and Cutkosky 1996), with g = mu r + the torsional coefficient
     [m] for a patch of radius r.
 
     Args:
-        lever: [m] of the weight about the line through the contacts.
+        lever: [m] lever arm of the weight about the line through the contacts.
         patch: [m] radius of the smaller patch.
     """
     g = friction * patch + max(torsional_friction, 1e-4)
@@ -31,25 +31,28 @@ def holding_factor(friction: float, torsional_friction: float, lever: Array, pat
 
 
 def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
-    """Sliding coefficient between an object and what it is put on, as in our physics.
+    """Return the sliding friction coefficient between an object and its support, as MuJoCo does.
 
-    MuJoCo takes the material of the geom with the higher priority, and the larger coefficient of two with the
-    same ("Contact parameters" in its XML reference). What can move has the higher one.
+    MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
+    are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.
     """
     mu = item.material.friction
     return max(mu, support.material.friction) if support.movable else mu
 
 
 def needed_force(item: CollisionObject) -> float:
-    """Force per finger [N] that just holds the object at its centre: m (g + a) / (2 mu) by Coulomb."""
+    """Return the minimum force per finger [N] that holds the object at its center of mass.
+
+    Coulomb friction: m (g + a) / (2 mu).
+    """
     return item.mass_kg * (9.81 + LIFT_ACCELERATION) / (2 * max(item.material.friction, 0.05))
 
 
 def firm_force(needed: float, gripper: Gripper) -> float:
-    """Force per finger [N] to grip with: what is needed with a safety factor, if the gripper has it."""
+    """Return the force per finger [N] with a safety factor, limited by the gripper's maximum."""
     return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
 
 
 def grip_force(item: CollisionObject, gripper: Gripper) -> float:
-    """Force per finger [N] to grip an object with at its middle."""
+    """Return the force per finger [N] for gripping an object at its center."""
     return firm_force(needed_force(item), gripper)

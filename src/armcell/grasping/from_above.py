@@ -1,7 +1,7 @@
-"""Grasps of what lies in a heap, from straight above: no shape is known, only a map of heights.
+"""Top-down grasps of pieces in a heap, from a height map, without knowledge of their shapes.
 
-The fingers go down where the map is lower than their tips and close on what stands between them. What is
-hidden counts as filled, so a finger never goes where no camera has looked.
+The fingers descend where the map is lower than their tips and close on the piece between them. Hidden cells
+count as filled, so fingers never enter space that no camera has seen.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class AboveSettings:
-    """Lengths in metres."""
+    """Settings of top-down grasping; lengths in meters."""
 
-    turns: int = 16  # of the hand, over half a circle
-    depths: tuple[float, ...] = (0.054, 0.040, 0.028, 0.018, 0.010)  # of the tips below the top
-    room: float = 0.009  # beside the thing on each side: what the map and the arm may be off by
-    clearance: float = 0.003  # of the fingers above what is below them
-    least_hold: float = 0.006  # height of the thing above the tips
-    steepest: float = 0.45  # tan of the slant of a side: friction holds no more
-    least_touch: float = 0.3  # share of the fingers' width in contact: less is a corner
-    kept: int = 80  # candidates
-    apart: float = 0.008  # nearer to each other than this, with the same turn, two count as one
+    turns: int = 16  # hand orientations over half a circle
+    depths: tuple[float, ...] = (0.054, 0.040, 0.028, 0.018, 0.010)  # fingertip depths below the top
+    room: float = 0.009  # free space on each side of the piece, for errors of the map and the arm
+    clearance: float = 0.003  # of the fingers above the cells below them
+    least_hold: float = 0.006  # minimum height of the piece above the fingertips
+    steepest: float = 0.45  # maximum tangent of a side's slant that friction holds
+    least_touch: float = 0.3  # minimum fraction of the finger width in contact; less is a corner
+    kept: int = 80  # maximum number of candidates
+    apart: float = 0.008  # minimum distance of two candidates with the same orientation
 
     def __post_init__(self) -> None:
         require(self.turns >= 1, f"turns is {self.turns}, it must be at least 1")
@@ -44,12 +44,12 @@ class AboveSettings:
 
 @dataclass(frozen=True, eq=False)
 class HeapGrasp(Grasp):
-    """A grasp of one piece of a heap; its pose is in the world."""
+    """Grasp of one piece of a heap; its pose is in the world frame."""
 
     piece: int = -1
-    tip: float = 0.0  # [m, world z] of the fingers' ends
-    top: float = 0.0  # [m, world z] of the piece between them
-    reach: float = 0.05  # [m] of the piece from the middle of the hand, seen from above
+    tip: float = 0.0  # [m, world z] height of the fingertips
+    top: float = 0.0  # [m, world z] top of the piece between the fingers
+    reach: float = 0.05  # [m] extent of the piece from the hand's center, seen from above
 
 
 def grasps_from_above(
@@ -61,21 +61,21 @@ def grasps_from_above(
     settings: AboveSettings = AboveSettings(),
     avoid: Sequence[tuple[float, float, float]] = (),
 ) -> list[HeapGrasp]:
-    """Candidates, best first.
+    """Return top-down grasp candidates, best first.
 
     Args:
-        labels: (nx, ny) number of the piece in each cell, -1 for none.
-        floor: [m, world z] of what the heap lies on.
-        force: [N] per finger: nothing is known of the weight.
-        avoid: x, y [m], turn [rad] of grasps that have failed; what is near them comes last.
+        labels: (nx, ny) piece number of each cell, -1 for none.
+        floor: [m, world z] height of the surface below the heap.
+        force: [N] per finger, because the weight is unknown.
+        avoid: x, y [m], angle [rad] of failed grasps; candidates near them come last.
     Raises:
-        InputError: a map and labels of different sizes.
+        InputError: the sizes of map and labels differ.
     """
     if labels.shape != seen.heights.shape:
         raise InputError(f"labels of {labels.shape} cells for a map of {seen.heights.shape}")
     s, gripper = settings, hand.gripper
     cells = np.argwhere(labels >= 0)
-    cells = cells[(cells.sum(1) % 2) == 0]  # as on a chessboard: neighbours are as good
+    cells = cells[(cells.sum(1) % 2) == 0]  # checkerboard subset: neighboring cells give similar grasps
     if not len(cells):
         return []
     fingers = np.concatenate([hand.left, hand.right])
@@ -106,7 +106,7 @@ def grasps_from_above(
         * (1 - (rows[:, 7] / s.steepest) ** 2)
         * (0.3 + 0.7 * np.minimum(rows[:, 8], 0.03) / 0.03)
         / (1 + (lever / 0.03) ** 2)
-        + 2.0 * (rows[:, 9] - floor)  # what lies on top first
+        + 2.0 * (rows[:, 9] - floor)  # topmost pieces first
     )
     for x, y, failed in avoid:
         near = np.linalg.norm(at - (x, y), axis=1) < 0.015
@@ -137,7 +137,7 @@ def grasps_from_above(
 def _only_pieces(
     seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
 ) -> bool:
-    """Whether nothing stands between the fingers but pieces: not also a wall of the bin."""
+    """Return True if only pieces, and no wall of the bin, are between the fingers."""
     r = seen.resolution
     x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
     at = T.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
@@ -149,7 +149,7 @@ def _only_pieces(
 
 
 def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Middles (k, 2) [m, world] and radii (k,) [m] of the pieces, seen from above."""
+    """Return centers (k, 2) [m, world] and radii (k,) [m] of the pieces, seen from above."""
     index = np.argwhere(labels >= 0)
     number = labels[index[:, 0], index[:, 1]]
     xy, count = seen.at(index)[:, :2], int(number.max()) + 1
@@ -161,7 +161,7 @@ def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _down(at: Array, z: float, turn: float) -> SE3:
-    """T_world_tcp of a hand that points down and closes along (cos turn, sin turn)."""
+    """Return T_world_tcp of a hand that points down and closes along (cos turn, sin turn)."""
     y = np.array([np.cos(turn), np.sin(turn), 0.0])
     approach = np.array([0.0, 0.0, -1.0])
     return SE3(SO3(np.column_stack([np.cross(y, approach), y, approach])), np.array([at[0], at[1], z]))

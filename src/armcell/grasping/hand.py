@@ -1,4 +1,4 @@
-"""A gripper's hand as boxes around its tcp: what a grasp candidate is looked at with before any planner."""
+"""Gripper geometry as boxes around the TCP, for checking grasps before any motion planning."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from armcell.model import Gripper, RobotModel
 
 Array = NDArray[np.float64]
 
-AT_THE_PAD = 0.001  # [m] that a finger's box may be off the closed position to be a pad
+AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plane to count as a pad
 
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """Boxes (n, 6) [m]: lowest and highest corner in the tcp frame, fingers as they are at width 0.
+    """Boxes of a hand (n, 6) [m]: lowest and highest corner in the TCP frame, fingers closed.
 
-    Opening moves the fingers by half the width along y, `left` to +y and `right` to -y.
+    Opening moves the fingers by half the width along y: `left` to +y and `right` to -y.
     """
 
     gripper: Gripper
     palm: Array
     left: Array
     right: Array
-    pad: Array  # (2, 2) [m] lowest and highest x and z of the pads
+    pad: Array  # (2, 2) [m] minimum and maximum x and z of the pads
 
     @property
     def boxes(self) -> Array:
@@ -39,16 +39,16 @@ class Hand:
 
 
 def pre_opening(width: float, gripper: Gripper) -> float:
-    """How far the fingers are opened [m] before they come around a width [m]."""
+    """Return the finger opening [m] before the approach to an object of the given width [m]."""
     return min(max(width * WIDER, width + MARGIN), gripper.max_width)
 
 
 @lru_cache(maxsize=32)
 def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
-    """The hand of a gripper of a robot.
+    """Return the hand geometry of a robot's gripper.
 
     Raises:
-        InputError: its links have no collision shapes, so nothing is known of where it is.
+        InputError: the gripper's links have no collision shapes.
     """
     tree = kinematic_tree(model)
     q = model.default_positions()
@@ -82,12 +82,12 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Where both fingers meet when closed: x and z of the pads."""
+    """Return the x and z range of the pads, where both closed fingers meet."""
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
         right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],
     )
-    # Several boxes may end at the closing plane: the pad is the one that reaches farthest out.
+    # Several boxes may end at the closing plane: the outermost one is the pad.
     a, b = (boxes[np.argmax(boxes[:, 5])] for boxes in inner)
     low = np.maximum(a[[0, 2]], b[[0, 2]])
     high = np.minimum(a[[3, 5]], b[[3, 5]])

@@ -1,4 +1,4 @@
-"""Where to put an object: place candidates on a support, best first."""
+"""Placement candidates of an object on a support, best first."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from armcell.grasping.surface import surface_of
 from armcell.scene import CollisionObject
 
 RELEASE_GAP = 0.001  # [m] above the support when the fingers open
-STABILITY_MARGIN = 0.004  # [m] the object's foot stays inside the support's edge, its mass inside the foot's
-FREE_PLACES = 24  # besides the grid
-OVERHANG = 0.4  # share of its margin that an object must keep where its foot reaches over an edge
-ROLLS = 0.05  # of score less where an object stands on a round side
-UPRIGHT = 0.99  # cosine of the angle between the side that shall be up and the normal of what it stands on
-FRICTION_MARGIN = 1.5  # times as much friction as it takes holds an object on a tilted support
+STABILITY_MARGIN = 0.004  # [m] margin of the base to the support's edge, and of the mass to the base's edge
+FREE_PLACES = 24  # number of placements in addition to the grid
+OVERHANG = 0.4  # fraction of its margin that an object must keep if its base extends over an edge
+ROLLS = 0.05  # score penalty for resting on a round side
+UPRIGHT = 0.99  # minimum cosine between the direction that must be up and the surface normal
+FRICTION_MARGIN = 1.5  # required ratio of available to needed friction on a tilted support
 
 Array = NDArray[np.float64]
 
@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 @checked()
 class Placement:
-    """A pose to leave an object at; `T_world_object` is where it comes to rest.
+    """Pose for putting an object down; `T_world_object` is the object's resting pose.
 
-    `normal` (3,) is the unit normal of what it stands on, in the world.
+    `normal` (3,) is the unit normal of the support surface in the world frame.
     """
 
     name: str
@@ -41,16 +41,18 @@ class Placement:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def above(self, distance: float) -> SE3:
-        """T_world_object so far [m] off the surface."""
+        """Return T_world_object at a distance [m] off the surface, along its normal."""
         x, y, z = (distance * n for n in self.normal)
         return self.T_world_object.shifted(x, y, z)
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """The surface of a support (see `support_surface`) on which friction holds an object, with its margin.
+    """Return the support surface on which friction holds an object, with a safety margin.
+
+    The result is that of `support_surface`.
 
     Raises:
-        InputError: it has none; says how far it leans and how far it may.
+        InputError: there is none; the text states the surface's tilt and the maximum tilt.
     """
     return support_surface(support, float(np.arctan(pair_friction(item, support) / FRICTION_MARGIN)))
 
@@ -63,24 +65,27 @@ def place_candidates(
     other_sides: bool = False,
     up: tuple[float, float, float] | None = None,
 ) -> list[Placement]:
-    """A 3 x 3 grid around a point of the support, then places all over it; the object turned to the support's
-    axes or as it is. It stands on the side it is nearest to standing on.
+    """Return placements on a support: a 3 x 3 grid around a point, then the whole surface.
 
-    A foot may reach over the edge of what has no walls, if the centre of mass is over what is left of it.
+    The object is aligned with the support's axes or keeps its orientation; it rests on the side that is
+    nearest to its present orientation.
 
-    A support may be tilted as far as friction holds the object, `FRICTION_MARGIN` times over; it is then
-    turned with the surface, and stands where the plumb line of its mass is well inside its foot.
+    Its base may extend over an edge without a wall if the center of mass is above the supported part.
+
+    A tilted support is allowed up to the angle at which friction holds the object with factor
+    `FRICTION_MARGIN`. The object is then tilted with the surface, and the vertical through its center of mass
+    must be well inside its base.
 
     Args:
         item: the object at its present pose.
-        at: point on the surface [m] from its centre; the centre by default, and then all over the surface.
+        at: point on the surface [m] from its center; default: the center, then the whole surface.
         step: grid spacing [m].
-        other_sides: also lay the object on its other sides, after the present one.
-        up: direction in the object's frame that shall be along the surface's normal; where it does not stand
-            so, nothing is found.
+        other_sides: also place the object on its other sides, after the present one.
+        up: direction in the object's frame that must align with the surface normal; without a matching
+            resting side there are no candidates.
     Raises:
-        InputError: no flat surface, or one too steep; the object does not fit on it, or does not stand on any
-            side.
+        InputError: there is no flat surface or it is too steep, the object does not fit on it, or the object
+            is not stable on any side.
     """
     cx, cy = (0.0, 0.0) if at is None else float_array(at, (2,), "at").tolist()
     require(is_number(step) and step > 0, f"step is {step!r}, it must be a positive number [m]")
@@ -104,7 +109,7 @@ def place_candidates(
             return []
     places = [(cx + dx, cy + dy, float(np.hypot(dx, dy)) * 10, dx == dy == 0)
               for dx in (0.0, -step, step) for dy in (0.0, -step, step)]  # fmt: skip
-    if at is None:  # and all over it, evenly (two irrational steps)
+    if at is None:  # also the whole surface, evenly (two irrational steps)
         k = np.arange(1, FREE_PLACES + 1)
         spread = np.stack([k * 0.7548776662466927 % 1 - 0.5, k * 0.5698402909980532 % 1 - 0.5], 1)
         places += [(x * size_x, y * size_y, 2.0 + np.hypot(x, y), False) for x, y in spread.tolist()]
@@ -129,20 +134,23 @@ def place_candidates(
 
 
 def _highest(support: CollisionObject, normal: Array) -> float:
-    """How far a support's points reach along a direction of the world (3,) [m]."""
+    """Return the largest coordinate [m] of a support's points along a world direction (3,)."""
     up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
     return max(tops) + float(support.T_world_object.translation @ normal)
 
 
 def _mass_height(item: CollisionObject, side: Rest) -> float:
-    """Of the centre of mass above what an object stands on [m]."""
+    """Return the height [m] of an object's center of mass above its base."""
     return float(surface_of(item).centre_of_mass @ side.up) + side.height
 
 
 def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, SO3]]:
-    """Turns about the surface's normal with the object's rotation in the world: along the surface's edges,
-    the one nearest to how it is turned now first, then as it is turned now."""
+    """Return rotations about the surface normal, as (angle, object rotation in the world) pairs.
+
+    First come alignments with the surface's edges, the nearest to the present orientation first, then the
+    present orientation.
+    """
     upright = SO3.between(side.up, (0.0, 0.0, 1.0))
     lean = SO3.between((0.0, 0.0, 1.0), frame.rotation.matrix[:, 2])
     yaw_now = _yaw(item.T_world_object.rotation, upright)
@@ -153,18 +161,25 @@ def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, S
 
 
 def _slope(frame: SE3) -> Array:
-    """How far (2,) a plumb line goes aside in a surface's frame, per metre that it goes down to it."""
+    """Return the horizontal offset (2,) of a plumb line in a surface's frame, per meter."""
     return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
 
 
 def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
-    """The tilt [rad] of a surface that leans to where it leans, up to which the object stands well."""
+    """Return the maximum tilt [rad] of a support surface at which an object is stable.
+
+    The surface tilts in its present tilt direction.
+    """
     into = frame.rotation.inv()
     return max(_tilt_held(item, side, (into @ R).matrix, frame) for _, R in _turns(item, side, frame))
 
 
 def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> float:
-    """The same for one turn: `turned` (3, 3) is the object's rotation in the surface's frame."""
+    """Return the maximum stable tilt [rad] of a surface for one rotation of the object.
+
+    Args:
+        turned: (3, 3) rotation of the object in the surface's frame.
+    """
     steepness = float(np.linalg.norm(_slope(frame)))
     if steepness < 1e-9:
         return np.pi / 2
@@ -191,7 +206,11 @@ def _on_side(
     places: list[tuple[float, float, float, bool]],
     open_edges: bool,
 ) -> list[Placement]:
-    """Placements on one side of the object, at places (x, y, cost, is the middle) of the support."""
+    """Return placements on one side of the object at the given places of the support.
+
+    Args:
+        places: (x, y [m], cost, whether the place is the center).
+    """
     tilt, slope, normal = tilt_of(frame), _slope(frame), frame.rotation.matrix[:, 2]
     surface, height = surface_of(item), _mass_height(item, side)
     corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
@@ -212,7 +231,7 @@ def _on_side(
                 mass = plumb - middle + (x, y)
                 if not (open_edges and central and _stands_on(stands, mass, half, side.margin)):
                     continue
-            # The whole's middle goes to (x, y), wherever in the object its origin is.
+            # Put the object's center at (x, y), independent of its origin.
             origin = np.array([x - middle[0], y - middle[1], side.height])
             score = -cost - 0.1 * i - 10.0 * number - (ROLLS if side.margin < 1e-3 else 0.0)
             found.append(
@@ -228,10 +247,11 @@ def _on_side(
 
 
 def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
-    """Whether a centre of mass (2,) is well over the part of a foot (n, 2) that is on a rectangle.
+    """Return True if a center of mass (2,) is well inside the supported part of a base (n, 2).
 
     Args:
-        whole: [m] margin on the whole foot, of which a share must be left.
+        half: (2,) [m] half size of the support's rectangle.
+        whole: [m] margin on the whole base, of which a fraction must remain.
     """
     for axis in range(2):
         for sign in (1.0, -1.0):
@@ -244,7 +264,10 @@ def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
 
 
 def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
-    """The part of a convex polygon (n, 2) with sign * coordinate <= limit (Sutherland and Hodgman)."""
+    """Return the part of a convex polygon (n, 2) with sign * coordinate <= limit.
+
+    Sutherland and Hodgman's algorithm.
+    """
     kept = []
     for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
         in_a, in_b = limit - sign * a[axis], limit - sign * b[axis]
@@ -256,7 +279,7 @@ def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
 
 
 def _yaw(R: SO3, upright: SO3) -> float:
-    """Rotation about world z that is left when the upright turn is taken off."""
+    """Return the rotation about world z that remains after removing the upright rotation."""
     return float((R @ upright.inv()).rpy[2])
 
 

@@ -1,8 +1,8 @@
-"""How good a grasp is: force closure, Ferrari and Canny's epsilon and volume, robustness against noise.
+"""Grasp quality: force closure, Ferrari-Canny epsilon and volume, robustness against noise.
 
-A pad is a soft finger: it pushes along the normal, rubs along the surface and holds a torsion about the
-normal. The wrenches of unit normal forces span a hull in (force, torque / size of the object); epsilon is the
-smallest disturbance in any direction that the grasp cannot hold, per Newton of grip (Ferrari and Canny 1992).
+A pad is a soft finger: it transmits a normal force, friction along the surface and torsion about the normal.
+The wrenches of unit normal forces span a hull in (force, torque / object size); epsilon is the smallest
+disturbance wrench that the grasp cannot resist, per newton of grip force (Ferrari and Canny 1992).
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ from armcell.scene import CollisionObject, Material
 
 Array = NDArray[np.float64]
 
-EDGES = 8  # of the pyramid in a friction cone
-CLOSED = 1e-6  # epsilon from which a grasp counts as force closure
+EDGES = 8  # edges of the pyramid that approximates a friction cone
+CLOSED = 1e-6  # minimum epsilon for force closure
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Of one grasp. `epsilon` and `volume` are 0 without force closure."""
+    """Quality measures of one grasp; `epsilon` and `volume` are 0 without force closure."""
 
     force_closure: bool
     epsilon: float  # [N per N of grip]
-    volume: float  # of the hull of wrenches, 6 dimensions
+    volume: float  # volume of the 6D wrench hull
 
 
 @dataclass(frozen=True)
 @checked()
 class Noise:
-    """Standard deviations of what is not known exactly."""
+    """Standard deviations of the uncertain quantities of a grasp."""
 
-    position: float = 0.002  # [m] of the object along each axis
+    position: float = 0.002  # [m] object position along each axis
     rotation: float = 0.035  # [rad] about each axis
-    friction: float = 0.15  # share of it
-    mass: float = 0.1  # share of it
+    friction: float = 0.15  # relative
+    mass: float = 0.1  # relative
 
     def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
-        """Small motions of the object in its own frame; the first is none."""
+        """Sample small displacements of the object in its own frame; the first is the identity."""
         shifts = rng.normal(scale=self.position, size=(count, 3))
         turns = rng.normal(scale=self.rotation, size=(count, 3))
         return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
-        """The object with other frictions and masses; the first is as given."""
+        """Sample copies of the object with varied friction and mass; the first is unchanged."""
         shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
         shares[0] = 1.0
         m = item.material
@@ -62,7 +62,7 @@ class Noise:
             replace(
                 item,
                 mass=item.mass_kg * float(heavy),
-                material=Material(m.friction * float(rough), m.torsional_friction, m.rolling_friction),
+                material=m.scaled(float(rough)),
             )
             for rough, heavy in shares
         ]
@@ -71,11 +71,11 @@ class Noise:
 def contact_wrenches(
     contacts: tuple[PadContact, ...], about: Array, size: float, material: Material, edges: int = EDGES
 ) -> Array:
-    """Wrenches (n, 6) of the edges of each soft finger's cone, per Newton of normal force.
+    """Return wrenches (n, 6) of the edges of the soft-finger cones, per newton of normal force.
 
     Args:
-        about: (3,) point of the torques, in the contacts' frame.
-        size: [m] torques are divided by it, so that they compare with forces.
+        about: (3,) reference point of the torques, in the contacts' frame.
+        size: [m] torques are divided by this length to be comparable with forces.
     """
     mu, found = material.friction, []
     angle = 2 * np.pi * np.arange(edges) / edges
@@ -93,11 +93,14 @@ def contact_wrenches(
 
 
 def hull_quality(wrenches: Array) -> Quality:
-    """Of the convex hull of wrenches (n, 6): does it hold the origin, how deep inside, how large is it."""
+    """Return the quality measures of a convex hull of wrenches (n, 6).
+
+    Force closure holds if the hull contains the origin; epsilon is the origin's depth inside the hull.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     wrenches = float_array(wrenches, (None, 6), "wrenches")
-    for options in ("Qt", "QJ"):  # many points on one circle may need to be shaken apart (QJ, 1e-10)
+    for options in ("Qt", "QJ"):  # cocircular points may need joggled input (QJ, 1e-10)
         try:
             hull = ConvexHull(wrenches, qhull_options=options)
         except (QhullError, ValueError):
@@ -106,11 +109,11 @@ def hull_quality(wrenches: Array) -> Quality:
         if epsilon < CLOSED:
             break
         return Quality(True, epsilon, float(hull.volume))
-    return Quality(False, 0.0, 0.0)  # or flat: some wrench cannot be held at all
+    return Quality(False, 0.0, 0.0)  # a flat hull: some wrench cannot be resisted
 
 
 def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
-    """Force closure, epsilon and volume of a grasp about the object's centre of mass."""
+    """Return force closure, epsilon and volume of a grasp about the object's center of mass."""
     surface = surface_of(item)
     about = grasp.T_object_tcp.inv().apply(surface.centre_of_mass)
     low, high = surface.bounds
@@ -121,8 +124,10 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Share of noisy trials in which the hand still fits, the pads still press against each other within
-    friction, and the force still holds the weight: 0 to 1. Geometry only, no physics.
+    """Return the fraction (0 to 1) of noisy trials in which a grasp holds, without physics.
+
+    A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
+    weight.
     """
     rng, surface = np.random.default_rng(seed), surface_of(item)
     moved = noise.poses(trials, rng)

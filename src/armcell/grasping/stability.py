@@ -1,4 +1,4 @@
-"""On which of its sides an object stands, and how firmly."""
+"""Stable resting poses of an object and their stability margins."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
-FLAT = 3e-4  # [m] that points may be off the plane they stand on
-SAME = 0.01  # [rad] between planes that are one
+FLAT = 3e-4  # [m] tolerance of coplanar points
+SAME = 0.01  # [rad] maximum angle between merged planes
 KEPT = 64
-NARROW = 5e-4  # [m] half the width that the line or point counts as on which a round thing stands
+NARROW = 5e-4  # [m] assumed half width of the contact line or point of a round object
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """A way to stand: `up` (3,) in the object's frame, the foot's corners, what it takes to topple it."""
+    """Resting pose: up direction (3,) in the object's frame, support polygon, stability margin."""
 
     up: Array
     foot: Array  # (n, 3) [m] corners of the support polygon, in the object's frame, in order around `up`
-    margin: float  # [m] from below the centre of mass to the nearest edge; below 0 it falls over
+    margin: float  # [m] distance of the projected center of mass to the nearest edge; < 0: unstable
 
     @property
     def height(self) -> float:
-        """Of the object's origin above what it stands on [m]."""
+        """Height [m] of the object's origin above the support."""
         return -float(self.foot[0] @ self.up)
 
 
@@ -38,9 +38,9 @@ _kept: OrderedDict[tuple, tuple[Rest, ...]] = OrderedDict()
 
 
 def rests(item: CollisionObject) -> tuple[Rest, ...]:
-    """The sides of an object's convex hull on which it does not fall over, the firmest first.
+    """Return the stable resting sides of an object's convex hull, most stable first.
 
-    Round things stand on the narrow sides of the polygon they are taken for: with next to no margin.
+    Round shapes are approximated by polygons and rest on their narrow sides, with almost no margin.
     """
     surface = surface_of(item)
     if surface.key not in _kept:
@@ -57,7 +57,7 @@ def _rests(surface: Surface) -> list[Rest]:
     corners = np.unique(corners.round(7), axis=0)
     try:
         hull = ConvexHull(corners)
-    except QhullError:  # a cloud of one flat side: what it stands on was not seen
+    except QhullError:  # a flat point cloud: the camera did not see its base
         return []
     points, found, seen = corners[hull.vertices], [], np.zeros((0, 3))
     order = np.argsort(-_simplex_areas(corners, hull.simplices), kind="stable")
@@ -79,14 +79,14 @@ def _simplex_areas(points: Array, simplices: NDArray[np.int32]) -> Array:
 
 
 def plane_axes(up: Array) -> tuple[Array, Array]:
-    """Two unit directions (3,) that make a right-handed frame with `up` as z."""
+    """Return two unit directions (3,) that form a right-handed frame with `up` as z."""
     x = np.asarray(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), dtype=np.float64)
     x /= np.linalg.norm(x)
     return x, np.asarray(np.cross(up, x), dtype=np.float64)
 
 
 def polygon(points: Array, up: Array) -> Array:
-    """Corners (n, 3) of the convex polygon around points of a plane, anticlockwise seen from `up`."""
+    """Return the convex polygon (n, 3) around coplanar points, counterclockwise seen from `up`."""
     from scipy.spatial import ConvexHull, QhullError
 
     x, y = plane_axes(up)
@@ -99,7 +99,7 @@ def polygon(points: Array, up: Array) -> Array:
 
 
 def margin_of(corners: Array, up: Array, point: Array) -> float:
-    """Distance [m] along the plane from a point above or below a polygon to its nearest edge, < 0 outside."""
+    """Return the in-plane distance [m] of a point to a polygon's nearest edge, < 0 outside."""
     if len(corners) < 3:
         return -np.inf
     edges = np.roll(corners, -1, axis=0) - corners
@@ -109,11 +109,13 @@ def margin_of(corners: Array, up: Array, point: Array) -> float:
 
 
 def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8) -> Rest | None:
-    """The rest nearest to how an object is turned now; a firm one is taken before one that rolls.
+    """Return the resting pose nearest to an object's present orientation.
+
+    A stable resting pose is preferred to one on which the object rolls.
 
     Args:
-        firm: [m] margin that counts as firm.
-        within: [rad] a firm one may be farther away than the nearest.
+        firm: [m] minimum margin of a stable resting pose.
+        within: [rad] maximum angle to a preferred stable resting pose.
     """
     now = item.T_world_object.rotation.matrix[2]
     all_ = rests(item)
@@ -122,13 +124,16 @@ def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8)
     nearest = max(all_, key=lambda r: float(r.up @ now))
     steady = [r for r in all_ if r.margin >= firm and r.up @ now > np.cos(within)]
     best = max(steady, key=lambda r: float(r.up @ now), default=nearest)
-    # Something that lies on its round side is turned now as it was: do not set it up on its end.
+    # An object lying on its round side keeps its orientation: do not set it upright.
     best = best if best.up @ now > float(nearest.up @ now) - 0.02 else nearest
     return _rolled(item, now, best) or best
 
 
 def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
-    """Where a sphere, or a lying cylinder or capsule, stands when it keeps its turn; None for others."""
+    """Return the resting pose of a rolling body (sphere, lying cylinder or capsule).
+
+    The body keeps its present orientation. The result is None for other objects.
+    """
     shape, T = item.shapes[0]
     if len(item.shapes) > 1 or not isinstance(shape, Sphere | Cylinder | Capsule):
         return None
@@ -136,7 +141,7 @@ def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
     axis = T.rotation.matrix[:, 2]
     if not isinstance(shape, Sphere):
         if abs(nearest.up @ axis) > 0.5:
-            return None  # on its end
+            return None  # upright
         up = now - (now @ axis) * axis
         up, half = up / np.linalg.norm(up), shape.length / 2
     x = axis if half else plane_axes(up)[0]

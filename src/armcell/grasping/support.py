@@ -1,4 +1,4 @@
-"""The flat surfaces of objects that others can stand on."""
+"""Flat surfaces of objects on which other objects can be placed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from armcell.core import SE3, SO3, Box, Cylinder, InputError, Mesh
 from armcell.grasping.stability import polygon
 from armcell.scene import CollisionObject
 
-LEVEL = float(np.arccos(0.999))  # [rad] up to which a surface counts as level
-UPWARD = np.deg2rad(75)  # [rad] beyond which it is a wall
-FILLED = 0.85  # share of a rectangle that a mesh's face must fill to be one
+LEVEL = float(np.arccos(0.999))  # [rad] maximum tilt of a level surface
+UPWARD = np.deg2rad(75)  # [rad] steeper surfaces are walls
+FILLED = 0.85  # minimum fraction of its bounding rectangle that a mesh face must fill
 SAME_PLANE = 2e-4  # [m]
 
 Array = NDArray[np.float64]
@@ -21,13 +21,14 @@ Found = tuple[SE3, float, float]
 
 
 def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
-    """The largest flat, upward surface of an object: its centre frame (z along its normal, x, y along its
-    edges) and its size x, y [m]. A level one, whose frame is upright, is taken before a tilted one.
+    """Return the largest flat, upward-facing surface of an object; level ones are preferred.
 
     Args:
-        steepest: [rad] that it may lean from the level.
+        steepest: [rad] maximum tilt from the horizontal.
+    Returns:
+        Frame at the surface's center (z along its normal, x and y along its edges) and size x, y [m].
     Raises:
-        InputError: none of its shapes has one; says how far the least steep leans.
+        InputError: no shape has such a surface; the text states the smallest tilt.
     """
     level = _largest(f for shape, T in _placed(support) for f in _level(shape, T))
     if level is not None:
@@ -49,7 +50,7 @@ def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
 
 
 def tilt_of(frame: SE3) -> float:
-    """Angle [rad] between a surface's normal, the z axis of its frame, and the vertical."""
+    """Return the angle [rad] between a surface's normal, its frame's z axis, and the vertical."""
     z = frame.rotation.matrix[:, 2]
     return float(np.arctan2(np.hypot(z[0], z[1]), z[2]))
 
@@ -63,7 +64,7 @@ def _largest(found: Iterator[Found]) -> Found | None:
     return max(found, key=lambda f: f[1] * f[2], default=None)
 
 
-# --- level ---
+# --- level surfaces ---
 def _level(shape: object, T: SE3) -> Iterator[Found]:
     if isinstance(shape, Box | Cylinder):
         yield from _level_end(shape, T)
@@ -72,7 +73,7 @@ def _level(shape: object, T: SE3) -> Iterator[Found]:
 
 
 def _level_end(shape: Box | Cylinder, T: SE3) -> Iterator[Found]:
-    """The upper side of a box or the upper end of a cylinder, if it is level."""
+    """Yield the level top face of a box or cylinder, if there is one."""
     axis = int(np.argmax(np.abs(T.rotation.matrix[2])))
     if abs(T.rotation.matrix[2, axis]) < np.cos(LEVEL) or (isinstance(shape, Cylinder) and axis != 2):
         return
@@ -82,7 +83,7 @@ def _level_end(shape: Box | Cylinder, T: SE3) -> Iterator[Found]:
 
 
 def _level_face(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """The level faces of a mesh that fill a rectangle along the world's axes."""
+    """Yield the level faces of a mesh that fill a rectangle along the world's axes."""
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
     level = (area > 0) & (normal[:, 2] > np.cos(LEVEL))
@@ -97,9 +98,9 @@ def _level_face(mesh: Mesh, T: SE3) -> Iterator[Found]:
             yield SE3.from_xyz(float(middle[0]), float(middle[1]), float(z)), float(x), float(y)
 
 
-# --- tilted ---
+# --- tilted surfaces ---
 def _tilted(shape: object, T: SE3) -> Iterator[Found]:
-    """The sides that look upward and are not level."""
+    """Yield the upward-facing sides of a shape that are not level."""
     if isinstance(shape, Box | Cylinder):
         for axis in range(3) if isinstance(shape, Box) else (2,):
             z = T.rotation.matrix[2, axis]
@@ -111,7 +112,7 @@ def _tilted(shape: object, T: SE3) -> Iterator[Found]:
 
 
 def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """The tilted plane faces of a mesh that fill a rectangle."""
+    """Yield the tilted planar faces of a mesh that fill a rectangle."""
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
     left = (area > 0) & (normal[:, 2] > np.cos(UPWARD)) & (normal[:, 2] < np.cos(LEVEL))
@@ -132,7 +133,7 @@ def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
 
 
 def _along_an_edge(corners: Array, normal: Array) -> Array:
-    """The direction (3,) along which the smallest rectangle around points (n, 3) of a plane lies."""
+    """Return the edge direction (3,) of the smallest rectangle around coplanar points (n, 3)."""
     ring = polygon(corners, normal)
     best, least = ring[1] - ring[0], np.inf
     for edge in np.roll(ring, -1, axis=0) - ring:
@@ -143,12 +144,12 @@ def _along_an_edge(corners: Array, normal: Array) -> Array:
     return best / np.linalg.norm(best)
 
 
-# --- both ---
+# --- common helpers ---
 def _side(shape: Box | Cylinder, T: SE3, axis: int, sign: float, normal: Array) -> Found:
-    """The side of a solid at one end of one of its axes."""
+    """Return the face of a box or cylinder at one end of an axis."""
     x, y = [k for k in range(3) if k != axis]
     half = shape.half_extents
-    scale = 1 / np.sqrt(2) if isinstance(shape, Cylinder) else 1.0  # the square inside the circle
+    scale = 1 / np.sqrt(2) if isinstance(shape, Cylinder) else 1.0  # inscribed square of the circle
     offset = np.zeros(3)
     offset[axis] = sign * half[axis]
     X = T.rotation.matrix[:, x]
@@ -157,7 +158,7 @@ def _side(shape: Box | Cylinder, T: SE3, axis: int, sign: float, normal: Array) 
 
 
 def _normals(triangles: Array) -> tuple[Array, Array]:
-    """Unit normals (n, 3) and areas (n,) [m^2] of triangles (n, 3, 3)."""
+    """Return unit normals (n, 3) and areas (n,) [m^2] of triangles (n, 3, 3)."""
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     double = np.linalg.norm(across, axis=1)
     return across / np.maximum(double, 1e-300)[:, None], double / 2

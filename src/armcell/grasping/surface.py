@@ -1,4 +1,4 @@
-"""The outside of an object as triangles and as points with normals: what every grasp is judged by."""
+"""Outer surface of an object as triangles and as points with normals, for grasp checks."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from armcell.scene import CollisionObject, solid_inertia
 
 Array = NDArray[np.float64]
 
-SECTIONS = 48  # of round shapes
-SPACING = 0.004  # [m] between points, where that gives a number between the next two
+SECTIONS = 48  # segments of round shapes
+SPACING = 0.004  # [m] spacing of points, if their number is then within the next two limits
 FEWEST, MOST = 400, 1500
-KEPT = 64  # surfaces remembered
-NEIGHBOURS = 16  # of a cloud's point that give its normal
+KEPT = 64  # cached surfaces
+NEIGHBOURS = 16  # neighbors used for a cloud point's normal
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """In the object's frame. Normals point outwards, as far as the shapes tell what is outside."""
+    """Surface in the object's frame; normals point outwards as far as the shapes define it."""
 
     points: Array  # (n, 3) [m]
     normals: Array  # (n, 3)
-    triangles: Array  # (t, 3, 3) [m]; of a cloud none
-    centre_of_mass: Array  # (3,) [m]; of a cloud its middle
-    key: tuple  # the same for the same shapes
+    triangles: Array  # (t, 3, 3) [m]; empty for a cloud
+    centre_of_mass: Array  # (3,) [m]; for a cloud its center
+    key: tuple  # equal for equal shapes
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -54,10 +54,10 @@ _kept: OrderedDict[tuple, Surface] = OrderedDict()
 
 
 def surface_of(item: CollisionObject) -> Surface:
-    """The surface of an object, remembered by what its shapes are.
+    """Return the surface of an object, cached by its shapes.
 
     Raises:
-        InputError: a plane, or a cloud without points: nothing to hold.
+        InputError: the object is a plane or an empty point cloud and cannot be grasped.
     """
     key = tuple((_key(shape), T.matrix.round(9).tobytes()) for shape, T in item.shapes)
     if key not in _kept:
@@ -69,19 +69,19 @@ def surface_of(item: CollisionObject) -> Surface:
 
 
 def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
-    """Of points (n, 3) [m] seen on a surface; normals by the plane through each point's neighbours.
+    """Return the surface of a point cloud (n, 3) [m], with normals from local planes.
 
-    They are turned away from the middle of the cloud: what is seen of an object from one side is a shell.
+    Normals point away from the cloud's center, because a cloud seen from one side is a shell.
 
     Raises:
-        InputError: fewer points than a normal takes.
+        InputError: too few points for normals.
     """
     from scipy.spatial import KDTree
 
     points = float_array(points, (None, 3), "points")
     if len(points) <= NEIGHBOURS:
         raise InputError(f"a cloud of {len(points)} points is too thin to be gripped", cure="look closer")
-    if len(points) > MOST:  # evenly: one point per cell, cells as large as it takes
+    if len(points) > MOST:  # thin evenly: one point per cell, with growing cells
         edge = SPACING / 2
         while len(points) > MOST:
             _, first = np.unique(np.floor(points / edge).astype(np.int64), axis=0, return_index=True)
@@ -147,26 +147,26 @@ def _areas(triangles: Array) -> Array:
 
 
 def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
-    """About `count` points, spread evenly by area, the corners among them, and their normals."""
+    """Sample about `count` points and normals evenly by area, including the corners."""
     areas = _areas(triangles)
     triangles, areas = triangles[areas > 0], areas[areas > 0]
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     ways = np.cross(b - a, c - a) / (2 * areas)[:, None]
     total = np.cumsum(areas)
     which = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
-    # Two irrational steps spread points over each triangle with no generator and no clumps.
+    # Two irrational steps distribute points evenly over each triangle without a random generator.
     k = np.arange(count)
     u, v = (0.7548776662466927 * k) % 1.0, (0.5698402909980532 * k) % 1.0
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     inner = a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
     normals = ways[which]
-    step = max(1, 6 * len(triangles) // max(count, 1))  # a fine mesh has points enough in its triangles
+    step = max(1, 6 * len(triangles) // max(count, 1))  # a fine mesh has enough points in its triangles
     corners = triangles[::step].reshape(-1, 3)
     return np.vstack([inner, corners]), np.vstack([normals, np.repeat(ways[::step], 3, axis=0)])
 
 
 def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
-    """Which points are well inside a convex shape; of a mesh that is not convex, none."""
+    """Return which points are well inside a convex shape; none for a non-convex mesh."""
     tolerance = 2e-5
     triangles = triangles_of(shape)
     areas = _areas(triangles)
@@ -181,10 +181,10 @@ def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
 
 
 def triangles_of(shape: Shape) -> Array:
-    """Triangles (t, 3, 3) [m] of a shape's surface in its frame, seen from outside anticlockwise.
+    """Return the triangles (t, 3, 3) [m] of a shape in its frame, counterclockwise from outside.
 
     Raises:
-        InputError: a plane or a cloud, which have none.
+        InputError: the shape is a plane or a cloud.
     """
     match shape:
         case Box():
@@ -203,7 +203,7 @@ def triangles_of(shape: Shape) -> Array:
         case Mesh():
             triangles = shape.vertices[shape.faces]
             volume = np.einsum("ij,ij->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))
-            return triangles[:, ::-1] if volume < 0 else triangles  # written inside out
+            return triangles[:, ::-1] if volume < 0 else triangles  # the file's triangles are inverted
         case Plane() | PointCloud() | Octree():
             raise InputError(f"a {type(shape).__name__} has no surface that can be gripped")
 
@@ -222,7 +222,7 @@ def _arc(radius: float, z: float, start: float, end: float, steps: int) -> list[
 
 
 def _revolved(profile: list[tuple[float, float]]) -> Array:
-    """The surface a profile (radius, z), from below to above, sweeps around z."""
+    """Return the surface of revolution about z of a profile (radius, z), from bottom to top."""
     t = 2 * np.pi * np.arange(SECTIONS + 1) / SECTIONS
     circle = np.column_stack([np.cos(t), np.sin(t)])
     found = []

@@ -1,4 +1,4 @@
-"""Forward kinematics, Jacobians and inverse kinematics."""
+"""Forward kinematics, Jacobians, inverse kinematics and inverse dynamics."""
 
 from armcell.kinematics.dynamics import InverseDynamics
 from armcell.kinematics.ik import AnalyticIK, IKSettings, IKSolver, NumericIK, ik_solver

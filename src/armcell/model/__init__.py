@@ -1,4 +1,7 @@
-"""Robots: from URDF, xacro and SRDF to one frozen `RobotModel`; composing; the robot library."""
+"""Robot models: load URDF, xacro and SRDF files into immutable robots, and combine robots.
+
+The package also contains the library of robots that `load_robot` finds by name.
+"""
 
 from armcell.model.assets import find_file
 from armcell.model.compose import Part, compose, prefixed

@@ -1,4 +1,4 @@
-"""Finding and loading meshes: `package://` URIs, files, scale, colours."""
+"""Mesh files of robot descriptions: resolve `package://` URIs, load meshes and colors."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ if TYPE_CHECKING:
     import trimesh
 
 MAX_MESH_BYTES = 100_000_000
-MAX_PACKAGE_BYTES = 1_000_000  # of a package.xml
+MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
 
 
 def installed_share() -> list[Path]:
-    """Share folders of robot descriptions installed by pip (`example-robot-data` lives in cmeel.prefix)."""
+    """Return the share folders of robot descriptions that pip installed.
+
+    `example-robot-data`, for example, installs its files into `cmeel.prefix/share` of a `sys.path` entry.
+    """
     found = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path if entry]
     return [share for share in found if share.is_dir()]
 
@@ -37,14 +40,20 @@ _PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 
 @dataclass(frozen=True)
 class FoundPackage:
-    """A ROS package: its folder, and the real folders that its files are in."""
+    """A ROS package that was found on disk.
+
+    Attributes:
+        folder: folder where the search found the package.
+        roots: folders with symlinks resolved that contain the package's files. colcon's `--symlink-install`
+            adds the source package to the installed one.
+    """
 
     folder: Path
     roots: tuple[Path, ...]
 
 
 def search_folders() -> list[Path]:
-    """Folders whose packages the user named or installed: ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, pip's."""
+    """Return ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and pip's description folders, in search order."""
     named = [
         Path(entry)
         for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
@@ -55,25 +64,25 @@ def search_folders() -> list[Path]:
 
 
 def package_above(path: Path) -> Path | None:
-    """The folder of the package that a file is in: the nearest above it with a package.xml, or None."""
+    """Return the nearest folder above `path` that contains a package.xml, or None."""
     return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
-    """A ROS package by name: above or beside `base`, in the user's search path, among the installed ones.
+    """Find a ROS package by name near `base`, in the ROS search path, or among pip packages.
 
-    Around `base` only a folder with a package.xml counts as a package, or else every folder of the machine
-    would: a file below /home/me could call /home its package.
+    The search starts with the folders above and beside `base`. There, only a folder with a package.xml counts
+    as a package; otherwise a file below /home/me could claim /home as its package.
 
     Raises:
-        InputError: there is none.
+        InputError: the package does not exist.
     """
     for folder, searched in _package_folders(package, base):
         file = folder / PACKAGE_FILE
         if not folder.is_dir() or not (searched or file.is_file()):
             continue
         roots = [folder.resolve()]
-        if searched and file.is_file():  # colcon --symlink-install links each file to the source package
+        if searched and file.is_file():  # colcon --symlink-install links each file to its source package
             roots.append(file.resolve().parent)
         return FoundPackage(folder, tuple(dict.fromkeys(roots)))
     raise InputError(
@@ -84,7 +93,10 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Folders that may be the package, and whether each is from the user's search path; nearest first."""
+    """Yield candidate folders of a ROS package, nearest first.
+
+    Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
+    """
     if package in ("", ".", "..") or "/" in package or "\0" in package:
         return
     above = [base, *base.parents]
@@ -106,31 +118,34 @@ def _package_name(folder: Path) -> str | None:
 
 
 def find_file(uri: str) -> Path:
-    """A file by `package://` URI or path, from the current folder.
+    """Return the path of an existing file given as a `package://` URI or a path.
+
+    Relative paths start from the current folder.
 
     Raises:
-        InputError: no such file; lists where it was looked for.
+        InputError: the file does not exist; the message lists the searched places.
     """
     return resolve_uri(uri, Path.cwd())
 
 
 def resolve_uri(uri: str, base: Path) -> Path:
-    """The file a URDF's mesh URI means.
+    """Resolve the mesh URI of a URDF to the path of an existing file.
 
-    `package://pkg/rest` is looked for in the packages above and beside `base`, in ROS_PACKAGE_PATH and
-    AMENT_PREFIX_PATH, and among the descriptions installed by pip. Other URIs are relative to `base`.
+    The function searches for `package://pkg/rest` in the packages above and beside `base`, in
+    ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among the robot descriptions installed by pip. Other URIs are
+    relative to `base`.
 
     Args:
-        uri: as written in the file.
-        base: folder of the file that says it.
+        uri: the URI as written in the file.
+        base: folder of the file that contains the URI.
     Raises:
-        InputError: no such file; lists where it was looked for.
+        InputError: the file does not exist; the message lists the searched places.
     """
     if uri.startswith("package://"):
-        package, _, rest = uri[len("package://") :].lstrip("/").partition("/")  # some write package:///
+        package, _, rest = uri[len("package://") :].lstrip("/").partition("/")  # some files: package:///
         for folder, _ in _package_folders(package, base):
             path = folder / rest
-            # unlike Path.is_file, os.path.isfile does not raise for names that no file can have
+            # os.path.isfile returns False for invalid file names, where Path.is_file raises
             if rest and os.path.isfile(path):
                 return path
         raise InputError(
@@ -158,12 +173,15 @@ def _checked(path: Path) -> Path:
 
 @lru_cache(maxsize=256)
 def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
-    """A mesh file as one triangle mesh [m].
+    """Load a mesh file as one triangle mesh [m], with duplicate vertices merged.
 
+    Args:
+        path: mesh file (STL, OBJ, DAE, GLB, GLTF, PLY or OFF).
+        scale: factors along x, y and z.
     Raises:
-        InputError: unreadable, empty or not finite.
+        InputError: the file is not readable as a mesh, has no triangles or has a non-finite vertex.
     """
-    import trimesh  # here and below: it takes half a second, which a program without meshes need not wait
+    import trimesh  # imported late, here and below: the import takes 0.5 s, which only meshes need
 
     try:
         loaded = trimesh.load(_checked(path), force="mesh", process=False)
@@ -171,7 +189,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
         faces = np.asarray(loaded.faces)  # pyright: ignore[reportAttributeAccessIssue]
     except InputError:
         raise
-    except Exception as error:  # every mesh library has errors of its own; the file is what is wrong
+    except Exception as error:  # each mesh library raises different errors; all mean a bad file
         raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
     if len(faces) == 0:
         raise InputError("mesh has no triangles", file=path)
@@ -183,10 +201,13 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
 def _sound(
     vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled vertices (v, 3) [m] and faces (f, 3) of what a library has read, which it does not check.
+    """Return a mesh's scaled vertices (v, 3) [m] and faces (f, 3) after checking both arrays.
+
+    The mesh libraries do not check the arrays that they read.
 
     Raises:
-        InputError: of another shape, not finite, or a face of vertices that there are not.
+        InputError: an array has the wrong shape, a vertex is not finite, or a face refers to a missing
+            vertex.
     """
     v, f = np.asarray(vertices, dtype=float), np.asarray(faces)
     if v.ndim != 2 or v.shape[1] != 3 or f.ndim != 2 or f.shape[1] != 3 or f.dtype.kind not in "iu":
@@ -213,10 +234,10 @@ DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
 def load_visual_parts(
     path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[tuple[Mesh, Color], ...]:
-    """A visual mesh file as one mesh [m] and RGBA colour (0..1) per material, for drawing.
+    """Load a visual mesh file as one mesh [m] and RGBA color (0..1) per material, for rendering.
 
     Raises:
-        InputError: unreadable or without triangles.
+        InputError: the file is not readable as a mesh or has no triangles.
     """
     import trimesh
 
@@ -230,7 +251,7 @@ def load_visual_parts(
         found = tuple((_merged(some, scale, path), color) for color, some in by_color.items())
     except InputError:
         raise
-    except Exception as error:  # every mesh library has errors of its own; the file is what is wrong
+    except Exception as error:  # each mesh library raises different errors; all mean a bad file
         raise InputError(f"cannot be read as a mesh: {error}", file=path) from None
     if not found:
         raise InputError("mesh has no triangles", file=path)
@@ -238,7 +259,7 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """The one colour of a mesh: its material's, or the mean of its faces'."""
+    """Return the RGBA color of a mesh from its material, or else the mean of its face colors."""
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
     if rgba.shape != (4,):
@@ -257,7 +278,7 @@ def _merged(parts: list[trimesh.Trimesh], scale: tuple[float, float, float], pat
         faces.append(f + start)
         start += len(part.vertices)
     whole = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
-    whole.merge_vertices(merge_tex=True, merge_norm=True)  # files keep a vertex per normal
+    whole.merge_vertices(merge_tex=True, merge_norm=True)  # files repeat a vertex for each normal
     whole.update_faces(whole.nondegenerate_faces())
     whole.remove_unreferenced_vertices()
     return Mesh(whole.vertices, whole.faces.astype(np.int32), path)

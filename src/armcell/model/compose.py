@@ -1,4 +1,4 @@
-"""Building one robot from several: prefixes, mounting a gripper, two arms under one world."""
+"""Composition of several robots into one: name prefixes, mounted grippers, dual-arm cells."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from armcell.model.robot import EndEffector, Group, Joint, Link, Mimic, RobotMod
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A robot to build in: its prefix and where its root is mounted (`parent_link` may be "world")."""
+    """One robot of a composition: its model, its name prefix and its mounting pose.
+
+    `parent_link` is "world" or a link of an earlier part; `T_parent_root` is the pose of this part's root
+    link in the frame of `parent_link`.
+    """
 
     model: RobotModel
     prefix: str = ""
@@ -20,7 +24,7 @@ class Part:
 
 
 def prefixed(model: RobotModel, prefix: str) -> RobotModel:
-    """The same robot with `prefix` before every name."""
+    """Return a copy of the robot with `prefix` before every link, joint, group and gripper name."""
     if not prefix:
         return model
     p = lambda name: None if name is None else prefix + name  # noqa: E731
@@ -73,10 +77,11 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
 
 
 def compose(name: str, parts: Sequence[Part]) -> RobotModel:
-    """One robot from several, in the order given; a part may be mounted on a link of an earlier one.
+    """Build one robot from several parts, each mounted on the world or on an earlier part.
 
     Raises:
-        InputError: two parts share a link, joint or group name (give them prefixes), unknown parent link.
+        InputError: `parts` is empty, or two parts share a link, joint or group name (use prefixes).
+        UnknownNameError: a parent link does not exist in the earlier parts.
     """
     if not parts:
         raise InputError(f"robot {name!r} is composed of no parts")

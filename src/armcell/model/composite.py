@@ -1,4 +1,4 @@
-"""Groups made of groups and further named states, as a composed robot's robot.yaml gives them."""
+"""Composite planning groups (groups of groups) and extra named states from robot.yaml."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ from armcell.model.robot import Group, RobotModel
 
 
 def with_composites(model: RobotModel, groups: Any, states: Any, file: Path) -> RobotModel:
-    """The model with composite groups, name -> [groups], and states, group -> name -> joint -> position.
+    """Add composite planning groups and extra named states from robot.yaml to a robot.
 
-    A named state that all members of a composite group have becomes a state of the composite.
+    If all members of a composite group have a named state of the same name, the composite group gets that
+    state, too.
 
+    Args:
+        groups: member groups by composite group: `{name: [group, ...]}`, or None.
+        states: joint positions [rad or m]: `{group: {state: {joint: position}}}`, or None.
+        file: the robot.yaml, for error messages.
     Raises:
-        InputError: not of that form, a member joint twice, a position out of limits.
-        UnknownNameError: a group or joint the robot does not have.
+        InputError: invalid structure, a joint in two member groups, or a position outside the joint's limits.
+        UnknownNameError: the robot does not have a group or joint of that name.
     """
     model = _with_states(model, states or {}, file)
     return _with_groups(model, groups or {}, file)

@@ -1,4 +1,7 @@
-"""Reading files from outside: size caps, no entity expansion, no network, one clear line on error."""
+"""Safe readers for untrusted text, XML and YAML files.
+
+The readers limit file sizes, expand no XML entities, use no network, and report each error in one line.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,17 @@ from armcell.core import InputError
 MAX_TEXT_BYTES = 20_000_000
 MAX_YAML_BYTES = 2_000_000
 MAX_YAML_DEPTH = 64
-MAX_YAML_ALIASES = 50  # anchors are fine, a "billion laughs" document is not
+MAX_YAML_ALIASES = 50  # allows ordinary anchors, stops a "billion laughs" document
 
 
-MAX_KEY_DIGITS = 18  # of an integer key: larger ones can be chosen to have equal hashes
+MAX_KEY_DIGITS = 18  # longest integer key: an attacker can choose larger keys with equal hashes
 
 
 class SafeLoader(yaml.CSafeLoader):
-    """Plain data only, without keys that make a mapping slow to build."""
+    """A YAML loader for plain data that rejects integer keys with more than 18 digits.
+
+    An attacker can choose large integer keys with equal hashes, which makes a dictionary slow to build.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         for key, _ in node.value:
@@ -33,8 +39,11 @@ class SafeLoader(yaml.CSafeLoader):
 
 
 class _Loader(SafeLoader):
-    """Only `true` and `false` are booleans, as in YAML 1.2: a key called `on` stays a key. A key given twice
-    is an error, where YAML lets the last one win."""
+    """A YAML loader with YAML 1.2 booleans that rejects duplicate keys.
+
+    Only `true` and `false` (also capitalized) are booleans, so a key named `on` stays a string. Plain YAML
+    loaders keep the last of two equal keys without a warning.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
@@ -57,10 +66,10 @@ _Loader.add_implicit_resolver(
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
-    """The text of a file.
+    """Return the text of a UTF-8 file.
 
     Raises:
-        InputError: missing, a folder, larger than `limit` bytes or not UTF-8.
+        InputError: the file is missing, a folder, larger than `limit` bytes or not UTF-8.
     """
     try:
         if path.is_dir():
@@ -75,18 +84,19 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
         raise InputError("file not found", file=path, cure="check the path") from None
     except PermissionError:
         raise InputError("no permission to read", file=path) from None
-    except OSError as error:  # a name that is too long
+    except OSError as error:  # for example, a file name that is too long
         raise InputError(f"cannot be read: {error.strerror}", file=path) from None
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text ({error.reason} at byte {error.start})", file=path) from None
-    except ValueError:  # a NUL
+    except ValueError:  # the name contains a NUL character
         raise InputError(f"{str(path)!r} is not a file name", cure="check the path") from None
 
 
 class Bounded:
-    """A file opened for reading that gives what it has, whatever is asked for.
+    """A binary file wrapper whose `read` never requests more bytes than the file has left.
 
-    A damaged file names lengths of gigabytes, and `read` of an ordinary file sets that memory aside first.
+    A corrupt file can declare a length of gigabytes, and the ordinary `read` allocates that much memory
+    before it reads.
     """
 
     def __init__(self, stream: BinaryIO):
@@ -101,10 +111,13 @@ class Bounded:
 
 
 def parse_xml(text: str, file: Path | str) -> etree._Element:
-    """The root element of an XML text; its tree's `docinfo.URL` is the file.
+    """Parse XML text and return its root element.
+
+    `docinfo.URL` of the element's tree contains the file name.
 
     Raises:
-        InputError: not well-formed (with the line), or it declares a DOCTYPE (entity bombs).
+        InputError: the XML is not well-formed (with the line), or declares a DOCTYPE (a DOCTYPE can define
+            entities that expand without limit).
     """
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True
@@ -122,7 +135,11 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
 
 
 def check_yaml_events(text: str, path: Path) -> None:
-    """Refuse what is cheap to write and dear to build: deep nesting and "billion laughs" aliases."""
+    """Reject YAML that is small to write but expensive to build: deep nesting and many aliases.
+
+    Raises:
+        InputError: more than 50 aliases ("billion laughs" attack), or more than 64 nesting levels.
+    """
     aliases = depth = 0
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.AliasEvent):
@@ -138,19 +155,19 @@ def check_yaml_events(text: str, path: Path) -> None:
 
 
 def yaml_value(text: str) -> Any:
-    """A value written by hand, read by the same rules as files.
+    """Parse one YAML value from a string, by the same rules as `read_yaml` applies to files.
 
     Raises:
-        yaml.YAMLError: it is none.
+        yaml.YAMLError: `text` is not valid YAML.
     """
     return yaml.load(text, _Loader)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file whose top level is a mapping.
+    """Return the content of a YAML file whose top level is a mapping.
 
     Raises:
-        InputError: missing, not YAML (with the line), not a mapping, or too many aliases.
+        InputError: the file is missing, not YAML (with the line), not a mapping, or uses too many aliases.
     """
     text = read_text(path, MAX_YAML_BYTES)
     try:

@@ -1,4 +1,4 @@
-"""A robot's hand as a robot of its own."""
+"""A robot's gripper extracted as a separate robot model, without the arm."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from armcell.model.robot import Gripper, RobotModel
 
 
 def hand_alone(model: RobotModel, gripper: Gripper) -> RobotModel:
-    """The links of a gripper and all below them, fixed at the hand's root: no arm.
+    """Return a robot model with only the gripper's links and their descendants, without the arm.
 
-    Its groups, end effectors and named states are gone; the gripper and its joints are as they were.
+    The root link is the lowest link above all links of the gripper. The new model has no planning groups, end
+    effectors or named states; the gripper and its joints are unchanged.
     """
     links = {gripper.tcp_link, *gripper.hand_links, *gripper.finger_links}
     chains = [[j.parent for j in reversed(model.chain(model.root_link, link))] for link in links]
     above = [
         [link, *chain] for link, chain in zip(links, chains, strict=True)
-    ]  # each from the link to the root
+    ]  # ancestors of each link, from the link up to the root
     root = next(link for link in above[0] if all(link in chain for chain in above[1:]))
     kept = model.subtree(root)
     return replace(

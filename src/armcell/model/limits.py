@@ -1,7 +1,8 @@
-"""Limits that URDF lacks or overstates: acceleration, jerk and tightened velocities, from joint_limits.yaml.
+"""Joint limits from joint_limits.yaml, which tighten the URDF's limits or add missing ones.
 
-The file has MoveIt's form (`joint_limits: {joint: {has_velocity_limits, max_velocity, ...}}`) with
-`max_jerk`, `min_position` and `max_position` besides.
+URDF has no acceleration and jerk limits. The file has MoveIt's format (`joint_limits: {joint:
+{has_velocity_limits, max_velocity, ...}}`) with the additional keys `max_jerk`, `min_position` and
+`max_position`.
 """
 
 from __future__ import annotations
@@ -35,10 +36,11 @@ _SWITCHES = {
 
 
 def with_joint_limits(model: RobotModel, path: Path) -> RobotModel:
-    """The model with joint_limits.yaml applied. A limit may be tightened, never widened.
+    """Return the robot with the limits of a joint_limits.yaml; limits may only become tighter.
 
     Raises:
-        InputError: unknown joint or key, wrong type, or a limit wider than the URDF's.
+        InputError: wrong type, or a limit wider than the URDF's.
+        UnknownNameError: the robot has no such joint, or the key is unknown.
     """
     data = read_yaml(path).get("joint_limits")
     if not isinstance(data, dict):

@@ -1,4 +1,4 @@
-"""`load_robot`: by library name, folder, URDF or xacro file."""
+"""The `load_robot` function: loads a robot by library name, folder, URDF file or xacro file."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ _KEYS = {"name", "source", "urdf", "root", "srdf", "joint_limits", "grippers", "
 
 
 def robot_names() -> list[str]:
-    """Robots in the library."""
+    """Return the names of the robots in armcell's library."""
     return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
 
 
 def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | None = None) -> RobotModel:
-    """A robot model.
+    """Load a robot model from the library, a folder, a URDF file or a xacro file.
 
     Args:
-        robot: a library name (`robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
-            or a URDF or xacro file (an SRDF of the same name beside it is applied).
-        base: folder that relative paths start from; the current folder by default.
-        allow_env: let xacro files read environment variables by `$(env)` and `$(optenv)`. None: only where
-            ARMCELL_ALLOW_ENV is set, which `armcell --allow-env` does.
+        robot: a library name (see `robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
+            or a URDF or xacro file. An SRDF file of the same name in the same folder is applied, too.
+        base: folder that relative paths start from; by default the current folder.
+        allow_env: whether xacro files may read environment variables with `$(env)` and `$(optenv)`. None:
+            only if ARMCELL_ALLOW_ENV is set, as `armcell --allow-env` does.
     Raises:
-        InputError: with file, element, reason and cure.
+        InputError: the robot cannot be loaded; the message contains file, element, reason and remedy.
     """
     if isinstance(robot, str) and robot in robot_names():
         return load_folder(LIBRARY / robot)
     path = Path(robot)
     if not path.is_absolute() and base is not None:
         path = base / path
-    if os.path.isdir(path):  # false for names that no folder can have, where Path.is_dir raises
+    if os.path.isdir(path):  # returns False for invalid names, where Path.is_dir raises
         return load_folder(path, allow_env)
     if path.suffix in (".urdf", ".xacro") or os.path.isfile(path):
         model = load_urdf(path, allow_env)
@@ -60,7 +60,10 @@ def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | No
 
 
 def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
-    """A robot from a folder with robot.yaml (a URDF, or parts mounted on each other), or a MoveIt package."""
+    """Load a robot from a folder with robot.yaml, or from a MoveIt configuration package.
+
+    robot.yaml contains either a URDF or a list of parts that are mounted on each other.
+    """
     file = folder / ROBOT_FILE
     if not file.is_file() and is_moveit_config(folder):
         return find_grippers(MoveItConfig.load(folder, allow_env=allow_env).model)
@@ -74,7 +77,7 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
         raise InputError("is not a mapping", file=file, element="grippers")
     if ("urdf" in data) == ("parts" in data):
         raise InputError("needs either 'urdf' or 'parts'", file=file)
-    name = str(data.get("name", folder.resolve().name))  # the same from every working folder
+    name = str(data.get("name", folder.resolve().name))  # resolved: independent of the working folder
     if "urdf" in data:
         model = load_urdf(_urdf_path(str(data["urdf"]), folder, file), allow_env, folder)
         if "root" in data:
@@ -97,7 +100,7 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Only the part of a robot from `link` down (drops a URDF's own "world" link, say)."""
+    """Return the part of a robot from `link` down, for example without a URDF's "world" link."""
     keep = set(model.subtree(link))
     return replace(
         model,
@@ -108,7 +111,10 @@ def rerooted(model: RobotModel, link: str) -> RobotModel:
 
 
 def with_adjacent_disabled(model: RobotModel) -> RobotModel:
-    """Links joined by a joint may touch: the least a robot without an SRDF needs."""
+    """Return the robot with collision checks disabled between links that share a joint.
+
+    A robot without an SRDF needs at least these pairs, because adjacent links touch at their joint.
+    """
     pairs = {frozenset((j.parent, j.child)): "Adjacent" for j in model.joints.values()}
     return replace(model, disabled_collisions={**pairs, **model.disabled_collisions})
 

@@ -1,4 +1,7 @@
-"""`RobotModel`: what a robot is. Frozen; its state lives elsewhere."""
+"""`RobotModel`, an immutable description of a robot, and the links, joints and groups in it.
+
+The model contains no joint positions; robot states are separate objects.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,8 @@ Array = NDArray[np.float64]
 @checked()
 class Inertial:
     mass: float  # [kg]
-    T_link_com: SE3  # origin at the centre of mass
-    inertia: Array  # (3, 3) about the centre of mass, in the com frame [kg m^2]
+    T_link_com: SE3  # origin at the center of mass
+    inertia: Array  # (3, 3) about the center of mass, in the com frame [kg m^2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,7 @@ class Collision:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """Either a mesh file (loaded when it is drawn) or a shape."""
+    """A link's visual geometry: a mesh file, loaded when it is drawn, or a primitive shape."""
 
     T_link_visual: SE3
     shape: Shape | None = None
@@ -52,7 +55,7 @@ class Link:
 @dataclass(frozen=True)
 @checked("lower", "upper", "velocity", "acceleration", "jerk", "effort")
 class JointLimits:
-    """Position [rad or m], velocity, acceleration, jerk and effort [Nm or N] limits of one joint."""
+    """Limits of one joint: position [rad or m], velocity, acceleration, jerk, effort [Nm or N]."""
 
     lower: float = -np.inf
     upper: float = np.inf
@@ -65,7 +68,7 @@ class JointLimits:
 @dataclass(frozen=True)
 @checked()
 class Mimic:
-    """`position = multiplier * position(joint) + offset`."""
+    """A mimic rule of a joint: `position = multiplier * position(joint) + offset`."""
 
     joint: str
     multiplier: float = 1.0
@@ -75,7 +78,10 @@ class Mimic:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Joint:
-    """One degree of freedom (or none): revolute, continuous, prismatic or fixed."""
+    """A joint between two links: fixed, or with one degree of freedom.
+
+    The movable types are revolute, continuous and prismatic.
+    """
 
     name: str
     type: str
@@ -99,7 +105,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Group:
-    """A planning group: actuated joints in the model's order, and for a chain its two ends."""
+    """A planning group: actuated joints in model order, links, and the two ends of a chain."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -110,7 +116,13 @@ class Group:
 
 @dataclass(frozen=True)
 class EndEffector:
-    """SRDF's end_effector: `group` (of the gripper) mounted on `parent_link`, moved by `parent_group`."""
+    """An end effector of the SRDF: a gripper group mounted on a link of the robot.
+
+    Attributes:
+        group: planning group of the gripper.
+        parent_link: link that carries the gripper.
+        parent_group: planning group of the arm that moves the gripper, if the SRDF names one.
+    """
 
     name: str
     group: str
@@ -121,10 +133,10 @@ class EndEffector:
 @dataclass(frozen=True)
 @checked()
 class Gripper:
-    """A parallel gripper: two fingers that move symmetrically along the tcp frame's y axis.
+    """A parallel gripper: two fingers that move symmetrically along the y axis of the tcp frame.
 
-    The tcp frame's z axis points out of the hand, between the finger tips. `width` is the gap between
-    the finger pads: `width = width_per_joint * q + width_offset` with q the driven joint.
+    The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
+    the finger pads: `width = width_per_joint * q + width_offset`, with `q` the position of the driven joint.
     """
 
     name: str
@@ -133,13 +145,13 @@ class Gripper:
     joint_name: str
     tcp_link: str
     finger_links: tuple[str, ...]
-    hand_links: tuple[str, ...]  # everything that may be near the object: palm and fingers
+    hand_links: tuple[str, ...]  # links that may be near the grasped object: palm and fingers
     width_per_joint: float = 2.0
     width_offset: float = 0.0
     max_width: float = 0.08  # [m]
     max_force: float = 70.0  # [N] per finger
-    finger_depth: float = 0.02  # [m] from the tcp to the palm side that may hold the object
-    pad_depth: float = 0.01  # [m] how far the pads reach beyond the tcp point
+    finger_depth: float = 0.02  # [m] usable finger length from the tcp toward the palm
+    pad_depth: float = 0.01  # [m] finger length beyond the tcp
 
     def joint_position(self, width: float) -> float:
         return (width - self.width_offset) / self.width_per_joint
@@ -150,10 +162,10 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """Links and joints as a tree, groups, end effectors, named states and allowed collisions.
+    """A robot: tree of links and joints, planning groups, end effectors, allowed collisions.
 
-    `joint_names` is the canonical order of the actuated joints (depth first from the root, children in
-    file order). Positions vectors `q` everywhere are in this order unless they carry names.
+    `joint_names` is the canonical order of the actuated joints: depth first from the root, children in file
+    order. Every position vector `q` without names has this order.
     """
 
     name: str
@@ -173,12 +185,12 @@ class RobotModel:
 
     @cached_property
     def movable_joint_names(self) -> tuple[str, ...]:
-        """Actuated and mimic joints."""
+        """Names of all joints that are not fixed: actuated and mimic joints."""
         return tuple(j.name for j in self.joints.values() if j.movable)
 
     @cached_property
     def parent_joint(self) -> Mapping[str, Joint]:
-        """The joint that carries a link."""
+        """Mapping from each link's name to the joint above the link; the root link is not in it."""
         return {j.child: j for j in self.joints.values()}
 
     @property
@@ -201,7 +213,12 @@ class RobotModel:
         return self.groups[name]
 
     def gripper(self, name: str | None = None, arm_group: str | None = None) -> Gripper:
-        """A gripper by its name, or the one that an arm group carries, or the only one."""
+        """Return a gripper by name, else the gripper on `arm_group`, else the robot's only gripper.
+
+        Raises:
+            UnknownNameError: the robot has no gripper of that name.
+            InputError: without a name, not exactly one gripper matches.
+        """
         if name is not None:
             if name not in self.grippers:
                 raise UnknownNameError("gripper", name, self.grippers)
@@ -216,10 +233,10 @@ class RobotModel:
         return fitting[0]
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Positions of joints in `joint_names` order.
+        """Return the indices of the given joints in `joint_names`.
 
         Raises:
-            UnknownNameError: not an actuated joint of this robot.
+            UnknownNameError: a name is not an actuated joint of this robot.
         """
         at = {name: i for i, name in enumerate(self.joint_names)}
         columns = []
@@ -238,11 +255,16 @@ class RobotModel:
         return np.array([self.joints[n].limits.upper for n in self.joint_names])
 
     def limits(self, joint_names: Iterable[str], kind: str) -> Array:
-        """One kind of limit ("velocity", "acceleration", "jerk", "effort", ...) of some joints."""
+        """Return one kind of limit, such as "velocity", of the given joints, (n,).
+
+        Args:
+            joint_names: the n joints.
+            kind: "lower", "upper", "velocity", "acceleration", "jerk" or "effort".
+        """
         return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
 
     def neutral(self) -> Array:
-        """Zero, or the middle of the range where zero is out of limits."""
+        """Return zero for each joint, or the mid-range position if zero is out of limits, (dof,)."""
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)
         bounded = np.isfinite(low) & np.isfinite(high)
@@ -250,7 +272,11 @@ class RobotModel:
         return np.where((low <= 0) & (high >= 0), 0.0, middle)
 
     def named_state(self, group: str, name: str) -> JointState:
-        """A named target of a group (SRDF's group_state)."""
+        """Return a named state of a planning group (`group_state` in the SRDF).
+
+        Raises:
+            UnknownNameError: the group or the state does not exist.
+        """
         self.group(group)
         states = self.named_states.get(group, {})
         if name not in states:
@@ -258,7 +284,11 @@ class RobotModel:
         return JointState.from_mapping(states[name])
 
     def default_positions(self) -> Array:
-        """`neutral()` with every group's "home" (else "ready", "default", "open") state applied, (dof,)."""
+        """Return the default joint positions [rad or m], (dof,).
+
+        The positions are `neutral()`, with each group's "home" state applied; a group without "home" uses
+        "ready", "default" or "open" instead, if one exists.
+        """
         q = self.neutral()
         for group in self.groups:
             states = self.named_states.get(group, {})
@@ -272,10 +302,15 @@ class RobotModel:
     def check_positions(
         self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9
     ) -> Array:
-        """The positions as an array, within limits.
+        """Return joint positions [rad or m] as an array (n,) after checking them against the limits.
 
+        Args:
+            q: the positions.
+            joint_names: joints of the positions; by default all actuated joints.
+            margin: tolerance at the limits [rad or m].
         Raises:
-            InputError: wrong length, not finite, or out of limits (names the joint, value and limit).
+            InputError: wrong length, a non-finite value, or a position outside the limits (the message names
+                the joint, value and limit).
         """
         names = tuple(joint_names) if joint_names is not None else self.joint_names
         values = float_array(q, None, "positions", finite=False)
@@ -293,10 +328,10 @@ class RobotModel:
         return values
 
     def enforce_bounds(self, q: ArrayLike, joint_names: Iterable[str] | None = None) -> Array:
-        """The positions, each joint as near as its limits allow; a continuous one turned into (-pi, pi].
+        """Clip joint positions [rad or m] to the limits; wrap continuous joints to (-pi, pi].
 
         Raises:
-            InputError: wrong length, or not finite.
+            InputError: wrong length or a non-finite value.
         """
         names = tuple(joint_names) if joint_names is not None else self.joint_names
         values = np.array(float_array(q, None, "positions", finite=False))
@@ -307,19 +342,19 @@ class RobotModel:
         return np.clip(values, self.limits(names, "lower"), self.limits(names, "upper"))
 
     def subtree(self, link: str) -> tuple[str, ...]:
-        """A link and everything below it."""
+        """Return the names of a link and of all links below it, the link itself first."""
         self.link(link)
         found = [link]
-        for joint in self.joints.values():  # topological order, so one pass is enough
+        for joint in self.joints.values():  # one pass is enough: joints are in topological order
             if joint.parent in found:
                 found.append(joint.child)
         return tuple(found)
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
-        """The joints from `base` down to `tip`.
+        """Return the joints on the path from link `base` down to link `tip`, base first.
 
         Raises:
-            InputError: tip is not below base.
+            InputError: `tip` is not below `base`.
         """
         self.link(base)
         self.link(tip)
@@ -334,7 +369,7 @@ class RobotModel:
 
     @cached_property
     def rigid_groups(self) -> tuple[frozenset[str], ...]:
-        """Links that never move against each other (joined by fixed joints only)."""
+        """Sets of links that fixed joints connect, so that they never move relative to each other."""
         of: dict[str, set[str]] = {self.root_link: {self.root_link}}
         for joint in self.joints.values():
             if joint.movable:

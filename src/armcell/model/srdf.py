@@ -1,4 +1,4 @@
-"""SRDF: groups, end effectors, named states and allowed collisions on top of a URDF's tree."""
+"""SRDF reader: adds groups, end effectors, named states and disabled collision pairs."""
 
 from __future__ import annotations
 
@@ -17,16 +17,24 @@ logger = logging.getLogger(__name__)
 
 
 def with_srdf(model: RobotModel, path: Path) -> RobotModel:
-    """The model with an SRDF file applied.
+    """Add the groups, end effectors, states and collision pairs of an SRDF file to a robot.
 
     Raises:
-        InputError: broken XML, or a name the URDF does not have (with file and line).
+        InputError: invalid XML, or a name that the URDF does not define (with file and line).
     """
     return with_srdf_text(model, read_text(Path(path)), Path(path))
 
 
 def with_srdf_text(model: RobotModel, text: str, path: Path) -> RobotModel:
-    """As `with_srdf`, for a text (an expanded xacro, say); `path` is used for messages."""
+    """Add the groups, end effectors, states and collision pairs of an SRDF text to a robot.
+
+    Args:
+        model: the robot from the URDF.
+        text: the SRDF.
+        path: file name for error messages.
+    Raises:
+        InputError: invalid XML, or a name that the URDF does not define (with file and line).
+    """
     root = parse_xml(text, path)
     if root.tag != "robot":
         raise InputError("root element is not <robot>", file=path, cure="is this an SRDF file?")
@@ -143,7 +151,7 @@ def _named_states(
         if group not in groups:
             raise UnknownNameError("group", group, groups, **where)
         beyond = [j for j, v in values.items() if not _within(model.joints[j].limits, v)]
-        if beyond:  # as MoveIt: say so, and do without it
+        if beyond:  # like MoveIt: warn and skip the state
             logger.warning(
                 "%s:%s: named state %r puts %s out of limits", path, element.sourceline, name, beyond[0]
             )
@@ -159,7 +167,7 @@ def _within(limits: JointLimits, value: float) -> bool:
 
 def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[frozenset[str], str]:
     pairs: dict[frozenset[str], str] = {}
-    unknown: dict[str, int] = {}  # link -> line where it is first named
+    unknown: dict[str, int] = {}  # unknown link -> line of its first use
     for element in root.findall("disable_collisions"):
         ends = _get(element, "link1", path), _get(element, "link2", path)
         gone = [link for link in ends if link not in model.links]
@@ -167,7 +175,7 @@ def _disabled(model: RobotModel, root: etree._Element, path: Path) -> dict[froze
             unknown.setdefault(link, element.sourceline or 0)
         if not gone:
             pairs[frozenset(ends)] = element.get("reason", "")
-    if unknown:  # as MoveIt: SRDFs are often written for a larger robot
+    if unknown:  # only a warning, like MoveIt: many SRDFs are written for a larger robot
         names = ", ".join(map(repr, sorted(unknown)))
         first = min(unknown.values())
         logger.warning("%s:%s: disable_collisions names unknown links, passed over: %s", path, first, names)

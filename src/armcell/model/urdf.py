@@ -1,4 +1,7 @@
-"""URDF -> links and joints. Every complaint names file, line, element and cure."""
+"""URDF parser: builds the links and joints of a `RobotModel`.
+
+Every error message names the file, line, element and remedy.
+"""
 
 from __future__ import annotations
 
@@ -21,34 +24,42 @@ JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "plan
 
 
 def load_urdf(path: Path, allow_env: bool | None = None, home: Path | None = None) -> RobotModel:
-    """A robot from a URDF or xacro file (`*.xacro`), without groups.
+    """Load a robot from a URDF or xacro file (`*.xacro`); the result has no planning groups.
 
     Args:
-        allow_env, home: of a xacro file, see `expand_xacro`.
+        path: the URDF or xacro file.
+        allow_env, home: options for xacro files, see `expand_xacro`.
     Raises:
-        InputError: see the module.
+        InputError: the file is not readable or not a valid URDF.
     """
     return parse_urdf(urdf_text(path, allow_env, home), path)
 
 
 def urdf_text(path: Path, allow_env: bool | None = None, home: Path | None = None) -> str:
-    """The text of a URDF or SRDF file; a xacro file is expanded."""
+    """Return the text of a URDF or SRDF file; expand the file first if it is a xacro file."""
     path = Path(path)
     return expand_xacro(path, None, allow_env, home) if path.suffix == ".xacro" else read_text(path)
 
 
 def parse_urdf(text: str, file: Path) -> RobotModel:
-    """A robot from URDF text; `file` is used for messages and to find meshes."""
+    """Parse URDF text into a robot model.
+
+    Args:
+        text: the URDF.
+        file: the file's path, for error messages and for mesh paths relative to its folder.
+    Raises:
+        InputError: the text is not a valid URDF.
+    """
     return _Reader(file).robot(parse_xml(text, file))
 
 
 class _Reader:
-    """Carries the file and its folder through the elements, for messages."""
+    """A URDF parser for one file; error messages contain the file name, line and element."""
 
     def __init__(self, file: Path):
         self.file = file
         self.folder = file.resolve().parent
-        self.undrawn: list[str] = []  # visuals whose mesh is missing
+        self.undrawn: list[str] = []  # errors of visual meshes that are missing
 
     def fail(self, element: etree._Element, reason: str, cure: str | None = None) -> InputError:
         name = element.get("name")
@@ -116,7 +127,12 @@ class _Reader:
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
 
     def check_mimic(self, joint: Joint, joints: dict[str, Joint]) -> None:
-        """A mimic joint follows a movable joint, in the end a driven one."""
+        """Check that a mimic joint follows an actuated joint, directly or via other mimic joints.
+
+        Raises:
+            InputError: the followed joint does not exist or is fixed, or mimic joints follow each other in a
+                loop.
+        """
         seen, source = {joint.name}, joint
         while source.mimic is not None:
             name = source.mimic.joint
@@ -131,7 +147,11 @@ class _Reader:
             source = joints[name]
 
     def tree(self, links: dict[str, Link], joints: dict[str, Joint]) -> tuple[str, dict[str, Joint]]:
-        """The root link and the joints depth first."""
+        """Return the root link's name and a robot's joints in depth-first order.
+
+        Raises:
+            InputError: a link has two parents, there is not exactly one root link, or joints form a loop.
+        """
         parent: dict[str, str] = {}
         children: dict[str, list[Joint]] = {name: [] for name in links}
         for joint in joints.values():
@@ -235,7 +255,10 @@ class _Reader:
         raise self.fail(geometry, "unknown geometry", cure="box, sphere, cylinder, capsule and mesh exist")
 
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
-        """A visual; None with a warning where its mesh is missing: plans do not depend on looks."""
+        """Return the visual geometry of a URDF element, or None if its mesh file is missing.
+
+        A missing visual mesh only causes a warning, because planning does not use visual geometry.
+        """
         material = element.find("material")
         color = None
         if material is not None:
@@ -251,7 +274,10 @@ class _Reader:
         return Visual(self.origin(element), shape=self.shape(element), color=color)
 
     def joint(self, element: etree._Element, links: dict[str, Link]) -> list[Joint]:
-        """One joint; a planar or floating joint becomes a chain of single ones with massless links."""
+        """Return the joint of a URDF element; a planar or floating joint becomes several joints.
+
+        Massless links connect the joints of such a chain.
+        """
         name, type_ = self.attribute(element, "name"), self.attribute(element, "type")
         if type_ not in JOINT_TYPES:
             raise self.fail(
@@ -276,7 +302,7 @@ class _Reader:
         limits = self.limits(element, type_)
         mimic_element = element.find("mimic")
         mimic = None
-        if mimic_element is not None and type_ != "fixed":  # a joint that cannot move follows nothing
+        if mimic_element is not None and type_ != "fixed":  # a fixed joint cannot mimic another joint
             mimic = Mimic(
                 self.attribute(mimic_element, "joint"),
                 self.number(mimic_element, "multiplier", 1.0),
@@ -316,7 +342,7 @@ class _Reader:
         upper = self.number(limit, "upper", 0.0) if bounded else np.inf
         if lower > upper:
             raise self.fail(limit, f"lower {lower:g} is above upper {upper:g}")
-        positive = lambda v: v if v > 0 else np.inf  # noqa: E731  (0 stands for "not given" in many files)
+        positive = lambda v: v if v > 0 else np.inf  # noqa: E731  (0 means "no limit" in many files)
         return JointLimits(
             lower,
             upper,
@@ -326,7 +352,11 @@ class _Reader:
 
     @staticmethod
     def expanded(joint: Joint, links: dict[str, Link], steps: list[tuple[str, str, tuple]]) -> list[Joint]:
-        """MoveIt names the variables of a multi-dof joint `joint/x`; each becomes a joint of its own."""
+        """Return the chain of single joints that replaces a planar or floating joint.
+
+        The joints are named `joint/x` and so on, as MoveIt names the variables of a multi-DOF joint. The
+        method adds the massless links of the chain to `links`.
+        """
         chain, parent, T = [], joint.parent, joint.T_parent_joint
         for i, (suffix, type_, axis) in enumerate(steps):
             child = joint.child if i == len(steps) - 1 else f"{joint.name}/{suffix}_link"
@@ -353,7 +383,11 @@ FLOATING_STEPS = [
 
 
 def planar_steps(normal: np.ndarray) -> list[tuple[str, str, tuple]]:
-    """A planar joint moves in the plane normal to its axis and turns about it."""
+    """Return the three single joints that replace a planar joint with a given normal.
+
+    Returns:
+        (suffix, type, axis) of two prismatic joints in the plane and one continuous joint about the normal.
+    """
     helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
     x = np.cross(np.cross(normal, helper), normal)
     x /= np.linalg.norm(x)

@@ -1,4 +1,4 @@
-"""moveit_commander, rospy and the like in front of the bus: users' scripts run with no ROS installed."""
+"""Runs users' moveit_commander and rospy scripts on the armcell bus; needs no ROS."""
 
 from armcell.moveit.run import run_script
 from armcell.moveit.session import Session, current_session

@@ -1,4 +1,4 @@
-"""What moveit_commander's classes have in common: goals sent and waited for, targets put into requests."""
+"""Functions that moveit_commander's classes share: goals, results and constraints."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ SUCCESS, FAILURE, PREEMPTED = 1, 99999, -7  # moveit_msgs/MoveItErrorCodes
 
 
 def measured_scene() -> PlanningScene:
-    """The planning scene as it is now."""
+    """Return the current planning scene, with the measured state of the robot."""
     return current_session().served.cell.scene()
 
 
 def send(session: Session, action: str, type_name: str, goal: Any) -> SentGoal:
-    """Send a goal; one client for each action serves the whole script.
+    """Send a goal to an action server; the script uses one client per action.
 
     Raises:
-        RuntimeError: nobody serves the action.
+        RuntimeError: the action has no server.
     """
     if action not in session.clients:
         session.clients[action] = ActionClient(session.bus, action, type_name)
@@ -34,10 +34,10 @@ def send(session: Session, action: str, type_name: str, goal: Any) -> SentGoal:
 
 
 def finished(session: Session, sent: SentGoal) -> Any:
-    """The result of a goal, after waiting for it; Ctrl-C cancels it.
+    """Wait for the end of an action goal and return its result; Ctrl-C cancels the goal.
 
     Raises:
-        KeyboardInterrupt: it came, or the session is shutting down.
+        KeyboardInterrupt: the user pressed Ctrl-C, or the session is shutting down.
     """
     try:
         while not sent.wait(CHECK):
@@ -53,7 +53,12 @@ def finished(session: Session, sent: SentGoal) -> Any:
 
 
 def joint_constraints(session: Session, values: dict[str, float], tolerance: float) -> Any:
-    """The goal constraints of joint positions."""
+    """Return goal constraints for joint positions.
+
+    Args:
+        values: joint name -> position [rad or m].
+        tolerance: tolerance below and above each position [rad or m].
+    """
     joints = [
         session.new("moveit_msgs/JointConstraint", name, float(value), tolerance, tolerance, 1.0)
         for name, value in values.items()
@@ -64,7 +69,13 @@ def joint_constraints(session: Session, values: dict[str, float], tolerance: flo
 def pose_constraints(
     session: Session, link: str, target: Any, position: float | None, orientation: float | None
 ) -> Any:
-    """The goal constraints of a link's PoseStamped; a tolerance of None leaves that part out."""
+    """Return goal constraints for the pose of a link.
+
+    Args:
+        target: a PoseStamped.
+        position: radius [m] of the sphere of valid positions; None leaves the position free.
+        orientation: tolerance [rad] about each axis; None leaves the orientation free.
+    """
     found = session.new("moveit_msgs/Constraints")
     if position is not None:
         ball = session.new("shape_msgs/SolidPrimitive", type=2, dimensions=[float(position)])

@@ -1,4 +1,4 @@
-"""The shims under the names that scripts import, for as long as one runs."""
+"""Installs the ROS shims under the module names that scripts import, while a script runs."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import Any
 
 from armcell.core import UnknownNameError
 from armcell.moveit.message_classes import MessageClasses
+from armcell.moveit.session import current_session
+from armcell.moveit.tutorial_names import MESSAGES
 
 SHIMS = {
     "rospy": "rospy",
@@ -29,11 +31,11 @@ SHIMS = {
     "moveit_commander.robot": "moveit_commander.robot",
     "moveit_commander.roscpp_initializer": "moveit_commander.roscpp_initializer",
 }
-"""Module names to files in `armcell.moveit.shims`."""
+"""Module name that a script imports -> module in `armcell.moveit.shims`."""
 
 
 class _MessageModule(types.ModuleType):
-    """`<package>.msg` or `<package>.srv`: classes are made when they are asked for."""
+    """Module `<package>.msg` or `<package>.srv` that creates its classes on first access."""
 
     def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
         super().__init__(name)
@@ -43,6 +45,19 @@ class _MessageModule(types.ModuleType):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
+        full = f"{self._package}/{name}"
+        if full in MESSAGES:
+            meant = MESSAGES[full]
+            current_session().hint(
+                full,
+                f"MoveIt has no {full}; armcell takes it as {meant}: import {meant.split('/')[1]} instead",
+            )
+            return self._classes[meant]
+        if self.__name__.endswith(".msg") and full in self._classes.schema.services:
+            current_session().hint(
+                full, f"{name} is a service; in ROS, write: from {self._package}.srv import {name}"
+            )
+            return _service_class(self._classes, full)
         if name not in self._kinds:
             known = [k for k in self._kinds if not k.startswith("_")]
             raise AttributeError(str(UnknownNameError(f"type of {self.__name__}", name, known)))
@@ -58,7 +73,11 @@ class _MessageModule(types.ModuleType):
 
 
 def _service_class(classes: MessageClasses, name: str) -> type | None:
-    """What rospy.Service takes: a class with the request's and response's."""
+    """Return the class that rospy.Service expects: it contains the request and response classes.
+
+    Returns:
+        The class, or None if the name is not a service.
+    """
     if name not in classes.schema.services:
         return None
     request, response = classes[f"{name}Request"], classes[f"{name}Response"]
@@ -72,7 +91,7 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """A module for each message package, its `.msg` and its `.srv`."""
+    """Return modules for all message packages, each with its `.msg` and `.srv` submodules."""
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
     found: dict[str, types.ModuleType] = {}
@@ -83,7 +102,7 @@ def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
         for package in sorted({n.split("/")[0] for n in names}):
             own = sorted(n.split("/")[1] for n in names if n.split("/")[0] == package)
             outer = found.setdefault(package, types.ModuleType(package))
-            outer.__path__ = []  # type: ignore[attr-defined]  # a package
+            outer.__path__ = []  # type: ignore[attr-defined]  # marks the module as a package
             inner = _MessageModule(f"{package}.{kind}", classes, package, own)
             found[inner.__name__] = inner
             setattr(outer, kind, inner)
@@ -92,10 +111,12 @@ def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
 
 @contextmanager
 def installed(classes: MessageClasses) -> Iterator[list[str]]:
-    """The shims in `sys.modules`; what was there before comes back at the end.
+    """Install the shims in `sys.modules` for a `with` block.
+
+    The previous modules are restored after the block.
 
     Yields:
-        names of installed packages that are hidden meanwhile.
+        Names of installed packages that the shims hide during the block.
     """
     modules: dict[str, types.ModuleType] = message_modules(classes)
     for name, file in SHIMS.items():

@@ -1,4 +1,4 @@
-"""Known traps in rospy and moveit_commander scripts, found by reading them. Nothing of the script is run."""
+"""Static check for common errors in rospy and moveit_commander scripts."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 
 from armcell.core import InputError
 from armcell.moveit.shims import moveit_commander
+from armcell.moveit.tutorial_names import CLASSES as TUTORIAL_CLASSES
+from armcell.moveit.tutorial_names import METHODS as TUTORIAL_METHODS
 from armcell.ros.schema import schema
 
 CLASSES = {
@@ -27,7 +29,7 @@ MAX_BYTES = 5_000_000
 
 @dataclass(frozen=True)
 class Finding:
-    """One trap: where it is, what happens and what to write instead."""
+    """One problem in a script: its line, its effect and the code to write instead."""
 
     line: int
     rule: str
@@ -48,10 +50,10 @@ def rule(function: Rule) -> Rule:
 
 
 def lint(file: Path) -> list[Finding]:
-    """The traps in a script, by line.
+    """Return the problems in a script file, sorted by line.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: the file cannot be read, is too large, or is not UTF-8 text.
     """
     try:
         if file.stat().st_size > MAX_BYTES:
@@ -65,10 +67,10 @@ def lint(file: Path) -> list[Finding]:
 
 
 def lint_text(text: str) -> list[Finding]:
-    """The traps in a script's text, by line."""
+    """Return the problems in a script's source text, sorted by line."""
     try:
         tree = ast.parse(text)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the last two: too deep
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # last two: nested too deeply
         line = getattr(error, "lineno", None) or 1
         old = "print " in text and "print(" not in text
         cure = "Python 2: run 2to3 over it" if old else "Python 3 does not accept it"
@@ -80,14 +82,14 @@ def lint_text(text: str) -> list[Finding]:
 
 
 class Script:
-    """A parsed script and what its names stand for."""
+    """A parsed script, with the variables that hold plans and moveit_commander objects."""
 
     def __init__(self, tree: ast.Module):
         self.tree = tree
         self.nodes = list(ast.walk(tree))
         self.calls = [n for n in self.nodes if isinstance(n, ast.Call)]
-        self.plans: dict[str, int] = {}  # names that hold the whole of what plan() returned
-        self.objects: dict[str, str] = {}  # names to the class of moveit_commander
+        self.plans: dict[str, int] = {}  # variables that hold the whole tuple that plan() returns -> line
+        self.objects: dict[str, str] = {}  # variable -> name of its moveit_commander class
         for node in self.nodes:
             if not isinstance(node, ast.Assign) or not isinstance(node.value, ast.Call):
                 continue
@@ -102,7 +104,7 @@ class Script:
                     self.plans[name] = node.lineno
 
     def conditions(self) -> Iterator[ast.expr]:
-        """Everything whose truth is asked for."""
+        """Yield the expressions that the script uses as conditions (if, while, assert)."""
         for node in self.nodes:
             tests: list[ast.expr] = []
             if isinstance(node, ast.If | ast.While | ast.IfExp | ast.Assert):
@@ -117,7 +119,7 @@ class Script:
                     yield test
 
     def calls_of(self, *names: str) -> Iterator[ast.Call]:
-        """Calls of methods with these names."""
+        """Return an iterator over the script's calls of methods with the given names."""
         return (c for c in self.calls if isinstance(c.func, ast.Attribute) and c.func.attr in names)
 
     def uses(self, name: str) -> bool:
@@ -125,7 +127,7 @@ class Script:
 
 
 def dotted(node: ast.AST) -> str:
-    """`a` or `self.a.b` as text; empty for anything else."""
+    """Return a name or attribute chain such as `self.a.b` as text; empty for other expressions."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -135,12 +137,12 @@ def dotted(node: ast.AST) -> str:
 
 
 def method(call: ast.Call) -> str:
-    """The last part of what is called."""
+    """Return the name of the called function or method, without the object before the dot."""
     return call.func.attr if isinstance(call.func, ast.Attribute) else dotted(call.func)
 
 
 def number(node: ast.AST) -> float | None:
-    """A literal number, with its sign."""
+    """Return the value of a number literal with its sign, or None for any other expression."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         inner = number(node.operand)
         return None if inner is None else -inner
@@ -228,7 +230,12 @@ def no_such_name(script: Script) -> Iterator[Finding]:
         if not isinstance(call.func, ast.Attribute):
             continue
         owner = script.objects.get(dotted(call.func.value))
-        if owner and not hasattr(CLASSES[owner], call.func.attr) and owner != "RobotCommander":
+        if owner == "MoveGroupCommander" and call.func.attr in TUTORIAL_METHODS:
+            yield Finding(
+                call.lineno, "no-such-name", f"MoveIt's {owner} has no method {call.func.attr}",
+                f"{TUTORIAL_METHODS[call.func.attr]}; armcell accepts the call",
+            )  # fmt: skip
+        elif owner and not hasattr(CLASSES[owner], call.func.attr) and owner != "RobotCommander":
             yield Finding(
                 call.lineno, "no-such-name", f"{owner} has no method {call.func.attr}",
                 _nearest(call.func.attr, [n for n in dir(CLASSES[owner]) if not n.startswith("_")]),
@@ -248,6 +255,11 @@ def _imports(node: ast.ImportFrom) -> Iterator[Finding]:
             if full in known.services:
                 cure = f"it is a service: from {package}.srv import {name}"
             yield Finding(node.lineno, "no-such-name", f"{package}.msg has no {name}", cure)
+        elif node.module == "moveit_commander" and name in TUTORIAL_CLASSES:
+            yield Finding(
+                node.lineno, "no-such-name", f"moveit_commander has no {name}",
+                f"{TUTORIAL_CLASSES[name]}; armcell accepts it",
+            )  # fmt: skip
         elif node.module == "moveit_commander" and not hasattr(moveit_commander, name):
             yield Finding(
                 node.lineno, "no-such-name", f"moveit_commander has no {name}",
@@ -372,7 +384,7 @@ def no_gripper(script: Script) -> Iterator[Finding]:
 
 
 def commands_gripper(script: Script) -> bool:
-    """Whether a script has a way of its own to move a gripper."""
+    """Return whether a script commands a gripper itself."""
     words = [n.value for n in script.nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     names = ("gripper_command", "gripper_cmd", "gripper_controller", "hand_controller", "franka_gripper")
     if any(name in word for word in words for name in names):
@@ -385,7 +397,7 @@ def commands_gripper(script: Script) -> bool:
 
 
 def closes_gripper_itself(file: Path) -> bool:
-    """As `commands_gripper`, of a file; true where it cannot be told."""
+    """Return whether the script in a file commands a gripper; True if it cannot be parsed."""
     try:
         return commands_gripper(Script(ast.parse(file.read_text(encoding="utf-8"))))
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):

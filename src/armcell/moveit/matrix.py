@@ -1,4 +1,4 @@
-"""What moveit_commander adds to moveit_msgs/AllowedCollisionMatrix."""
+"""Methods that moveit_commander adds to moveit_msgs/AllowedCollisionMatrix."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MATRIX = "moveit_msgs/AllowedCollisionMatrix"
 
 
 def set_default(self: Any, obj: str, allow: bool) -> None:
-    """What holds for a body's contacts that no pair speaks of."""
+    """Allow or forbid contacts of a body with all bodies for which the matrix has no entry."""
     if obj in self.default_entry_names:
         self.default_entry_values[self.default_entry_names.index(obj)] = allow
     else:
@@ -17,9 +17,10 @@ def set_default(self: Any, obj: str, allow: bool) -> None:
 
 
 def set_allowed(self: Any, obj: str, other: str | None = None, allow: bool = True) -> None:
-    """Allow (or forbid) contact of a body with another; with every one that no pair speaks of by default.
+    """Allow or forbid contact between two bodies in the allowed collision matrix.
 
-    A body that is new in the matrix gets a row of its own, which allows nothing else.
+    Without `other`, the setting becomes the default for pairs without an entry. A body that is not in the
+    matrix gets a new row, in which all other contacts are forbidden.
 
     Raises:
         ValueError: the other body is not in the matrix.

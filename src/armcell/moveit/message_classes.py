@@ -1,6 +1,8 @@
-"""Message classes as genpy makes them: lists where it has lists, bytes for uint8[], printed as YAML.
+"""Message classes for scripts, with genpy's field types and its YAML text form.
 
-They carry the same fields under the same type names as the bus's own, which encode and read them alike.
+Like genpy's classes they hold arrays as lists and uint8[] as bytes. Their fields and type names equal those
+of the bus's own classes, so the same codecs encode and decode both. Scripts can read and set fields that only
+ROS 2 has (an error code's `message`), but printing and comparison ignore these fields.
 """
 
 from __future__ import annotations
@@ -18,12 +20,12 @@ from armcell.ros.definitions import PLACEHOLDER, field_parts
 from armcell.ros.messages import python_name
 from armcell.ros.schema import Schema, schema
 
-BYTES = ("uint8", "char")  # genpy keeps these arrays as bytes
+BYTES = ("uint8", "char")  # element types of arrays that genpy stores as bytes
 STAMPS: dict[str, type] = {Time._type: Time, Duration._type: Duration}
 
 
 class ScriptMessage:
-    """Base of the classes that scripts see."""
+    """Base class of the message classes that scripts use."""
 
     __slots__ = ()
     _type: ClassVar[str]
@@ -49,7 +51,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def text_of(value: Any, indent: str = "") -> str:
-    """A message as YAML, in the form that printing one in ROS has."""
+    """Return a message as YAML text, in the form in which ROS prints it."""
     lines = []
     for name in value._fields:
         item = getattr(value, name)
@@ -71,24 +73,24 @@ def text_of(value: Any, indent: str = "") -> str:
 
 
 class MessageClasses:
-    """The classes of one schema, made when they are first asked for."""
+    """Message classes for scripts, from one schema; each class is created on first use."""
 
     def __init__(self, of: Schema):
         self.schema = of
         self._classes: dict[str, type] = dict(STAMPS)
 
     def __getitem__(self, name: str) -> type:
-        """The class of `pkg/Name`.
+        """Return the class of a message type `pkg/Name`.
 
         Raises:
-            UnknownNameError: no such type.
+            UnknownNameError: the type does not exist.
         """
         if name not in self._classes:
             self._classes[name] = self._make(name)
         return self._classes[name]
 
     def _make(self, name: str) -> type:
-        definition = self.schema.definition(name)
+        definition = self.schema.whole(name)
         specs: list[Any] = [
             (python_name(field), Any, dataclasses.field(default_factory=self._default(node)))
             for field, node in definition.fields
@@ -97,7 +99,9 @@ class MessageClasses:
         namespace: dict[str, Any] = {constant: value for constant, _, value in definition.constants}
         namespace |= {
             "_type": name,
-            "_fields": tuple(spec[0] for spec in specs),
+            "_fields": tuple(
+                python_name(field) for field, _ in self.schema.definition(name).fields if field != PLACEHOLDER
+            ),
             "_md5sum": self.schema.md5(name),
             "__module__": f"{name.split('/')[0]}.msg",
             PLACEHOLDER: 0,
@@ -124,12 +128,12 @@ class MessageClasses:
         return lambda: [zero] * length
 
     def local(self, message: Any) -> Any:
-        """A script's own copy of a message from the bus: arrays of numbers are tuples then, as with genpy."""
+        """Return a script's own copy of a bus message; numeric arrays become tuples, as in genpy."""
         name = message._type
         if name in STAMPS:
             return STAMPS[name](message.sec, message.nanosec)
         copy = self[name]()
-        for field, node in self.schema.definition(name).fields:
+        for field, node in self.schema.whole(name).fields:
             if field == PLACEHOLDER:
                 continue
             attribute = python_name(field)
@@ -152,5 +156,5 @@ def _local_array(kind: str, value: Any) -> Any:
 
 @functools.cache
 def classes() -> MessageClasses:
-    """Those of the built-in schema."""
+    """Return the message classes for scripts that belong to the built-in schema."""
     return MessageClasses(schema())

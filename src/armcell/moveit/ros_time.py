@@ -1,4 +1,4 @@
-"""rospy.Time and rospy.Duration: genpy's arithmetic on the bus's own stamps."""
+"""rospy.Time and rospy.Duration: genpy's arithmetic for the bus's own time stamps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ SECOND = 1_000_000_000  # [ns]
 
 @functools.total_ordering
 class _Stamp:
-    """Seconds and nanoseconds, the latter in 0..999999999; `secs` and `nsecs` are genpy's names for them."""
+    """Base class of Time and Duration: seconds, and nanoseconds from 0 to 999999999.
+
+    genpy's names `secs` and `nsecs` work as well.
+    """
 
     __slots__ = ("nanosec", "sec")
     _type: ClassVar[str]
@@ -74,7 +77,7 @@ def _is(value: object, cls: type) -> bool:
 
 
 class Duration(_Stamp):
-    """A span of time; may be negative."""
+    """A duration, which may be negative."""
 
     __slots__ = ()
     _type = "builtin_interfaces/Duration"
@@ -127,7 +130,7 @@ class Time(_Stamp):
 
     @staticmethod
     def now() -> Time:
-        """The cell's time."""
+        """Return the current time of the cell's clock."""
         from armcell.moveit.session import current_session
 
         return Time.from_sec(current_session().bus.clock.now())

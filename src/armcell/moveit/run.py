@@ -1,4 +1,4 @@
-"""Running a user's script against a cell: unchanged, in this process, with the shims in place of ROS."""
+"""Runs a user's script unchanged in this process, with the shims in place of ROS."""
 
 from __future__ import annotations
 
@@ -9,37 +9,41 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from armcell import _interrupts
-from armcell.cell import LiveCell
+from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
 from armcell.moveit.install import installed
-from armcell.moveit.lint import closes_gripper_itself
 from armcell.moveit.session import Session
-from armcell.ros import Ros1Settings
+from armcell.moveit.tutorial_names import missing_import
+from armcell.ros import Bus, Ros1Settings
 
 
 def run_script(
-    script: Path, live: LiveCell, arguments: Sequence[str] = (), rate: float = 100.0,
+    script: Path, live: LiveCell | Cell, arguments: Sequence[str] = (), rate: float = 100.0,
     auto_grip: bool = False, quiet: bool = False, ros1: Ros1Settings | None = None,
     ended: Callable[[int, Session], None] = lambda status, session: None,
-    began: Callable[[Session], None] = lambda session: None,
+    began: Callable[[Session], None] = lambda session: None, bus: Bus | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
-    """Run a script to its end, with the motions that it has begun; then leave nothing running.
+    """Run a script to its end, wait for the motions that it started, and close everything.
 
     Args:
-        live: a cell that is not connected yet.
-        arguments: its own, `sys.argv[1:]`.
+        live: a cell that is not connected yet, or a cell whose robot is another program on the bus (see
+            `Session`).
+        arguments: the script's command-line arguments, `sys.argv[1:]`.
+        rate: rate [Hz] of the published states and clock.
         auto_grip: close a gripper that rests with an object between its open fingers.
+        quiet: do not print the script's log lines.
         ros1: join the cell and the script to a ROS 1 graph.
-        ended: called with the exit status when all is over, while the cell is still connected.
-        began: called when the cell is ready and joined, before the script.
+        ended: called with the exit status after the run, while the cell is still connected.
+        began: called before the script starts, when the cell is ready and joined.
+        bus: the session's bus, if transports are connected to it already.
     Returns:
-        The script's exit status (130 after Ctrl-C, 143 after SIGTERM), and the session it ran in, closed.
+        The script's exit status (130 after Ctrl-C, 143 after SIGTERM), and its closed session.
     Raises:
-        InputError: there is no such script.
+        InputError: the script does not exist.
     """
     if not script.is_file():
         raise InputError("there is no such script", file=script)
-    session = Session(live, rate, auto_grip, quiet, ros1)
+    session = Session(live, rate, auto_grip, quiet, ros1, bus)
     argv, path, modules = sys.argv, list(sys.path), set(sys.modules)
     folder = script.resolve().parent
     with session, installed(session.messages) as hidden:
@@ -51,8 +55,7 @@ def run_script(
         try:
             with _interrupts.owned(session.interrupt):
                 status = _status(script, session)
-            if not closes_gripper_itself(script):
-                session.hint_at_gripper()
+            session.hint_at_gripper()
             session.served.rest()
             ended(status, session)
             return status, session
@@ -62,7 +65,7 @@ def run_script(
 
 
 def _forget(folder: Path, names: set[str]) -> None:
-    """Modules and packages beside the script: those of the next script may have the same names."""
+    """Unload modules from the script's folder: the next script may use the same module names."""
 
     def beside(name: str) -> bool:
         file = getattr(sys.modules[name.partition(".")[0]], "__file__", None)
@@ -89,21 +92,27 @@ def _run(script: Path, session: Session) -> int:
     except SystemExit as end:
         _finish(session)
         return end.code if isinstance(end.code, int) else 0 if end.code is None else _said(end.code)
-    except KeyboardInterrupt:  # rospy's ROSInterruptException is one, and an Exception as well
+    except KeyboardInterrupt:  # includes rospy's ROSInterruptException, which is also an Exception
         raise
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
         mine = [i for i, f in enumerate(frames) if Path(f.filename).resolve() == script.resolve()]
-        shown = frames[mine[0] : mine[-1] + 1] if mine else frames  # what is ours helps nobody
+        shown = frames[mine[0] : mine[-1] + 1] if mine else frames  # hide armcell's own frames from the user
         text = "".join(traceback.format_list(shown))
         print(f"Traceback (most recent call last):\n{text}{type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
+        name = error.name if isinstance(error, NameError) else None
+        if name and (line := missing_import(name, session.bus.schema)):
+            session.hint(f"import {name}", f"the script uses {name} without importing it: {line}")
         return 1
     _finish(session)
     return 0
 
 
 def _finish(session: Session) -> None:
-    """Wait for the motions that the script has begun; not after Ctrl-C, which it may have caught."""
+    """Wait for the motions that the script started, unless the user pressed Ctrl-C.
+
+    The script may have caught the Ctrl-C and ended normally.
+    """
     if not session.interrupted:
         session.finish()
 

@@ -1,4 +1,4 @@
-"""What a script talks to: the bus with the cell on it, found by every shim."""
+"""The session of a running script: the bus and the cell that all shims use."""
 
 from __future__ import annotations
 
@@ -9,64 +9,72 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from armcell.cell import LiveCell
+from armcell.cell import Cell, LiveCell
 from armcell.core import Event, InputError, JointTrajectory, StateSample
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
-from armcell.ros.nodes import ServedCell
+from armcell.ros.nodes import ServedCell, ServedPlanner
 from armcell.ros.nodes.description import NAME
 
 logger = logging.getLogger(__name__)
-RECENT = 5  # lines of the log
-CHECK = 0.1  # [s] between two looks whether it is all over
+RECENT = 5  # log lines that `has_said` searches
+SILENT = 5.0  # [s, wall clock] without joint states after which the user gets a hint
+CHECK = 0.1  # [s] between two checks for the end of the session
 T = TypeVar("T")
 _current: list[Session] = []
 
 
 class Session:
-    """A served cell and the state that rospy keeps per process.
+    """A served cell, together with the state that rospy keeps per process.
 
     Args:
-        live: a cell that is not connected yet.
-        rate: [Hz] of the states and the clock.
+        cell: a live cell that is not connected yet, or a cell whose simulator or robot is another program on
+            the bus, which the script then moves through topics and actions.
+        rate: rate [Hz] of the published states and clock.
         auto_grip: close a gripper that rests with an object between its fingers.
+        quiet: do not print log lines.
         ros1: join the cell and the script to a ROS 1 graph.
+        bus: the bus, if transports are connected to it already.
     """
 
     def __init__(
-        self, live: LiveCell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False,
-        ros1: Ros1Settings | None = None,
+        self, cell: LiveCell | Cell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False,
+        ros1: Ros1Settings | None = None, bus: Bus | None = None,
     ):  # fmt: skip
-        self.bus = Bus()
+        self.bus = Bus() if bus is None else bus
         self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down, (NAME,))
-        self.served = ServedCell(live, self.bus, rate, auto_grip=auto_grip)
-        live.ctx.observers.append(_Warnings(self))
+        self.served: ServedCell | ServedPlanner
+        if isinstance(cell, LiveCell):
+            self.served, seed = ServedCell(cell, self.bus, rate, auto_grip=auto_grip), cell.ctx.seed
+            cell.ctx.observers.append(_Warnings(self))
+        else:
+            self.served, seed = ServedPlanner(cell, self.bus), 0
         self.messages = MessageClasses(self.bus.schema)
         self.node_name = ""
         self.interrupted = False
         self.shutting_down = threading.Event()
         self.on_shutdown: list[Any] = []
-        self._hooks = threading.Lock()  # taken for good by who runs them
-        self.claims_to_close = False  # a log line of the script's says that the gripper closes
+        self._hooks = threading.Lock()  # acquired once and never released, so that the hooks run once
+        self.claims_to_close = False  # whether the script has logged that it closes the gripper
         self.lines: list[str] = []
-        """What the script has logged, and the hints."""
-        self.clients: dict[str, ActionClient] = {}  # of actions that were used
-        self.logged: dict[tuple[str, str], float] = {}  # [s] when; of what is not to be logged too often
+        """Log lines of the script, and armcell's hints."""
+        self.clients: dict[str, ActionClient] = {}  # by action name, created on first use
+        self.logged: dict[tuple[str, str], float] = {}  # (level, text) of throttled log lines -> time [s]
         self._members: list[Any] = []
-        self.rng = np.random.default_rng(live.ctx.seed)
+        self.rng = np.random.default_rng(seed)
         self._quiet, self._hints = quiet, set()
 
     @property
     def model(self) -> RobotModel:
-        return self.served.live.model
+        return self.served.cell.model
 
     def __enter__(self) -> Session:
         if _current:
             raise InputError("a session is open already", cure="close it first")
         _current.append(self)
         try:
-            if self.graph is not None:  # a master that is missing is said before the cell is started
+            if self.graph is not None:  # report a missing master before the cell starts
                 self.graph.reserve()
             self.served.start()
             if self.graph is not None:
@@ -86,7 +94,7 @@ class Session:
         _current.remove(self)
 
     def shut_down(self, reason: str) -> None:
-        """What rospy.signal_shutdown does: everybody who waits is told, and the hooks run once."""
+        """Shut the session down like rospy.signal_shutdown: end all waits and run the hooks once."""
         self.interrupted |= reason == "interrupted"
         self.shutting_down.set()
         if not self._hooks.acquire(blocking=False):
@@ -99,43 +107,48 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """A signal came: `is_shutdown()` is true from now on, every wait ends, no hook has run yet."""
+        """Handle a signal: end every wait and set `is_shutdown()`; the shutdown hooks run later."""
         self.interrupted = True
         self.shutting_down.set()
 
     def own(self, member: T) -> T:
-        """Close something of the script's when the session ends: it would go on in a thread of its own."""
+        """Close an object of the script, such as a subscriber with a thread, when the session ends."""
         self._members.append(member)
         return member
 
-    # --- talking ---
+    # --- messages, services and logs ---
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """A message as scripts have them."""
+        """Create a message of one of the script's message classes.
+
+        Args:
+            name: message type `pkg/Name`.
+            values, fields: values of the message's fields.
+        """
         return self.messages[name](*values, **fields)
 
     def call(self, service: str, request: Any) -> Any:
-        """Ask a service; the script's own copy of the answer.
+        """Call a service and return the script's own copy of the response.
 
         Raises:
-            ServiceError: it is not there, or failed.
+            ServiceError: the service does not exist, or failed.
         """
         return self.messages.local(self.bus.call(service, request))
 
     def say(self, level: str, text: str) -> None:
-        """A log line on standard error, in ROS's form."""
+        """Write a log line in ROS's format to standard error."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
         if self.graph is not None:
             self.graph.say(level.lower(), text)
         if not self._quiet:
-            print(line, file=sys.stderr, flush=True)  # noqa: T201  (what a script logs is for its user)
+            print(line, file=sys.stderr, flush=True)  # noqa: T201  (a script's log is output for its user)
 
     def has_said(self, text: str) -> bool:
-        """Whether one of the last lines has a text already."""
+        """Return whether one of the last lines of the session's log contains a text."""
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Say something about the script, once."""
+        """Log a hint about the script, once per key."""
         if key not in self._hints:
             self._hints.add(key)
             self.say("HINT", text)
@@ -145,16 +158,23 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Say at the end of a script that its log lines closed no gripper, if nothing else has closed one."""
-        grippers = self.served.node.grippers
-        if self.claims_to_close and not (grippers.closes_by_itself or grippers.has_closed):
+        """Hint that the script only logs that the gripper closes, if no command has closed one."""
+        if self.claims_to_close and not self.served.has_closed:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
                 "/gripper_command, use the gripper's group, or run with --auto-grip",
             )  # fmt: skip
 
+    def watch_other_end(self) -> None:
+        """Hint once that the external simulator or robot has stopped sending joint states."""
+        if isinstance(self.served, ServedPlanner) and self.served.cell.silence > SILENT:
+            self.hint(
+                "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
+                "connection, its clock stands still, and the script waits; Ctrl-C ends it",
+            )  # fmt: skip
+
     def finish(self) -> None:
-        """Wait for the motions that the script has begun and not waited for."""
+        """Wait for the motions that the script started without waiting for them."""
         goals = [goal for client in self.clients.values() for goal in client.unfinished]
         while self._goes_on() and not all(goal.wait(CHECK) for goal in goals):
             pass
@@ -166,7 +186,10 @@ class Session:
 
 
 class _Warnings:
-    """Says what the cell reports of refused and stopped motions, unwanted contacts and lost objects."""
+    """Observer that logs warnings of the cell: stopped motions, contacts and lost objects.
+
+    The events include motions that the cell refused.
+    """
 
     KINDS = ("stop", "contact", "lost")
 
@@ -185,10 +208,10 @@ class _Warnings:
 
 
 def current_session() -> Session:
-    """The open session.
+    """Return the open session.
 
     Raises:
-        RuntimeError: there is none.
+        RuntimeError: no session is open.
     """
     if not _current:
         raise RuntimeError("no cell to talk to: run the script with `armcell run SCRIPT.py --cell CELL`")

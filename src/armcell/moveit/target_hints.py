@@ -1,4 +1,4 @@
-"""Hints at two usual causes of a failed grasp: the tool's direction, and the link that a pose is for."""
+"""Hints at two common causes of failed grasps: wrong tool direction and wrong link."""
 
 from __future__ import annotations
 
@@ -9,18 +9,24 @@ from armcell.model import Gripper, RobotModel
 from armcell.planning import solve_ik
 from armcell.scene import PlanningScene
 
-UPWARD = np.cos(np.deg2rad(60.0))  # of the tool's z axis against the world's
-AHEAD = 0.25  # [m] along the tool within which an object is the one that the fingers were meant for
-ASIDE = 0.03  # [m] of that object from the tool's axis
-SAME = 0.04  # [m] between the object's distance and the flange's: the script has set poses of the flange
+UPWARD = np.cos(np.deg2rad(60.0))  # least cosine between the z axes of tool and world for "points up"
+AHEAD = 0.25  # [m] distance along the tool within which an object counts as the intended one
+ASIDE = 0.03  # [m] largest distance of the intended object from the tool's axis
+SAME = 0.04  # [m] difference of object and flange distances that indicates poses of the flange
 TURNED = SO3.from_rpy((np.pi, 0.0, 0.0))
 DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> str:
-    """Why planning to a pose (of a link, in the world) failed, where its direction or link is the cause.
+    """Return why planning to a pose failed, if tool direction or link is the cause.
 
-    Each cause is checked: the pose turned over, or given to the flange, can be reached.
+    The function verifies each cause: IK must succeed for the pose turned over, or for the flange.
+
+    Args:
+        link: the link that was to reach the pose.
+        target: pose of the link in the world frame.
+    Returns:
+        A text for the user, or an empty string if the cause is another one.
     """
     if (
         _points_up(target)
@@ -34,7 +40,7 @@ def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> 
 
 
 def closed_on_nothing(scene: PlanningScene, gripper: Gripper) -> str:
-    """Why fingers that have closed hold no object."""
+    """Return why a closed gripper holds no object, or an empty string without movable objects."""
     T = scene.frame_pose(gripper.tcp_link)
     found = [(T.inv().apply(o.T_world_object.translation), n) for n, o in scene.objects.items() if o.movable]
     if not found:
@@ -57,7 +63,10 @@ def _points_up(T: SE3) -> bool:
 
 
 def _flange(model: RobotModel, group: str) -> str:
-    """The link that a MoveIt package ends the group at: the one that the gripper is mounted on."""
+    """Return the link on which a group's gripper is mounted, or an empty string.
+
+    MoveIt packages usually end the group at this link.
+    """
     return next((e.parent_link for e in model.end_effectors.values() if e.parent_group == group), "")
 
 

@@ -1,6 +1,9 @@
-"""What cameras see: clouds, planes, objects with poses, occupancy, markers. Knows no tasks and no physics."""
+"""Camera perception: point clouds, planes, object poses, occupancy maps and markers.
 
-from armcell.perception.bag import CameraRecord, cloud_points, load_record
+The package is independent of tasks and physics.
+"""
+
+from armcell.perception.bag import CameraRecord, cloud_points, depth_pixels, load_record
 from armcell.perception.camera_info import CameraInfo, load_camera_info, rectified, save_camera_info
 from armcell.perception.cloud import organised
 from armcell.perception.colours import colour_distance, colour_name
@@ -20,6 +23,8 @@ from armcell.perception.markers import (
     picture_size,
 )
 from armcell.perception.plane import SupportPlane, find_plane
+from armcell.perception.sensor_map import SensorMap
+from armcell.perception.sensors_3d import Sensor3d, Sensors3d, load_sensors_3d
 
 __all__ = [
     "FAMILIES",
@@ -33,6 +38,9 @@ __all__ = [
     "MarkerSight",
     "SeenMarker",
     "SeenObject",
+    "Sensor3d",
+    "SensorMap",
+    "Sensors3d",
     "Sight",
     "SupportPlane",
     "calibrate_hand_eye",
@@ -41,6 +49,7 @@ __all__ = [
     "cloud_points",
     "colour_distance",
     "colour_name",
+    "depth_pixels",
     "drawn",
     "find_markers",
     "find_plane",
@@ -48,6 +57,7 @@ __all__ = [
     "load_camera_info",
     "load_image",
     "load_record",
+    "load_sensors_3d",
     "look",
     "marker_picture",
     "organised",

@@ -1,4 +1,4 @@
-"""Pictures in MCAP records: sensor_msgs Image, CameraInfo and PointCloud2, with places from tf2_msgs."""
+"""Camera data from MCAP records: sensor_msgs Image, CameraInfo, PointCloud2 and tf2_msgs."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(eq=False)
 class CameraRecord:
-    """The newest of everything that a record holds of cameras, by frame."""
+    """Newest camera data of a record, by frame."""
 
     file: Path
     infos: dict[str, Pinhole] = field(default_factory=dict)
     rgb: dict[str, tuple[float, NDArray[np.uint8]]] = field(default_factory=dict)
     depth: dict[str, tuple[float, NDArray[np.float32]]] = field(default_factory=dict)
-    clouds: dict[str, tuple[float, F64]] = field(default_factory=dict)  # (n, 3) [m, the frame]
+    clouds: dict[str, tuple[float, F64]] = field(default_factory=dict)  # (n, 3) [m, camera frame]
     transforms: dict[str, tuple[str, SE3]] = field(default_factory=dict)  # child -> parent, T_parent_child
 
     def pose(self, frame: str) -> SE3:
-        """T_world_frame; the world is where the transforms end."""
+        """Return T_world_frame; the world is the root of the transform tree."""
         T, seen = SE3.identity(), set()
         while frame in self.transforms and frame not in seen:
             seen.add(frame)
@@ -43,10 +43,10 @@ class CameraRecord:
         return T
 
     def image(self, frame: str | None = None) -> CameraImage:
-        """The newest picture of a camera, by its frame; without one, of the only camera.
+        """Return the newest image of a camera, given by its frame; default: the only camera.
 
         Raises:
-            InputError: no such camera, several, or no camera info for it; lists what there is.
+            InputError: no such camera, several cameras, or no camera info; the text lists the cameras.
         """
         frames = sorted(set(self.rgb) | set(self.depth))
         if frame is None and len(frames) == 1:
@@ -62,16 +62,16 @@ class CameraRecord:
         stamp, rgb = self.rgb.get(frame, (0.0, None))
         when, depth = self.depth.get(frame, (stamp, None))
         if rgb is not None and depth is not None and rgb.shape[:2] != depth.shape:
-            rgb = None  # of another sensor: the depth is what places things
+            rgb = None  # from another sensor: object poses come from the depth image
         image = CameraImage(frame, self.infos[frame], self.pose(frame), when, rgb, depth)
         return rectified(image)
 
 
 def load_record(path: str | Path) -> CameraRecord:
-    """Read an MCAP file of ROS 2 messages.
+    """Read camera data from an MCAP file of ROS 2 messages.
 
     Raises:
-        InputError: not MCAP, cut off, or a picture whose bytes do not fit its size.
+        InputError: the file is not MCAP or is truncated, or an image's data do not match its size.
     """
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
@@ -95,7 +95,7 @@ def load_record(path: str | Path) -> CameraRecord:
         raise InputError(error.reason, file=file, cure=error.cure) from None
     except (McapError, ValueError, KeyError, EOFError, AssertionError, IndexError) as error:
         raise InputError(f"is no MCAP record of ROS 2 messages, or cut off: {error}", file=file) from None
-    except Exception as error:  # struct.error and what else a damaged chunk raises
+    except Exception as error:  # damaged chunks raise struct.error and others
         raise InputError(f"is damaged: {type(error).__name__}: {error}", file=file) from None
     return found
 
@@ -107,11 +107,19 @@ def _image(found: CameraRecord, m: Any) -> None:
         rows = _rows(m, w * channels)
         found.rgb[frame] = stamp, np.ascontiguousarray(rows.reshape(h, w, channels)[..., list(order)])
     elif m.encoding in _DEPTHS:
-        dtype = np.dtype(_DEPTHS[m.encoding]).newbyteorder(">" if m.is_bigendian else "<")
-        found.depth[frame] = (
-            stamp,
-            metres(_rows(m, w * dtype.itemsize).view(dtype).astype(_DEPTHS[m.encoding])),
-        )
+        found.depth[frame] = stamp, depth_pixels(m)
+
+
+def depth_pixels(m: Any) -> NDArray[np.float32]:
+    """Return the depths (h, w) [m] of a sensor_msgs/Image; 0 for missing values.
+
+    Raises:
+        InputError: the encoding has no depth, or the data do not match the size.
+    """
+    if m.encoding not in _DEPTHS:
+        raise InputError(f"encoding {m.encoding!r} is not a depth image's", cure=" or ".join(_DEPTHS))
+    dtype = np.dtype(_DEPTHS[m.encoding]).newbyteorder(">" if m.is_bigendian else "<")
+    return metres(_rows(m, m.width * dtype.itemsize).view(dtype).astype(_DEPTHS[m.encoding]))
 
 
 def _rows(m: Any, used: int) -> NDArray[np.uint8]:
@@ -145,10 +153,10 @@ def _cloud(found: CameraRecord, m: Any) -> None:
 
 
 def cloud_points(m: Any) -> F64:
-    """The points (n, 3) [m] of a sensor_msgs/PointCloud2; NaN where it has none.
+    """Return the points (n, 3) [m] of a sensor_msgs/PointCloud2; NaN for missing points.
 
     Raises:
-        InputError: no x, y and z, or bytes that do not fit its size.
+        InputError: x, y or z is missing, or the data do not match the size.
     """
     fields = {f.name: f for f in m.fields}
     count = m.width * m.height

@@ -1,4 +1,4 @@
-"""Camera info as ROS's camera_calibration writes it (YAML), read and written."""
+"""Camera calibration files in the YAML format of ROS's camera_calibration."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ MODELS = ("plumb_bob", "")
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """A calibrated camera: intrinsics with distortion, and its name."""
+    """Calibrated camera: name and intrinsics with distortion."""
 
     name: str
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """The same without distortion, of pictures that were rectified."""
+        """Return the intrinsics without distortion, for rectified images."""
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
 
 def load_camera_info(path: str | Path) -> CameraInfo:
-    """From a file that ROS's `cameracalibrator` or image_transport writes.
+    """Load a calibration file of ROS's `cameracalibrator` or image_transport.
 
     Raises:
-        InputError: a key is missing or of the wrong size, or a distortion that is not plumb_bob.
+        InputError: a key is missing or has the wrong size, or the distortion model is not plumb_bob.
     """
     file = Path(path)
     data = read_yaml(file)
@@ -74,7 +74,7 @@ def load_camera_info(path: str | Path) -> CameraInfo:
 
 
 def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
-    """In the form that `load_camera_info` and ROS read."""
+    """Write a calibration file that ROS and `load_camera_info` can read."""
     p = pinhole
     d = [*p.distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
 
@@ -95,10 +95,10 @@ def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
 
 
 def rectified(image: CameraImage) -> CameraImage:
-    """A picture without its distortion (Brown's model as OpenCV has it), of the same focal length.
+    """Return an image without lens distortion (Brown's model, as in OpenCV), same focal length.
 
-    Colour is interpolated; depth, which must not be mixed across edges, is the nearest pixel's. What lies
-    outside of the old picture is black and unseen.
+    Color is interpolated. Depth uses the nearest pixel, because interpolation would mix depths across edges.
+    Pixels outside the original image are black and have no depth.
     """
     p = image.pinhole
     if not p.distortion:

@@ -1,4 +1,4 @@
-"""What colour is it? Names for what a camera sees, whatever the light, and how unlike two colours are."""
+"""Color names for camera images, robust against lighting, and a color distance."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from armcell.core.checks import float_array
 
 HUES = {"red": 0, "orange": 30, "yellow": 58, "green": 120, "cyan": 180, "blue": 225, "purple": 285}
-"""Where the named colours lie on the colour circle [degrees]."""
-PALE = 0.25  # saturation of HSV below which a thing has no colour, only a brightness
-DARK, BRIGHT = 0.2, 0.75  # brightness of black and white
+"""Hue angles of the named colors [degrees]."""
+PALE = 0.25  # HSV saturation below which a color is black, grey or white
+DARK, BRIGHT = 0.2, 0.75  # HSV value limits of black and white
 
 
 def colour_name(rgb: Sequence[float]) -> str:
-    """The nearest of `HUES`, or black, grey or white, of a colour with parts from 0 to 1."""
+    """Return the nearest of `HUES`, or black, grey or white, for an RGB color in 0..1."""
     hue, saturation, value = colorsys.rgb_to_hsv(*_rgb(rgb).tolist())
     if value < DARK:
         return "black"
@@ -31,9 +31,10 @@ def _rgb(color: Sequence[float]) -> NDArray[np.float64]:
 
 
 def colour_distance(a: Sequence[float], b: Sequence[float]) -> float:
-    """How unlike two colours are, 0 to 1, with their brightness left out: that is the light's as well.
+    """Return the distance of two colors, 0 to 1, independent of brightness.
 
-    Half the sum of what their shares of red, green and blue differ by.
+    The distance is half the sum of the differences of their red, green and blue fractions. Brightness is left
+    out because it depends on the lighting.
     """
     shares = [c / max(float(sum(c)), 1e-6) for c in (_rgb(a), _rgb(b))]
     return float(np.abs(shares[0] - shares[1]).sum() / 2)

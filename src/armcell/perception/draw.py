@@ -1,4 +1,4 @@
-"""What was seen, drawn into the picture: edges of each object, its axes and name."""
+"""Overlay of perception results on an image: object edges, axes and names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armcell.perception.markers import SeenMarker
 from armcell.perception.solids import surface_mesh
 
 F64 = NDArray[np.float64]
-_SHARP = np.deg2rad(25.0)  # [rad] between two triangles that make an edge
+_SHARP = np.deg2rad(25.0)  # [rad] minimum angle between the faces of a sharp edge
 _KNOWN, _GUESSED, _MARKER = (40, 200, 60), (255, 150, 20), (230, 60, 220)
 _AXES = ((235, 50, 50), (50, 190, 50), (60, 90, 250))
 
@@ -21,9 +21,10 @@ _AXES = ((235, 50, 50), (50, 190, 50), (60, 90, 250))
 def drawn(
     image: CameraImage, sight: Sight | None = None, markers: tuple[SeenMarker, ...] = ()
 ) -> NDArray[np.uint8]:
-    """The picture (h, w, 3); from its depth where it has no colour (near is bright).
+    """Return the image (h, w, 3) with recognized objects and markers drawn into it.
 
-    Green: objects of the scene that were recognised. Orange: boxes, cylinders and balls that were fitted.
+    Objects of the scene are green, fitted boxes, cylinders and spheres orange. Without color, the image shows
+    the depth (near is bright).
     """
     from PIL import Image, ImageDraw
 
@@ -62,13 +63,13 @@ def _background(image: CameraImage) -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=64)
 def _edges(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Ends (n, 2, 3) of the sharp edges of an object; where it has none, all of some triangles'."""
+    """Return the ends (n, 2, 3) of an object's sharp edges; for smooth objects some mesh edges."""
     import trimesh
 
     mesh = surface_mesh(shapes)
     tri = trimesh.Trimesh(mesh.vertices, mesh.faces)
     sharp = tri.face_adjacency_edges[tri.face_adjacency_angles > _SHARP]
-    if len(sharp) < 3:  # a ball
+    if len(sharp) < 3:  # a smooth object, e.g. a sphere
         sharp = tri.edges_unique[::4]
     return np.asarray(tri.vertices)[sharp]
 

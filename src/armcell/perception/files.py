@@ -1,7 +1,7 @@
-"""Pictures with depth as files: PNG (16 bit millimetres for depth) and YAML, or a cloud of points.
+"""Image files with depth: PNG (16-bit depth in millimeters) and YAML, or a point cloud.
 
-A picture NAME is three files: NAME.yaml (camera info as ROS writes it, and `camera_pose`), NAME_rgb.png,
-NAME_depth.png.
+An image NAME consists of three files: NAME.yaml (camera info in ROS's format, and `camera_pose`),
+NAME_rgb.png, NAME_depth.png.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from armcell.perception.camera_info import load_camera_info, rectified, save_cam
 F64 = NDArray[np.float64]
 MAX_BYTES = 200_000_000
 POSE = "camera_pose"
-_SPLAT = 400  # [px] longer side of the picture that a cloud is drawn into
+_SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:
-    """Write NAME.yaml, NAME_rgb.png and NAME_depth.png; the files that were written.
+    """Write NAME.yaml, NAME_rgb.png and NAME_depth.png; return the written files.
 
-    Depth is whole millimetres up to 65 m.
+    Depth is rounded to millimeters, up to 65 m.
     """
     from PIL import Image
 
@@ -54,14 +54,14 @@ def load_image(
     depth: str | Path | None = None,
     T_world_camera: SE3 | None = None,
 ) -> CameraImage:
-    """A picture from its camera info and what there is of colour and depth; distortion is taken out.
+    """Load an image from its camera info, color and depth files, and rectify it.
 
     Args:
-        info: NAME.yaml. Without `rgb` and `depth`, NAME_rgb.png and NAME_depth.png beside it are taken.
-        depth: PNG of 16 bit millimetres, or .npy of metres.
-        T_world_camera: in place of the file's `camera_pose`; without either, the camera is at the origin.
+        info: NAME.yaml. Without `rgb` and `depth`, NAME_rgb.png and NAME_depth.png are used.
+        depth: 16-bit PNG in millimeters, or .npy array in meters.
+        T_world_camera: overrides the file's `camera_pose`; without both, the camera is at the origin.
     Raises:
-        InputError: a file is missing, broken, or not of the camera's size.
+        InputError: a file is missing or damaged, or does not match the camera's size.
     """
     file = Path(info)
     camera = load_camera_info(file)
@@ -87,12 +87,12 @@ def load_image(
 
 
 def load_rgb(path: str | Path) -> NDArray[np.uint8]:
-    """Colours (h, w, 3) of a picture file."""
+    """Load the colors (h, w, 3) of an image file."""
     return np.asarray(_opened(path).convert("RGB"), dtype=np.uint8)
 
 
 def load_depth(path: str | Path) -> NDArray[np.float32]:
-    """Depth (h, w) [m]: a PNG of 16 bits in millimetres, or an array of metres (.npy)."""
+    """Load depth (h, w) [m] from a 16-bit PNG in millimeters or a .npy array in meters."""
     file = Path(path)
     if file.suffix.lower() == ".npy":
         try:
@@ -132,10 +132,10 @@ def _opened(path: str | Path):
 
 
 def cloud_image(points: F64, T_world_camera: SE3, name: str = "cloud") -> CameraImage:
-    """Points (n, 3) [m, world] as the depth a camera at a place would see, just wide enough for all of them.
+    """Render points (n, 3) [m, world] as the depth image of a camera that sees all of them.
 
     Raises:
-        InputError: none of them is in front of the camera.
+        InputError: no points are in front of the camera.
     """
     p = T_world_camera.inv().apply(points)
     p = p[np.isfinite(p).all(axis=1) & (p[:, 2] > 1e-3)]

@@ -1,8 +1,8 @@
-"""Where a camera is on the robot, or beside it, from poses of a marker seen in several robot poses.
+"""Hand-eye calibration from views of a marker in several robot poses.
 
-Eye in hand: the camera is on the hand, the marker stands still. Eye to hand: the camera stands still, the
-marker is on the hand. First in closed form (Park and Martin, IEEE Transactions on Robotics and Automation
-10(5), 1994), then least squares over both unknown poses.
+Eye in hand: the camera is on the hand, the marker is stationary. Eye to hand: the camera is stationary, the
+marker is on the hand. A closed-form solution (Park and Martin, IEEE Transactions on Robotics and Automation
+10(5), 1994) is refined by least squares over both unknown poses.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ F64 = NDArray[np.float64]
 
 IN_HAND, TO_HAND = "in_hand", "to_hand"
 LEAST_POSES = 4
-LEAST_TURN = np.deg2rad(15.0)  # [rad] that some pair of poses must be turned by
-LEAST_SPREAD = 0.1  # of the axes of turning: 0 all parallel, 1/3 evenly in space
-HALF_TURN = np.deg2rad(165.0)  # [rad] from here on noise decides which way round a turn is
-LEVER = 0.3  # [m] a radian of error weighs as much as so many metres
+LEAST_TURN = np.deg2rad(15.0)  # [rad] minimum rotation between some pair of poses
+LEAST_SPREAD = 0.1  # minimum spread of the rotation axes: 0 parallel, 1/3 isotropic
+HALF_TURN = np.deg2rad(165.0)  # [rad] beyond it, noise determines the sign of the rotation axis
+LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 
 @dataclass(frozen=True)
 class HandEye(Outcome):
-    """The camera's pose: T_hand_camera (eye in hand) or T_base_camera (eye to hand), and how well it fits.
+    """Calibrated camera pose T_hand_camera (eye in hand) or T_base_camera (eye to hand).
 
-    Residuals say by how much each view puts the marker elsewhere than the mean of all.
+    Residuals are the deviations of each view's marker pose from the mean of all views.
     """
 
     mount: str = IN_HAND
     T_mount_camera: SE3 | None = None
-    T_other_marker: SE3 | None = None  # base (in hand) or hand (to hand) to marker
-    position_residuals: tuple[float, ...] = ()  # [m] by view
-    rotation_residuals: tuple[float, ...] = ()  # [rad] by view
-    outliers: tuple[int, ...] = ()  # views that fit much worse than the others
+    T_other_marker: SE3 | None = None  # marker pose in the base frame (in hand) or hand frame (to hand)
+    position_residuals: tuple[float, ...] = ()  # [m] per view
+    rotation_residuals: tuple[float, ...] = ()  # [rad] per view
+    outliers: tuple[int, ...] = ()  # indices of views with much larger residuals
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Root mean squares of the residuals [m], [rad]."""
+        """Root mean squares of the position [m] and rotation [rad] residuals."""
         p, r = np.array(self.position_residuals), np.array(self.rotation_residuals)
         return float(np.sqrt(np.mean(p**2))), float(np.sqrt(np.mean(r**2)))
 
@@ -54,18 +54,18 @@ def calibrate_hand_eye(
     most_position: float = 0.005,
     most_rotation: float = 0.02,
 ) -> HandEye:
-    """Calibrate from views.
+    """Calibrate the pose of a camera on the hand or beside the robot from marker views.
 
     Args:
         hands: T_base_hand of each view.
-        markers: T_camera_marker of the same.
+        markers: T_camera_marker of each view.
         mount: "in_hand" or "to_hand".
-        most_position, most_rotation: [m], [rad] residuals (rms) beyond which the result is refused.
+        most_position, most_rotation: [m], [rad] maximum rms residuals of a valid result.
     Returns:
-        SUCCESS; or FAILURE with the reason (too few views, too much alike, they contradict each other) and
-        what to do about it. A result that contradicts itself is given with its pose, to be looked at.
+        SUCCESS; or FAILURE with the cause (too few views, views too similar, contradictory views) and a
+        remedy. A contradictory result contains its pose for inspection.
     Raises:
-        InputError: lists of different lengths, or an unknown mount.
+        InputError: the lists have different lengths, or the mount is unknown.
     """
     if mount not in (IN_HAND, TO_HAND):
         raise InputError(f"mount is {mount!r}", cure=f"{IN_HAND!r} or {TO_HAND!r}")
@@ -99,7 +99,7 @@ def calibrate_hand_eye(
 
 
 def _refused(hands: Sequence[SE3]) -> str:
-    """Why views are not enough; empty if they are."""
+    """Return why the views are insufficient; empty if they are sufficient."""
     if len(hands) < LEAST_POSES:
         return f"{len(hands)} views are too few (take {LEAST_POSES} or more, better 10 to 15)"
     turns = [(a.rotation.inv() @ b.rotation).log() for a, b in combinations(hands, 2)]
@@ -122,14 +122,14 @@ def _refused(hands: Sequence[SE3]) -> str:
 
 
 def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
-    """X of A_i^-1 A_k X = X B_i B_k^-1 in closed form: rotation by the axes of turning, then translation."""
+    """Solve A_i^-1 A_k X = X B_i B_k^-1 in closed form: rotation axes first, then translation."""
     pairs = [(A[i].inv() @ A[k], B[i] @ B[k].inv()) for i, k in combinations(range(len(A)), 2)]
     turns = [(b.rotation.log(), a.rotation.log()) for a, b in pairs]
     clear = [t for t in turns if np.linalg.norm(t, axis=1).max() < HALF_TURN]
     M = np.zeros((3, 3))
     for b, a in clear or turns:
         M += np.outer(b, a)
-    U, _, Vt = np.linalg.svd(M.T)  # the rotation that takes the b onto the a (Kabsch)
+    U, _, Vt = np.linalg.svd(M.T)  # rotation that maps b to a (Kabsch)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     rows = np.vstack([a.rotation.matrix - np.eye(3) for a, _ in pairs])
     right = np.concatenate([R @ b.translation - a.translation for a, b in pairs])
@@ -138,7 +138,7 @@ def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
 
 
 def _refined(A: list[SE3], B: list[SE3], X: SE3) -> tuple[SE3, SE3]:
-    """X and Y that make A_i X B_i = Y least wrong."""
+    """Return X and Y that minimize the errors of A_i X B_i = Y."""
     from scipy.optimize import least_squares
 
     Y = A[0] @ X @ B[0]

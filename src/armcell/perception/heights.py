@@ -1,4 +1,4 @@
-"""A bin seen from above: a map of heights, and what lies in it as pieces."""
+"""Height map of a bin seen from above, and segmentation of its contents into pieces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armcell.scene import PlanningScene
 
 F64 = NDArray[np.float64]
 
-ROBOT_PADDING = 0.03  # [m] around the robot, whose points do not count
+ROBOT_PADDING = 0.03  # [m] margin around the robot; points within it are ignored
 
 
 def height_map(
@@ -24,14 +24,14 @@ def height_map(
     floor: float,
     resolution: float = 0.003,
 ) -> HeightMap:
-    """The highest point that a picture shows in each cell, without the robot.
+    """Return the highest visible point in each cell, without the robot.
 
     Args:
-        image: with depth.
-        scene: the robot as it stood when the picture was taken.
+        image: image with depth.
+        scene: the robot's state at the time of the image.
         low, high: corners of the rectangle [m, world x and y].
-        floor: [m, world z] nothing is lower; what the picture shows lower is there too.
-        resolution: [m] edge of a cell.
+        floor: [m, world z] lower bound of the heights; lower points are raised to it.
+        resolution: [m] edge length of a cell.
     """
     assert image.depth is not None
     points = organised(image.depth, image.pinhole).reshape(-1, 3)
@@ -49,7 +49,7 @@ def height_map(
 
 
 def _filled(heights: F64) -> F64:
-    """Cells without a height get the highest of their neighbours', from the rim inwards."""
+    """Fill cells without a height with their highest neighbor, from the rim inwards."""
     from scipy.ndimage import grey_dilation
 
     found = heights.copy()
@@ -64,13 +64,15 @@ def _filled(heights: F64) -> F64:
 def pieces(
     seen: HeightMap, where: NDArray[np.bool_], above: float, step: float = 0.010, smallest: int = 8
 ) -> NDArray[np.int64]:
-    """Numbers (nx, ny) of what lies apart, -1 where nothing does: a step in height parts two things.
+    """Label the separate pieces (nx, ny) of a height map, -1 for no piece.
+
+    A height step between neighboring cells separates two pieces.
 
     Args:
-        where: (nx, ny) the cells that are looked at.
-        above: [m, world z] what is lower is the floor.
-        step: [m] between neighbouring cells' tops within one piece.
-        smallest: [cells] pieces of fewer are noise.
+        where: (nx, ny) cells to segment.
+        above: [m, world z] lower points belong to the floor.
+        step: [m] maximum height step between neighboring cells of a piece.
+        smallest: [cells] smaller pieces are noise.
     """
     nx, ny = seen.heights.shape
     index = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), -1).reshape(-1, 2)

@@ -1,7 +1,7 @@
-"""Where a known object is: its shape is laid onto what was seen, from every way it could lie there.
+"""Pose estimation of known objects: the shape is fitted to the points from all orientations.
 
-A kind of iterated closest point (Besl and McKay, IEEE PAMI 14(2), 1992): the closest point is the distance
-field's, and rays that pass beside the object count too.
+A variant of iterated closest point (Besl and McKay, IEEE PAMI 14(2), 1992): closest points come from the
+object's distance field, and rays that pass beside the object count, too.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from armcell.perception.solids import Solid, solid_of, surface_mesh
 F64 = NDArray[np.float64]
 
 _STARTS_POINTS, _STARTS_RAYS = 100, 60
-_TRIED = 5  # starts that are fitted
-_QUARTER = 4  # turns between quarter turns that are tried of an object that is no primitive
-_GOOD = 0.08  # a pose that costs less needs no other
-_TILTED = 0.7  # a fit that does not lie as it could must cost less than this share of the one that does
+_TRIED = 5  # number of refined start poses
+_QUARTER = 4  # yaw steps per quarter turn for objects that are not primitives
+_GOOD = 0.08  # cost below which no tilted pose is tried
+_TILTED = 0.7  # maximum cost of a tilted fit, relative to the resting fit
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """A known object's pose in the support's frame."""
+    """Pose of a known object in the support's frame."""
 
     T: SE3
     cost: float
@@ -39,7 +39,7 @@ class Match:
 
 @lru_cache(maxsize=1)
 def cube_turns() -> tuple[SO3, ...]:
-    """The 24 rotations that map the axes onto each other."""
+    """Return the 24 rotations that map the coordinate axes onto each other."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -54,10 +54,10 @@ def cube_turns() -> tuple[SO3, ...]:
 def rough_match(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
 ) -> Match | None:
-    """Where an object could be, from little of the evidence; None where its size cannot be what was seen.
+    """Estimate an object's pose from a subset of the evidence; None if its size does not match.
 
     Args:
-        stands: whether it stands or lies on z = 0.
+        stands: whether the object rests on z = 0.
     """
     solid = solid_of(shapes)
     around = footprint(evidence.points)
@@ -77,8 +77,10 @@ def rough_match(
 def match_known(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, stands: bool = True
 ) -> Match:
-    """An object's pose as well as the evidence gives it, from a rough one. Tilted poses are tried too, and
-    taken where they explain a lot more."""
+    """Refine the pose of a known object from a rough match.
+
+    Tilted poses are tried, too, and accepted if their cost is much lower.
+    """
     solid, fine = solid_of(shapes), evidence.thinned(POINTS, RAYS)
     best = fit(fine, solid, F.SLIDING, np.zeros(3), start.T, 20)
     if stands and best.cost < _GOOD:
@@ -91,7 +93,7 @@ def match_known(
 def _starts(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
 ) -> list[SE3]:
-    """Poses with each side down and turned like what was seen, above the middle of it."""
+    """Return start poses above the center of the points, with each side down and matching yaw."""
     points = _outline(shapes)
     around = footprint(evidence.points)
     primitive = len(shapes) == 1 and isinstance(shapes[0][0], Box | Cylinder | Sphere)
@@ -111,7 +113,7 @@ def _starts(
 
 @lru_cache(maxsize=64)
 def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Corners (n, 3) of the hull of an object."""
+    """Return the corners (n, 3) of an object's convex hull."""
     from scipy.spatial import ConvexHull
 
     vertices = surface_mesh(shapes).vertices
@@ -120,9 +122,9 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Of the poses that look like T, the one nearest to another pose: of a ball, a cylinder or a box alone.
+    """Return the pose nearest to `prior` among the poses that look like T by symmetry.
 
-    Others are taken to look different from every side.
+    Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
     """
     if len(shapes) != 1:
         return T
@@ -147,7 +149,7 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """`wanted` turned so that its axis is that of `here`, whichever end is nearer."""
+    """Return `wanted` rotated so that its z axis is parallel to that of `here`, up to sign."""
     axis = here.matrix[:, 2]
     if axis @ wanted.matrix[:, 2] < 0:
         axis = -axis
@@ -155,5 +157,5 @@ def _spun(here: SO3, wanted: SO3) -> SO3:
 
 
 def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:
-    """How far off a pose is [m], [rad], where poses that look alike are the same."""
+    """Return the position [m] and rotation [rad] error of a pose, up to the object's symmetry."""
     return closest_equivalent(shapes, T, T_true).distance_to(T_true)

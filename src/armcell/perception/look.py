@@ -1,7 +1,7 @@
-"""What stands there: from a picture with depth to objects with poses, each with how well it fits and why not.
+"""Object detection: from an image with depth to objects with poses, fit quality or reasons.
 
-The way of it: points; the robot and what is known to be fixed taken out; the plane that things stand on;
-clusters above it; each cluster a known object of the scene or a box, cylinder or ball.
+Steps: compute points; remove the robot and known fixed objects; find the support plane; cluster the points
+above it; match each cluster to a known object of the scene, or fit a box, cylinder or sphere.
 """
 
 from __future__ import annotations
@@ -40,31 +40,31 @@ from armcell.perception.usable import unusable
 from armcell.scene import CollisionObject, PlanningScene
 
 F64 = NDArray[np.float64]
-_HOPELESS = 0.6  # a rough match that costs more is not looked at again
-_OTHER_COLOUR = 0.1  # what a known object of quite another colour costs more, where shapes decide nothing
-_JOINED = 0.5  # what two clusters are explained by may cost twice as much
-_MOST_JOINED = 12  # clusters of a picture in which pairs are looked at
-_RIVAL = 3.0  # nor one that costs so many times another of the same thing or object
+_HOPELESS = 0.6  # maximum cost of a rough match that is refined
+_OTHER_COLOUR = 0.1  # extra cost of a known object with another color, for equal shapes
+_JOINED = 0.5  # cost factor for ranking a match of two clusters, because it explains more points
+_MOST_JOINED = 12  # maximum number of clusters for which pairs are evaluated
+_RIVAL = 3.0  # maximum cost ratio to the best match of the same cluster or object
 
 
 @dataclass(frozen=True)
 @checked()
 class LookSettings:
-    """Lengths in metres."""
+    """Settings of object detection; lengths in meters."""
 
-    surface: str | None = None  # fixed object on whose top things stand; None: the largest level plane seen
-    max_tilt_deg: float = 15.0  # of that plane from level
-    thickness: float = 0.006  # of the plane, as noisy as it is seen
-    least_height: float = 0.008  # what rises less above the plane is part of it
-    most_height: float = 0.5  # what is higher is not looked at
-    gap: float = 0.015  # points of one object are not farther apart
-    smallest: int = 40  # [px] clusters of fewer are noise
-    robot_padding: float = 0.02  # around the robot
-    fixed_padding: float = 0.006  # around fixed objects of the scene, which are taken out too
-    most_cost: float = 0.35  # a fit that costs more explains nothing (0 perfect, 1 hopeless)
-    ring: int = 5  # [px] around a cluster where rays count that pass beside it
-    max_age: float = 0.5  # [s] an older picture is stale
-    seed: int = 0  # of the plane's random trials
+    surface: str | None = None  # fixed support object; None: the largest level plane
+    max_tilt_deg: float = 15.0  # of the plane
+    thickness: float = 0.006  # of the noisy plane
+    least_height: float = 0.008  # lower points belong to the plane
+    most_height: float = 0.5  # higher points are ignored
+    gap: float = 0.015  # maximum distance between points of one object
+    smallest: int = 40  # [px] smaller clusters are noise
+    robot_padding: float = 0.02  # margin around the robot
+    fixed_padding: float = 0.006  # margin around removed fixed objects of the scene
+    most_cost: float = 0.35  # maximum cost of a valid fit (0 perfect, 1 worst)
+    ring: int = 5  # [px] width of the ring around a cluster whose free rays count
+    max_age: float = 0.5  # [s] older images are stale
+    seed: int = 0  # random seed of the plane fit
 
     def __post_init__(self) -> None:
         for name in ("thickness", "least_height", "most_height", "gap", "max_age"):
@@ -76,15 +76,15 @@ class LookSettings:
 
 @dataclass(frozen=True)
 class SeenObject(Outcome):
-    """One thing that was seen. Without a pose the code and message say why; the points are there anyway."""
+    """Detected object; without a pose, code and message give the reason and the points remain."""
 
-    name: str = ""  # of the known object, or kind and number
-    known: bool = False  # whether it is an object of the scene
+    name: str = ""  # name of the known object, or kind and number
+    known: bool = False  # True for an object of the scene
     shapes: tuple[tuple[Shape, SE3], ...] = ()
     T_world_object: SE3 | None = None
-    rms: float = np.inf  # [m] of its points from its surface
-    cost: float = 1.0  # 0: explains all that was seen
-    occluded: float = 0.0  # share of its outline that something nearer, or the picture's edge, cuts off
+    rms: float = np.inf  # [m] distance of the points from the surface
+    cost: float = 1.0  # 0: explains all points and rays
+    occluded: float = 0.0  # fraction of the outline cut off by a nearer object or the border
     points: F64 = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) [m, world]
     color: tuple[float, float, float, float] = (0.6, 0.6, 0.6, 1.0)
 
@@ -93,7 +93,7 @@ class SeenObject(Outcome):
         return type(self.shapes[0][0]).__name__.lower() if len(self.shapes) == 1 else "compound"
 
     def as_object(self, name: str | None = None, movable: bool = True) -> CollisionObject:
-        """For the planning scene: its shape where it was seen, or its points where no shape fits."""
+        """Return an object for the planning scene: the fitted shape, or the points without a fit."""
         if self.T_world_object is None or not self.shapes:
             cloud = PointCloud(self.points, 0.006)
             return CollisionObject.single(name or self.name, cloud, color=self.color)
@@ -102,13 +102,13 @@ class SeenObject(Outcome):
 
 @dataclass(frozen=True)
 class Sight(Outcome):
-    """What a look found. `objects` are largest first; those without a pose are among them."""
+    """Result of a look: objects sorted by size, largest first, including those without a pose."""
 
     objects: tuple[SeenObject, ...] = ()
-    missing: tuple[str, ...] = ()  # known objects that were looked for and not found
+    missing: tuple[str, ...] = ()  # known objects that were not found
     plane: SupportPlane | None = None  # world frame
-    time: float = 0.0  # [s] of the picture
-    cpu_time: float = 0.0  # [s] that the look took
+    time: float = 0.0  # [s] time of the image
+    cpu_time: float = 0.0  # [s] CPU time of the look
 
     def __getitem__(self, name: str) -> SeenObject:
         for item in self.objects:
@@ -124,15 +124,15 @@ def look(
     settings: LookSettings = LookSettings(),
     now: float | None = None,
 ) -> Sight:
-    """Find the objects in a picture with depth.
+    """Detect the objects in an image with depth.
 
     Args:
-        scene: what is taken out of the cloud: the robot as it stands, what it holds, fixed objects.
-        known: objects to be recognised by their shape; their poses only break ties of symmetry.
-        now: [s] of the picture's clock; a picture older than `max_age` is refused.
+        scene: removed from the cloud: the robot in its present state, held objects, fixed objects.
+        known: objects to recognize by shape; their poses only resolve symmetries.
+        now: [s] of the image's clock; an image older than `max_age` is rejected.
     Returns:
-        A `Sight`. Its code is SUCCESS when every known object was found and everything seen has a pose;
-        UNABLE_TO_AQUIRE_SENSOR_DATA without usable depth, SENSOR_INFO_STALE for an old picture.
+        A `Sight`. Its code is SUCCESS if every known object was found and every cluster has a pose;
+        UNABLE_TO_AQUIRE_SENSOR_DATA without usable depth, SENSOR_INFO_STALE for an old image.
     """
     started = time.thread_time()
 
@@ -187,7 +187,7 @@ def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
 def _without(
     flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which points are neither robot nor fixed object; which are above the surface that was named."""
+    """Return masks of the points off the robot and fixed objects, and above the named surface."""
     others, region = valid.copy(), np.ones(len(flat), bool)
     if scene is None:
         if settings.surface is not None:
@@ -209,7 +209,7 @@ def _without(
 
 
 def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Points above (or at the height of) an object's top, within its bounds seen from above."""
+    """Return the mask of points at or above an object's top, within its bounds seen from above."""
     low, high = item.bounds()
     corners = np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -218,14 +218,14 @@ def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArra
     found = np.zeros(len(flat), bool)
     index = np.flatnonzero(valid)
     local = item.T_world_object.inv().apply(np.column_stack([flat[index, :2], np.full(len(index), top)]))
-    margin = 0.003  # [m] the outermost points mix edge and floor
+    margin = 0.003  # [m] outermost points mix edge and floor
     inside = np.all((local[:, :2] > low[:2] + margin) & (local[:, :2] < high[:2] - margin), axis=1)
     found[index] = inside & (flat[index, 2] > top - 0.03)
     return found
 
 
 def _is_level(item: CollisionObject) -> bool:
-    """Whether it could be what things stand on: flat and wide."""
+    """Return True if the object is flat and wide, so that it can be a support."""
     if any(isinstance(shape, Plane) for shape, _ in item.shapes):
         return True
     sizes = [2 * local_bounds(shape)[1] for shape, _ in item.shapes]
@@ -245,7 +245,7 @@ def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """A cluster as evidence in the frame of its support."""
+    """Point cluster as evidence in the frame of its support."""
 
     T_world_support: SE3
     evidence: Evidence
@@ -274,8 +274,10 @@ class _Thing:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Rays (m, 3) through the pixels around a cluster, how far (m,) they are free, and the share of its
-    outline that is cut off."""
+    """Return rays (m, 3) through pixels around a cluster, their free lengths, and the occlusion.
+
+    The occlusion is the fraction of the outline that a nearer object or the image border cuts off.
+    """
     from scipy.ndimage import binary_dilation
 
     h, w = size
@@ -297,7 +299,7 @@ def _beside(
 
 
 def _span(points: F64, pixels: NDArray[np.int64]) -> float:
-    """Largest distance [m] between points of a cluster, of some of them."""
+    """Return the largest distance [m] between a subset of a cluster's points."""
     some = points.reshape(-1, 3)[pixels[:: max(len(pixels) // 150, 1)]]
     return float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
 
@@ -308,11 +310,10 @@ def _named(
     settings: LookSettings,
     image_has_colour: bool,
 ) -> tuple[SeenObject, ...]:
-    """Each thing as the known object that explains it best, or as a primitive. Of shapes that are alike the
-    one of that colour is taken.
+    """Assign each cluster to the known object that fits best, or to a primitive.
 
-    A known object may be two clusters, where it hides the middle of itself; what explains two is taken
-    before what explains one of them about as well.
+    Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
+    its middle is hidden; a match of two clusters is preferred to a similar match of one.
     """
     rough = {
         (part, k): match

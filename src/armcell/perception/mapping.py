@@ -1,4 +1,4 @@
-"""A map of what a camera sees while the cell runs, without the robot, what it holds and known objects."""
+"""Occupancy map from camera images during a run, without the robot and known objects."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, wit
 @dataclass(frozen=True)
 @checked()
 class MapSettings:
-    """How a camera's pictures become obstacles. Lengths in metres."""
+    """Settings for converting camera images to obstacles; lengths in meters."""
 
-    resolution: float = 0.02  # edge of a voxel
-    max_range: float = 2.5  # what is farther off only says what is free up to there
-    robot_padding: float = 0.03  # around the robot and what it holds
-    object_padding: float = 0.02  # around objects of the scene, which stay in it as they are
-    every: int = 2  # every so many pixels of a row and a column count
-    speckle: int = 4  # so many of these pixels must hang together: fewer are a depth camera's noise
-    max_age: float = 0.5  # [s] an older picture is stale
+    resolution: float = 0.02  # edge length of a voxel
+    max_range: float = 2.5  # farther points only mark free space up to this range
+    robot_padding: float = 0.03  # margin around the robot and held objects
+    object_padding: float = 0.02  # margin around objects of the scene, which stay in the scene
+    every: int = 2  # pixel step in rows and columns
+    speckle: int = 4  # minimum number of connected pixels; fewer are noise
+    max_age: float = 0.5  # [s] older images are stale
     sensor: SensorModel = SensorModel()
 
     def __post_init__(self) -> None:
@@ -43,17 +43,17 @@ class MapSettings:
 
 @dataclass(frozen=True)
 class MapUpdate(Outcome):
-    """What one picture did to a map."""
+    """Result of adding one image to a map."""
 
-    hits: int = 0  # points that are obstacles
+    hits: int = 0  # number of obstacle points
     robot_points: int = 0
     object_points: int = 0
-    cells: int = 0  # of the octree
+    cells: int = 0  # number of octree cells
     cpu_time: float = 0.0  # [s]
 
 
 class CameraMap:
-    """An occupancy map that is fed picture by picture. `map` and `octree` are what is known now."""
+    """Occupancy map that is updated image by image; `map` and `octree` hold the current state."""
 
     def __init__(self, settings: MapSettings = MapSettings()):
         self.settings = settings
@@ -64,15 +64,15 @@ class CameraMap:
         self.octree = self.map.octree()
 
     def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
-        """Put a picture into the map.
+        """Add an image to the map.
 
-        Rays clear what they pass through, also those that end on the robot or on an object of the scene.
+        Rays mark the cells they pass as free, also rays that end on the robot or on an object of the scene.
 
         Args:
-            scene: the robot as it stood when the picture was taken, what it holds, known objects.
-            now: [s] of the picture's clock; an old picture is refused.
+            scene: the robot's state at the time of the image, held objects, known objects.
+            now: [s] of the image's clock; an old image is rejected.
         Returns:
-            SUCCESS, or why the picture was not used (the map stays as it was).
+            SUCCESS, or why the image was not used (the map stays unchanged).
         """
         started, s = time.thread_time(), self.settings
         trouble = unusable(image, s.max_age, now)
@@ -99,14 +99,15 @@ class CameraMap:
         )  # fmt: skip
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """The scene with this map as its octomap."""
+        """Return the scene with this map as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
 
 
 def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """A picture's mask without the patches (diagonals connect) of fewer than `least` pixels.
+    """Return a mask without connected patches of fewer than `least` pixels (8-connectivity).
 
-    Noise moves single pixels of a known surface out of its padding; an obstacle fills several side by side.
+    Noise moves single pixels of a known surface out of its margin; an obstacle covers several adjacent
+    pixels.
     """
     patches = np.empty(mask.shape, np.int32)
     ndimage.label(mask, np.ones((3, 3)), output=patches)

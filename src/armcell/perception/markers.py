@@ -1,4 +1,4 @@
-"""Poses of ArUco markers and AprilTags in a picture (OpenCV, extra `vision`)."""
+"""Poses of ArUco markers and AprilTags in an image (requires OpenCV, extra `vision`)."""
 
 from __future__ import annotations
 
@@ -35,32 +35,35 @@ FAMILIES = {
     "apriltag_36h10": "DICT_APRILTAG_36h10",
     "apriltag_36h11": "DICT_APRILTAG_36h11",
 }
-QUIET = 1  # cells of white around a marker's picture
-AMBIGUOUS = 2.0  # a pose tilted the other way fits nearly as well if its error is so many times at most
-CORNER_PX = 0.2  # [px] and so much more: corners are not better known, so a smaller error may be chance
-CROOKED_PX = 0.3  # [px] median distance of an edge from its line, from which it counts as partly hidden
+QUIET = 1  # white border of a marker's image, in cells
+AMBIGUOUS = 2.0  # maximum error ratio at which the opposite tilt is also plausible
+CORNER_PX = 0.2  # [px] added tolerance, the accuracy of corners
+CROOKED_PX = 0.3  # [px] minimum median distance from its line of a partly hidden edge
 
 
 @dataclass(frozen=True, eq=False)
 class SeenMarker:
-    """A marker's pose. Its frame: x right, y up in its picture, z out of it; the origin in its middle."""
+    """Detected marker with its pose.
+
+    The marker's frame has its origin in the center, x right, y up, z out of the marker.
+    """
 
     id: int
     T_world_marker: SE3
     T_camera_marker: SE3
-    corners: F64  # (4, 2) [px] from the picture's upper left corner, clockwise
-    error_px: float  # root mean square of the corners' reprojection
-    ambiguous: bool  # small or far: a pose tilted the other way fits nearly as well
-    hidden: bool  # an edge is no straight line: something covers a part of it, the pose may be far off
+    corners: F64  # (4, 2) [px] clockwise from the marker's upper left corner
+    error_px: float  # rms reprojection error of the corners
+    ambiguous: bool  # small or far marker: the opposite tilt fits almost as well
+    hidden: bool  # an edge is not straight because it is partly hidden; the pose may be wrong
 
 
 @dataclass(frozen=True)
 class MarkerSight(Outcome):
-    """The markers of one picture, by number."""
+    """Markers detected in one image, with their numbers."""
 
     markers: tuple[SeenMarker, ...] = ()
-    missing: tuple[int, ...] = ()  # wanted and not seen
-    time: float = 0.0  # [s] of the picture
+    missing: tuple[int, ...] = ()  # wanted but not visible
+    time: float = 0.0  # [s] time of the image
 
     def __getitem__(self, number: int) -> SeenMarker:
         for marker in self.markers:
@@ -77,19 +80,19 @@ def find_markers(
     now: float | None = None,
     max_age: float = 0.5,
 ) -> MarkerSight:
-    """Find the markers of a family in a picture with colour.
+    """Detect the markers of a family in a color image.
 
     Args:
-        size: [m] edge of the black square, of all or by number; others are left out.
-        wanted: numbers that must be there.
-        now: [s] of the picture's clock; a picture older than `max_age` is refused.
+        size: [m] edge of the black square, for all markers or by number; other numbers are ignored.
+        wanted: numbers that must be visible.
+        now: [s] of the image's clock; an image older than `max_age` is rejected.
     Returns:
-        SUCCESS when every wanted marker is seen, or at least one where none is named; FAILURE, and what is
-        seen; UNABLE_TO_AQUIRE_SENSOR_DATA without colour; SENSOR_INFO_STALE for an old picture.
+        SUCCESS if every wanted marker is visible, or at least one if none is wanted; else FAILURE, with the
+        visible markers; UNABLE_TO_AQUIRE_SENSOR_DATA without color; SENSOR_INFO_STALE for an old image.
     Raises:
         MissingExtraError: OpenCV is not installed.
         UnknownNameError: no such family.
-        InputError: a size that is not positive.
+        InputError: a size is not positive.
     """
     sizes = size if isinstance(size, Mapping) else None
     for value in sizes.values() if sizes is not None else (size,):
@@ -138,7 +141,7 @@ def _why(name: str, family: str, missing: tuple[int, ...], found: list[SeenMarke
 
 
 def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
-    """A marker (n, n) with one pixel per cell, `QUIET` cells of white around it.
+    """Return a marker image (n, n) with one pixel per cell and a white border of `QUIET` cells.
 
     Raises:
         MissingExtraError: OpenCV is not installed.
@@ -148,13 +151,13 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
     count = len(dictionary.bytesList)
     if not 0 <= number < count:
         raise InputError(f"{family} has no marker {number}", cure=f"0 to {count - 1}")
-    cells = dictionary.markerSize + 2  # with its black border
+    cells = dictionary.markerSize + 2  # including the black border
     inner = np.asarray(cv2.aruco.generateImageMarker(dictionary, number, cells))
     return np.pad(inner, QUIET, constant_values=255)
 
 
 def picture_size(family: str, size: float) -> float:
-    """Edge [m] of the whole picture of a marker whose black square has an edge of `size` [m]."""
+    """Return the edge [m] of a marker's whole image for a black square of edge `size` [m]."""
     cells = _dictionary(family)[1].markerSize + 2
     return size * (cells + 2 * QUIET) / cells
 
@@ -170,19 +173,19 @@ def _dictionary(family: str) -> tuple[Any, Any]:
 
 
 def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
-    """Corners (4, 2) [px] where lines through a marker's four edges meet, and how crooked the edges are.
+    """Refine a marker's corners (4, 2) [px] as intersections of lines through its edges.
 
-    OpenCV's own refinements are 0.1 to 0.7 px too far in or out, by the size of their window, which at ten
-    times the marker's size is millimetres of distance. Here an edge is where the change from black to white
-    has its middle, looked for across each side at many places.
+    OpenCV's own refinement is 0.1 to 0.7 px off, depending on its window size, which means millimeters at a
+    distance of ten times the marker's size. Here an edge is the center of the transition from black to white,
+    measured across each side at many points.
 
     Args:
         grey: (h, w) brightness.
-        corners: (4, 2) from the upper left one, clockwise, about right.
-        cells: along a side, the black border included.
+        corners: (4, 2) approximate corners, clockwise from the upper left.
+        cells: number of cells along a side, including the black border.
     Returns:
-        The corners; and of the worst edge the median distance [px] from its line, infinite (and the corners
-        as they were) where an edge is not to be seen.
+        The corners, and the median distance [px] from its line of the worst edge; infinite (and the
+        unchanged corners) if an edge is not visible.
     """
     from scipy.ndimage import map_coordinates
 
@@ -203,7 +206,7 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
             rise = np.maximum(np.diff(seen, axis=1), 0.0)
             weight = rise.sum(axis=1)
             good = weight > 0.5 * weight.max()
-            if weight.max() < 10 or good.sum() < 8:  # no edge to be seen: leave it to what OpenCV found
+            if weight.max() < 10 or good.sum() < 8:  # no visible edge: keep OpenCV's corners
                 return corners, np.inf
             middle = (steps[1:] + steps[:-1]) / 2 * reach
             edges = places[good] + ((rise @ middle) / np.maximum(weight, 1e-9))[good, None] * out
@@ -218,14 +221,14 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
 
 
 def _line(points: F64) -> tuple[F64, float]:
-    """Normal (2,) and offset of the line through points (n, 2), by least squares."""
+    """Fit a line to points (n, 2) by least squares; return its normal (2,) and offset."""
     centre = points.mean(axis=0)
     normal = np.linalg.eigh((points - centre).T @ (points - centre))[1][:, 0]
     return normal, float(normal @ centre)
 
 
 def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool) -> SeenMarker:
-    """By infinitesimal plane-based pose estimation (Collins and Bartoli, IJCV 109, 2014), then refined."""
+    """Estimate a marker's pose by IPPE (Collins and Bartoli, IJCV 109, 2014), then refine it."""
     h = size / 2
     square = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
     K, distortion = image.pinhole.matrix, np.array(image.pinhole.distortion, float)

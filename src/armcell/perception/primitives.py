@@ -1,4 +1,4 @@
-"""Which box, cylinder or ball stands there, and how large: each is fitted, the best explanation wins."""
+"""Fit of boxes, cylinders and spheres of unknown size to a cluster; the best fit wins."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ F64 = NDArray[np.float64]
 
 FIRST_POINTS, FIRST_RAYS = 120, 80
 POINTS, RAYS = 400, 200
-"""What the first look at every start and the last fits take of the evidence."""
-NEAR = 3.0  # times the best first cost: kinds that cost more are not fitted any further
-GOOD = 0.05  # what costs no more is fitted in any case
+"""Numbers of points and rays in the final fits (the first fits of all starts use fewer)."""
+NEAR = 3.0  # maximum cost, relative to the best first fit, of kinds that are refined
+GOOD = 0.05  # kinds with at most this cost are always refined
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The smallest rectangle around points seen from above: x, y, yaw and edges, and the height."""
+    """Smallest rectangle around points seen from above: x, y, yaw, edge lengths and height."""
 
     x: float
     y: float
@@ -34,9 +34,9 @@ class Footprint:
 
 
 def footprint(points: F64) -> Footprint:
-    """Of points (n, 3) in the support's frame.
+    """Return the smallest rectangle around points (n, 3) in the support's frame.
 
-    The rectangle lies along an edge of the hull (Freeman and Shapira, Communications of the ACM 18(7), 1975).
+    The rectangle has an edge of the convex hull (Freeman and Shapira, Communications of the ACM 18(7), 1975).
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -44,7 +44,7 @@ def footprint(points: F64) -> Footprint:
     height = float(np.percentile(points[:, 2], 98))
     try:
         corners = flat[ConvexHull(flat).vertices]
-    except (QhullError, ValueError):  # on a line
+    except (QhullError, ValueError):  # collinear points
         middle = flat.mean(axis=0)
         reach = float(np.ptp(flat, axis=0).max()) + 1e-3
         return Footprint(middle[0], middle[1], 0.0, reach, reach, height)
@@ -66,7 +66,7 @@ def footprint(points: F64) -> Footprint:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """A primitive with its pose in the support's frame."""
+    """Fitted primitive with its pose in the support's frame."""
 
     shape: Shape
     T: SE3
@@ -79,7 +79,7 @@ class Guess:
 
 
 def fit_primitives(evidence: Evidence) -> list[Guess]:
-    """Boxes, cylinders and balls that stand or lie on the plane z = 0, best first."""
+    """Fit boxes, cylinders and spheres that rest on the plane z = 0; return them best first."""
     rough = evidence.thinned(FIRST_POINTS, FIRST_RAYS)
     fits = sorted((_tried(rough, *start, iterations=12) for start in _starts(evidence.points)), key=_cost)
     fine, seen = evidence.thinned(POINTS, RAYS), set()
@@ -117,7 +117,7 @@ def _starts(points: F64) -> list[tuple[int, F64]]:
 
 
 def _ball(points: F64) -> tuple[float, float, float] | None:
-    """x, y and radius of the ball that lies on z = 0 and fits points by linear least squares.
+    """Fit a sphere that rests on z = 0 by linear least squares; return x, y and radius.
 
     (x - a)^2 + (y - b)^2 + z^2 - 2 r z = 0.
     """

@@ -1,4 +1,4 @@
-"""Whether a picture can be used: is it new enough, is there depth in it."""
+"""Checks whether an image is recent and has depth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from armcell.core import CameraImage, ErrorCode, Outcome
 
 
 def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """What is wrong with a picture that is older than `max_age` [s] at `now`; None if it is not."""
+    """Return an error outcome if an image is older than `max_age` [s] at time `now`, else None."""
     if now is None or now - image.time <= max_age:
         return None
     age = now - image.time
@@ -21,7 +21,7 @@ def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | No
 
 
 def unusable(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Why a picture's depth cannot be used; None if it can."""
+    """Return an error outcome if an image's depth is not usable, else None."""
     old = stale(image, max_age, now)
     if old is not None:
         return old

@@ -1,39 +1,55 @@
-"""What path? Planners, the pipeline around them, Cartesian motions."""
+"""Motion planning: pipeline, planners, goals, constraints, straight lines, diagnosis.
+
+Other packages import from here, from `armcell.planning.planners` (to add or run single planners) and from
+`armcell.planning.diagnosis`.
+"""
 
 from armcell.planning.adapters import adapter_names
-from armcell.planning.arms import PairPlan, RunningMotion, plan_beside, plan_together
+from armcell.planning.arm_clearance import ArmClearance, achievable_arm_clearance
 from armcell.planning.cartesian import plan_cartesian, waypoints_by_offsets
-from armcell.planning.constraint_check import constraint_errors, satisfied, violations
-from armcell.planning.explain import explain, solve_ik
-from armcell.planning.explanation import Branch, PoseExplanation, explain_pose, explain_start
-from armcell.planning.industrial.sequence import plan_sequence
-from armcell.planning.library import LibraryStatistics, PlanLibrary
-from armcell.planning.moving import plan_among_moving
-from armcell.planning.native.warm_up import prepare, warm_up
+from armcell.planning.constraints.evaluation import constraint_errors, satisfied, violations
+from armcell.planning.diagnosis import Branch, PoseExplanation, explain_misuse, explain_pose, explain_start
+from armcell.planning.diagnosis.explain import explain, solve_ik
+from armcell.planning.goals.targets import Target, goal_of
+from armcell.planning.moving_obstacles import plan_among_moving
+from armcell.planning.multi_arm import (
+    CarriedObject,
+    RunningMotion,
+    SynchronizedPlan,
+    plan_around_moving_arm,
+    plan_carry,
+    plan_synchronized,
+)
+from armcell.planning.pilz.generators import synchronized_profile
+from armcell.planning.pilz.sequence import plan_sequence
 from armcell.planning.pipeline import plan
-from armcell.planning.problem import (
-    Answer,
-    Problem,
+from armcell.planning.plan_library import LibraryStatistics, PlanLibrary
+from armcell.planning.planners.problem import PlannerResult, Problem, sampling_bounds
+from armcell.planning.planners.registry import (
     find_planner,
     normalized_planner_id,
     pipelines,
     planner_defaults,
 )
-from armcell.planning.targets import Target, goal_of
+from armcell.planning.warm_up import prepare, warm_up
 
 __all__ = [
-    "Answer",
+    "ArmClearance",
     "Branch",
+    "CarriedObject",
     "LibraryStatistics",
-    "PairPlan",
     "PlanLibrary",
+    "PlannerResult",
     "PoseExplanation",
     "Problem",
     "RunningMotion",
+    "SynchronizedPlan",
     "Target",
+    "achievable_arm_clearance",
     "adapter_names",
     "constraint_errors",
     "explain",
+    "explain_misuse",
     "explain_pose",
     "explain_start",
     "find_planner",
@@ -42,14 +58,17 @@ __all__ = [
     "pipelines",
     "plan",
     "plan_among_moving",
-    "plan_beside",
+    "plan_around_moving_arm",
+    "plan_carry",
     "plan_cartesian",
     "plan_sequence",
-    "plan_together",
+    "plan_synchronized",
     "planner_defaults",
     "prepare",
+    "sampling_bounds",
     "satisfied",
     "solve_ik",
+    "synchronized_profile",
     "violations",
     "warm_up",
     "waypoints_by_offsets",

@@ -1,6 +1,6 @@
-"""What is done around a planner, by name: adapters of the request, before anything is planned.
+"""Request adapters: named steps that change a planning request before the planner runs.
 
-Smoothing, timing and validation come after the planner, in the pipeline, and have names in the same list.
+Smoothing, timing and validation run after the planner, in the pipeline; their names share the same list.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from armcell.core import (
     Registry,
     UnknownNameError,
 )
-from armcell.planning.departure import REPAIR_RADII, departure, leaving
-from armcell.planning.question import Question
+from armcell.planning.request import ValidatedRequest
+from armcell.planning.start_in_contact import REPAIR_RADII, find_departure, start_from_departure
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
 MAX_BOUNDS_ERROR = 0.05  # [rad or m] MoveIt's start_state_max_bounds_error
 
-RequestAdapter = Callable[[Question], "Question | Outcome"]
+RequestAdapter = Callable[[ValidatedRequest], "ValidatedRequest | Outcome"]
 request_adapters: Registry[RequestAdapter] = Registry("adapter")
 FINISHING = ("chomp_smoothing", "timing", "validation")
 MOVEIT_NAMES = {
@@ -47,15 +47,17 @@ MOVEIT_NAMES = {
 
 
 def adapter_names() -> tuple[str, ...]:
-    """All adapters, those of the request and the finishing steps."""
+    """List all adapter names: request adapters first, then the steps that run after the planner."""
     return (*request_adapters, *FINISHING)
 
 
-def normalized_adapters(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Adapters by our names; MoveIt's (`default_planning_request_adapters/...`) are understood.
+def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Convert adapter names to armcell's.
+
+    Accepts MoveIt's (`default_planning_request_adapters/...`).
 
     Raises:
-        UnknownNameError: no such adapter. InputError: validation is left out.
+        UnknownNameError: an adapter does not exist. InputError: the list lacks 'validation'.
     """
     ours = []
     for given in names:
@@ -71,91 +73,99 @@ def normalized_adapters(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(ours)
 
 
-def adapted(question: Question) -> Question | Outcome:
-    """The question after the adapters of its request, in their order.
+def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
+    """Apply the request's adapters in their order.
+
+    Return the changed request or the reason for refusal.
 
     Raises:
-        InputError: an adapter that does not exist, or that cannot do what is asked.
+        InputError: an adapter does not exist or cannot handle the request.
     """
-    names = normalized_adapters(question.request.adapters)
-    if "chomp_smoothing" in names and question.request.path_constraints:
+    names = normalize_adapter_names(validated.request.adapters)
+    if "chomp_smoothing" in names and validated.request.path_constraints:
         raise InputError(
             "adapter 'chomp_smoothing' does not keep path constraints", cure="leave out one of the two"
         )
-    question = replace(question, adapters=names)
+    validated = replace(validated, adapters=names)
     for name in names:
         if name in request_adapters:
-            answer = request_adapters[name](question)
+            answer = request_adapters[name](validated)
             if isinstance(answer, Outcome):
                 return answer
-            question = answer
-    for goal in question.request.goals:
+            validated = answer
+    for goal in validated.request.goals:
         if isinstance(goal, ConstraintGoal):
-            _check_frames(question.scene, goal.constraints)
-    return question
+            _check_frames(validated.scene, goal.constraints)
+    return validated
 
 
 @request_adapters.register("fix_start_state_bounds")
-def fix_start_state_bounds(question: Question) -> Question | Outcome:
-    """A start at most `MAX_BOUNDS_ERROR` out of limits is moved in; the motion leads there."""
-    model, positions = question.scene.model, question.scene.positions
+def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
+    """Move a start state that is at most `MAX_BOUNDS_ERROR` outside the limits inside.
+
+    The motion leads there.
+    """
+    model, positions = validated.scene.model, validated.scene.positions
     if np.all((positions >= model.lower) & (positions <= model.upper)):
-        return question
-    columns = np.array(model.columns(question.joint_names))
+        return validated
+    columns = np.array(model.columns(validated.joint_names))
     inside = positions.copy()
     inside[columns] = np.clip(positions[columns], model.lower[columns], model.upper[columns])
     moved = np.abs(inside - positions)
     if not 1e-3 < np.max(moved) <= MAX_BOUNDS_ERROR:  # less is rounding, more is a mistake
-        return question
+        return validated
     report = {
         name: (float(positions[k]), float(inside[k])) for k, name in enumerate(model.joint_names) if moved[k]
     }
     return replace(
-        question,
-        scene=replace(question.scene, positions=inside),
+        validated,
+        scene=replace(validated.scene, positions=inside),
         lead_in=np.vstack([positions[columns], inside[columns]]),
-        evidence={**question.evidence, "start_moved_within_limits": report},
+        evidence={**validated.evidence, "start_moved_within_limits": report},
     )
 
 
 @request_adapters.register("fix_start_state_collision")
-def fix_start_state_collision(question: Question) -> Question | Outcome:
-    """A start in contact, however deep, is replaced by a free state near it.
+def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
+    """Replace a start state in contact, however deep, by a free state near it.
 
-    The motion begins where the robot is only if the way out is proven: no contact deepens or is dragged along
-    and no other pair touches. Else it begins at the free state. `start_repaired` in the evidence says which,
-    and how far it is.
+    The motion begins at the robot's actual state only if the way out is proven: no contact deepens or drags
+    along, and no other pair touches. Otherwise the motion begins at the free state. `start_repaired` in the
+    evidence reports which of the two it is, and the distance between the states.
     """
-    scene = question.scene
-    checker = KernelChecker(scene, question.joint_names)
+    scene = validated.scene
+    checker = KernelChecker(scene, validated.joint_names)
     start = scene.positions[checker.columns]
     if not checker.touches(start):
-        return question
-    found = departure(checker, start, question.request.seed, np.inf)
+        return validated
+    found = find_departure(checker, start, validated.request.seed, np.inf)
     if found is None:
         contacts = touching(checker, start)
         what = "; ".join(c.describe() for c in contacts[:3])
         text = f"start in collision: {what}; no free state within {REPAIR_RADII[-1]:g} rad was found"
         return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})
-    return leaving(question, found, "actual start" if found.proven else "repaired start")
+    return start_from_departure(validated, found, "actual start" if found.proven else "repaired start")
 
 
 @request_adapters.register("resolve_constraint_frames")
-def resolve_constraint_frames(question: Question) -> Question | Outcome:
-    """Frames of objects in goals' constraints are replaced: by the world's, or by the carrying link's."""
-    if not any(isinstance(goal, ConstraintGoal) for goal in question.request.goals):
-        return question
+def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
+    """Express goal constraints of object frames in the world or the carrying link's frame."""
+    if not any(isinstance(goal, ConstraintGoal) for goal in validated.request.goals):
+        return validated
     goals = tuple(
-        ConstraintGoal(in_robot_frames(question.scene, goal.constraints))
+        ConstraintGoal(in_robot_frames(validated.scene, goal.constraints))
         if isinstance(goal, ConstraintGoal)
         else goal
-        for goal in question.request.goals
+        for goal in validated.request.goals
     )
-    return replace(question, request=replace(question.request, goals=goals))
+    return replace(validated, request=replace(validated.request, goals=goals))
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """The same constraints with every frame the world or a link; an attached object's becomes its link's."""
+    """Re-express constraints so that every frame is the world or a link (of an attached object.
+
+    Its link).
+    """
 
     def base(frame: str) -> str:
         if frame in scene.model.links:
@@ -187,12 +197,3 @@ def _check_frames(scene: PlanningScene, constraints: Constraints) -> None:
                 f"the frame {item.frame!r} of a constraint is an object's",
                 cure="add the adapter resolve_constraint_frames",
             )
-
-
-__all__ = [
-    "adapted",
-    "adapter_names",
-    "in_robot_frames",
-    "normalized_adapters",
-    "request_adapters",
-]

@@ -1,4 +1,4 @@
-"""The planning pipeline: check the request, find a path, shorten, prove and time it."""
+"""The planning pipeline: validate the request, find a path, simplify, certify and time it."""
 
 from __future__ import annotations
 
@@ -25,75 +25,77 @@ from armcell.core import (
     PlanResult,
     PoseGoal,
 )
-from armcell.planning.adapters import adapted
-from armcell.planning.apart import Room, room_between
+from armcell.planning.adapters import apply_request_adapters
+from armcell.planning.arm_clearance import ArmClearance, achievable_arm_clearance
+from armcell.planning.certify import PlannedMotion, certify_request_motion, clearance_along
 from armcell.planning.constraints.plan import check_planner, plan_constrained
-from armcell.planning.departure import departed
-from armcell.planning.explanation import explained
-from armcell.planning.finish import clearance_along
-from armcell.planning.goal_stream import stream
-from armcell.planning.goals import joint_goals
-from armcell.planning.industrial.plan import check_command, plan_industrial
-from armcell.planning.motion import Motion, timed_motion
-from armcell.planning.native.warm_up import warm_up, warm_up_ik
-from armcell.planning.optimise.smoother import smoothed
-from armcell.planning.placed import Placed
-from armcell.planning.planners.optimisers import free
-from armcell.planning.problem import INDUSTRIAL, Answer, Problem, pipeline_for, sampling_bounds
-from armcell.planning.question import Question, ask
-from armcell.planning.simplify import simplify
+from armcell.planning.diagnosis import with_explanation
+from armcell.planning.goals.joint_goals import find_joint_goals, stream_goals
+from armcell.planning.moved_frame import MovedFrame
+from armcell.planning.pilz.plan import plan_pilz, validate_pilz_request
+from armcell.planning.planners.chomp import smooth_with_chomp
+from armcell.planning.planners.problem import PlannerResult, Problem, sampling_bounds
+from armcell.planning.planners.registry import PILZ, pipeline_for
+from armcell.planning.planners.rrt_connect import simplify
+from armcell.planning.planners.trajectory_optimization import path_validity
+from armcell.planning.request import ValidatedRequest, validate_request
+from armcell.planning.start_in_contact import leave_start_contact
+from armcell.planning.warm_up import warm_up, warm_up_ik
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
 MAX_ROUNDS = 5
-ROOMY_ROUNDS = 3
-"""How often, where one that only does not touch is there, for one that keeps the padding all along."""
-"""How often a path that fails certification is planned anew with another seed."""
+"""How often planning repeats with another seed if a path fails certification."""
+PADDED_ROUNDS = 3
+"""Rounds in search of a motion with full padding, if a motion without contact exists already."""
 
-ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds of one attempt are not another attempt
+ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds and attempts never share a seed
 
 
-@explained(PlanRequest)
+@with_explanation(PlanRequest)
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
-    """A certified, timed motion of one group.
+    """Plan a certified, timed motion of one group.
 
     Args:
-        scene: the world; its state is the start where the request names none.
-        cancel: set it from another thread to stop.
+        scene: the world; its state is the start unless the request names one.
+        cancel: set this event from another thread to stop.
     Returns:
         SUCCESS with path and trajectory, or the code, message and evidence (contacts, joints, distances).
     Raises:
-        InputError: misuse: unknown group, planner, link, joint, parameter or adapter; scaling outside (0, 1].
+        InputError: misuse: unknown group, planner, link, joint, parameter or adapter; scaling outside (0,
+            1].
     """
     warm_up()
-    if pipeline_for(request.pipeline_id, request.planner_id) == INDUSTRIAL:  # also where only LIN is named
-        request = replace(request, pipeline_id=INDUSTRIAL)
+    if (
+        pipeline_for(request.pipeline_id, request.planner_id) == PILZ
+    ):  # also if only a planner such as LIN is named
+        request = replace(request, pipeline_id=PILZ)
     if request.group in scene.model.groups:
         for link in _links(request):
-            warm_up_ik(scene.model, request.group, Placed(scene, request.group, link).link)
-    asked = ask(scene, request, cancel)
-    industrial = request.pipeline_id == INDUSTRIAL
-    if industrial:
-        check_command(asked)
+            warm_up_ik(scene.model, request.group, MovedFrame(scene, request.group, link).link)
+    asked = validate_request(scene, request, cancel)
+    is_pilz = request.pipeline_id == PILZ
+    if is_pilz:
+        validate_pilz_request(asked)
     elif request.path_constraints:
         check_planner(asked)
-    question = adapted(asked)
-    if isinstance(question, Outcome):
-        return asked.failed(question)
-    ends = find_ends(question)
-    if isinstance(ends, Outcome):
-        return question.failed(ends)
-    question = ends.question
-    if industrial:
-        return plan_industrial(question, ends.checker, ends.start, ends.goals)
+    validated = apply_request_adapters(asked)
+    if isinstance(validated, Outcome):
+        return asked.failed(validated)
+    endpoints = find_start_and_goals(validated)
+    if isinstance(endpoints, Outcome):
+        return validated.failed(endpoints)
+    validated = endpoints.validated
+    if is_pilz:
+        return plan_pilz(validated, endpoints.checker, endpoints.start, endpoints.goals)
     if request.path_constraints:
-        return plan_constrained(question, ends.checker, ends.start, ends.goals)
-    return search(question, ends)
+        return plan_constrained(validated, endpoints.checker, endpoints.start, endpoints.goals)
+    return search(validated, endpoints)
 
 
 def _links(request: PlanRequest) -> Iterator[str | None]:
-    """Those that inverse kinematics is asked for."""
+    """Yield the links whose inverse kinematics the goals need."""
     for goal in request.goals:
         if isinstance(goal, PoseGoal):
             yield goal.link
@@ -102,208 +104,232 @@ def _links(request: PlanRequest) -> Iterator[str | None]:
 
 
 @dataclass(frozen=True, eq=False)
-class Ends:
-    """A free start (n,) and goals (n,), bounds to sample in, and the checker they were found with.
+class StartAndGoals:
+    """A free start (n,) and free goals (n,) with sampling bounds and their checker.
 
     Attributes:
-        question: from that start; where the robot stands in resting contact, its `lead_in` leads there.
+        validated: the request from that start; after resting contact, its `lead_in` leads to the start.
     """
 
-    question: Question
+    validated: ValidatedRequest
     checker: KernelChecker
     start: Array
     goals: tuple[Array, ...]
     lower: Array
     upper: Array
-    room: Room | None = None  # that the checker keeps between arms
+    arm_clearance: ArmClearance | None = None  # clearance between arms that the checker enforces
 
 
-def find_ends(question: Question) -> Ends | Outcome:
-    """Start and goals as joint positions, or what is wrong with them."""
-    scene = question.scene
+def find_start_and_goals(validated: ValidatedRequest) -> StartAndGoals | Outcome:
+    """Find start and goals as joint positions, or the reason why they are invalid."""
+    scene = validated.scene
     try:
         scene.model.check_positions(scene.positions, margin=1e-3)
     except InputError as error:
         return Outcome(ErrorCode.START_STATE_INVALID, f"start: {error}")
-    checker = KernelChecker(scene, question.joint_names)
+    checker = KernelChecker(scene, validated.joint_names)
     start = scene.positions[checker.columns]
     if checker.touches(start):
-        left = departed(question, checker)
+        left = leave_start_contact(validated, checker)
         if isinstance(left, Outcome):
             return left
-        question, scene = left, left.scene
-        checker = KernelChecker(scene, question.joint_names)
+        validated, scene = left, left.scene
+        checker = KernelChecker(scene, validated.joint_names)
         start = scene.positions[checker.columns]
-    if why := question.forbids(start):
+    if why := validated.forbids(start):
         return Outcome(ErrorCode.START_STATE_INVALID, f"start: {why}")
     checker.relax_margins(start)
-    rng = np.random.default_rng(question.request.seed)
-    goals, outcome = joint_goals(question, checker, rng)
+    rng = np.random.default_rng(validated.request.seed)
+    goals, outcome = find_joint_goals(validated, checker, rng)
     if not outcome.ok:
         return outcome
-    lower, upper = sampling_bounds(scene.model, question.joint_names, start, goals)
-    return Ends(question, checker, start, goals, lower, upper)
+    lower, upper = sampling_bounds(scene.model, validated.joint_names, start, goals)
+    return StartAndGoals(validated, checker, start, goals, lower, upper)
 
 
-ROOMY_SHARE = 0.5
-"""Of the planning time, for motions that keep room between arms or all padding; what is left is for any."""
+PADDED_SHARE = 0.5
+"""Share of the planning time for motions with arm clearance or full padding; the rest is for any motion."""
 
 
-def search(question: Question, ends: Ends) -> PlanResult:
-    """A motion on which arms keep room between each other; where none is found, any that is free."""
-    request = question.request
-    arms = arms_of(question.scene.model, request.group)
-    room = room_between(question.scene, arms, ends.checker, ends.start, ends.goals, request.arm_clearance)
-    if room is None:
-        return found(question, ends)
-    words = room.words
-    if room.distance > 0:
-        limit = replace(request, planning_time=ROOMY_SHARE * request.planning_time)
-        roomy = replace(ends, checker=room.kept_by(ends.checker), goals=room.goals, room=room)
-        result = found(replace(question, request=limit), roomy)
-        if result.ok or question.cancel.is_set():
-            return _with_room(result, room.distance, words)
-        words = (
-            f"the arms do not touch, but no motion was found that keeps {1000 * room.distance:.0f} mm "
-            "between them"
+def search(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
+    """Plan with the clearance between arms if possible.
+
+    Otherwise plan any collision-free motion.
+    """
+    request = validated.request
+    arms = arms_of(validated.scene.model, request.group)
+    arm_clearance = achievable_arm_clearance(
+        validated.scene, arms, endpoints.checker, endpoints.start, endpoints.goals, request.arm_clearance
+    )
+    if arm_clearance is None:
+        return search_once(validated, endpoints)
+    words = arm_clearance.note
+    if arm_clearance.distance > 0:
+        limit = replace(request, planning_time=PADDED_SHARE * request.planning_time)
+        spaced = replace(
+            endpoints,
+            checker=arm_clearance.apply_to(endpoints.checker),
+            goals=arm_clearance.goals,
+            arm_clearance=arm_clearance,
         )
-    return _with_room(found(question, ends), 0.0, words)
+        result = search_once(replace(validated, request=limit), spaced)
+        if result.ok or validated.cancel.is_set():
+            return _report_arm_clearance(result, arm_clearance.distance, words)
+        words = (
+            "the arms do not touch, but no motion was found that keeps "
+            f"{1000 * arm_clearance.distance:.0f} mm between them"
+        )
+    return _report_arm_clearance(search_once(validated, endpoints), 0.0, words)
 
 
-def _with_room(result: PlanResult, distance: float, words: str) -> PlanResult:
-    """A result that says what is kept between the arms [m]."""
+def _report_arm_clearance(result: PlanResult, distance: float, words: str) -> PlanResult:
+    """Add the clearance between arms [m] to a successful result."""
     if not result.ok:
         return result
     message = "; ".join(text for text in (result.message, words) if text)
     return replace(result, message=message, evidence={**result.evidence, "arm_clearance": distance})
 
 
-def found(question: Question, ends: Ends) -> PlanResult:
-    """The straight line where it is free; else the shortest motion of all attempts."""
-    problem = _problem(question, ends, question.request.seed)
+def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
+    """Return the straight line if it is free, otherwise the shortest motion of all attempts."""
+    problem = _problem(validated, endpoints, validated.request.seed)
     line = _direct(problem)
     if line is not None:
-        made = timed_motion(question, ends.checker, line)
+        made = certify_request_motion(validated, endpoints.checker, line)
         if isinstance(made, Outcome):
-            return question.failed(made)
-        if made.done:
-            return _solved(question, ends.checker, made, "straight line", None)
-    count = int(question.request.attempts)
+            return validated.failed(made)
+        if made.certified:
+            return _solved(validated, endpoints.checker, made, "straight line", None)
+    count = int(validated.request.attempts)
     if count == 1:
-        return attempt(question, ends, 0)
+        return attempt(validated, endpoints, 0)
     with ThreadPoolExecutor(min(count, os.cpu_count() or 1), "armcell-attempt") as pool:
         results = list(
-            pool.map(lambda k: attempt(question, _ends_of_thread(question, ends), k), range(count))
+            pool.map(
+                lambda k: attempt(validated, _endpoints_of_thread(validated, endpoints), k), range(count)
+            )
         )
     lengths = [r.path.length if r.path is not None else np.inf for r in results]
     best = results[int(np.argmin(lengths))]
     evidence = {"attempts": count, "solved": int(np.isfinite(lengths).sum()), "lengths": lengths}
     return replace(
-        best, evidence={**best.evidence, **evidence}, planning_time=time.monotonic() - question.began
+        best, evidence={**best.evidence, **evidence}, planning_time=time.monotonic() - validated.began
     )
 
 
-def _ends_of_thread(question: Question, ends: Ends) -> Ends:
-    """The same with a checker of its own: a checker has one workspace."""
-    checker = KernelChecker(question.scene, question.joint_names)
-    checker.relax_margins(ends.start)
-    return replace(ends, checker=checker if ends.room is None else ends.room.kept_by(checker))
+def _endpoints_of_thread(validated: ValidatedRequest, endpoints: StartAndGoals) -> StartAndGoals:
+    """Copy start and goals with a new checker: threads must not share a checker's workspace."""
+    checker = KernelChecker(validated.scene, validated.joint_names)
+    checker.relax_margins(endpoints.start)
+    return replace(
+        endpoints,
+        checker=checker if endpoints.arm_clearance is None else endpoints.arm_clearance.apply_to(checker),
+    )
 
 
-def _problem(question: Question, ends: Ends, seed: int) -> Problem:
+def _problem(validated: ValidatedRequest, endpoints: StartAndGoals, seed: int) -> Problem:
     return Problem(
-        ends.checker,
-        ends.start,
-        ends.goals,
-        ends.lower,
-        ends.upper,
+        endpoints.checker,
+        endpoints.start,
+        endpoints.goals,
+        endpoints.lower,
+        endpoints.upper,
         seed,
-        question.deadline,
-        question.cancel,
-        more_goals=stream(question, ends.checker, ends.goals, seed),
-        options=question.choice.options,
-        settings=question.choice.settings,
+        validated.deadline,
+        validated.cancel,
+        more_goals=stream_goals(validated, endpoints.checker, endpoints.goals, seed),
+        options=validated.choice.options,
+        settings=validated.choice.settings,
     )
 
 
-def attempt(question: Question, ends: Ends, number: int) -> PlanResult:
-    """Paths from one seed until one can be proven and timed, and with a few more tries keeps its padding.
+def attempt(validated: ValidatedRequest, endpoints: StartAndGoals, number: int) -> PlanResult:
+    """Plan from one seed until a path can be certified and timed.
 
-    Paths keep the padding at the configurations that were looked at; a thin thing can be nearer in between.
+    Retry a few times to keep the padding as well.
+
+    Planners check the padding only at samples, so a thin obstacle can be nearer than the padding in
+    between.
     """
-    answer, why, tight = None, "", None
-    enough = time.monotonic() + ROOMY_SHARE * question.request.planning_time
+    answer, why, unpadded = None, "", None
+    enough = time.monotonic() + PADDED_SHARE * validated.request.planning_time
     for round_ in range(MAX_ROUNDS):
-        if tight is not None and (round_ >= ROOMY_ROUNDS or time.monotonic() > enough):
+        if unpadded is not None and (round_ >= PADDED_ROUNDS or time.monotonic() > enough):
             break
-        seed = question.request.seed + ATTEMPT_SEED * number + ROUND_SEED * round_
-        problem = _problem(question, ends, seed)
-        if tight is not None:
-            problem = replace(problem, deadline=min(question.deadline, enough))
-        answer = question.choice.planner(problem)
+        seed = validated.request.seed + ATTEMPT_SEED * number + ROUND_SEED * round_
+        problem = _problem(validated, endpoints, seed)
+        if unpadded is not None:
+            problem = replace(problem, deadline=min(validated.deadline, enough))
+        answer = validated.choice.planner(problem)
         if answer.waypoints is None:
             break
         waypoints = answer.waypoints
-        if not answer.simplified and question.choice.options.simplify_solutions:
+        if not answer.simplified and validated.choice.options.simplify_solutions:
             waypoints = simplify(problem, waypoints)
             if waypoints is None:
                 continue
-        if "chomp_smoothing" in question.adapters:
-            better = smoothed(problem, waypoints, free(problem))
+        if "chomp_smoothing" in validated.adapters:
+            better = smooth_with_chomp(problem, waypoints, path_validity(problem))
             answer = replace(answer, statistics={**answer.statistics, "smoothed": better is not None})
             waypoints = waypoints if better is None else better
-        if question.cancel.is_set():
+        if validated.cancel.is_set():
             break
-        made = timed_motion(question, ends.checker, waypoints)
+        made = certify_request_motion(validated, endpoints.checker, waypoints)
         if isinstance(made, Outcome):
-            return tight or question.failed(made)
-        if made.done:
-            solved = _solved(question, ends.checker, made, question.planner_id, answer)
-            if made.roomy:
+            return unpadded or validated.failed(made)
+        if made.certified:
+            solved = _solved(validated, endpoints.checker, made, validated.planner_id, answer)
+            if made.padded_motion:
                 return solved
-            tight = tight or solved
-        why = made.why
-    if tight is not None and not question.cancel.is_set():
-        return tight
-    return question.failed(_unsolved(question, ends, answer, why))
+            unpadded = unpadded or solved
+        why = made.reason
+    if unpadded is not None and not validated.cancel.is_set():
+        return unpadded
+    return validated.failed(_unsolved(validated, endpoints, answer, why))
 
 
 def _solved(
-    question: Question, checker: KernelChecker, made: Motion, used: str, answer: Answer | None
+    validated: ValidatedRequest,
+    checker: KernelChecker,
+    made: PlannedMotion,
+    used: str,
+    answer: PlannerResult | None,
 ) -> PlanResult:
-    ignored = question.choice.without_effect
+    ignored = validated.choice.without_effect
     return PlanResult(
         ErrorCode.SUCCESS,
-        made.words,
+        made.note,
         {
-            **question.evidence,
+            **validated.evidence,
             **(answer.statistics if answer else {}),
             **({"settings_without_effect": ignored} if ignored else {}),
         },
-        path=JointPath(question.joint_names, made.waypoints),
+        path=JointPath(validated.joint_names, made.waypoints),
         trajectory=made.trajectory,
         planner_id=used,
-        planning_time=time.monotonic() - question.began,
+        planning_time=time.monotonic() - validated.began,
         clearance=None if made.trajectory is None else partial(clearance_along, checker, made.trajectory),
     )
 
 
-def _unsolved(question: Question, ends: Ends, answer: Answer | None, why: str) -> Outcome:
-    cancelled = question.cancel.is_set()
-    timed_out = time.monotonic() >= question.deadline
+def _unsolved(
+    validated: ValidatedRequest, endpoints: StartAndGoals, answer: PlannerResult | None, why: str
+) -> Outcome:
+    cancelled = validated.cancel.is_set()
+    timed_out = time.monotonic() >= validated.deadline
     code = (
         ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
     )
     message = (answer.message if answer else "") or (
-        f"{question.planner_id}: cancelled"
+        f"{validated.planner_id}: cancelled"
         if cancelled
         else why or "found paths, but none could be proven free between its samples"
     )
-    return Outcome(code, message, {"goals": len(ends.goals), **(answer.statistics if answer else {})})
+    return Outcome(code, message, {"goals": len(endpoints.goals), **(answer.statistics if answer else {})})
 
 
 def _direct(problem: Problem) -> Array | None:
-    """The straight line to a goal, where it is free with padding: the shortest path there is."""
+    """Return the straight line to a goal if it is free with padding; no path is shorter."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])

@@ -1,5 +1,4 @@
-"""Records of a run: its folder, the MCAP that Foxglove opens, the HTML report; reading a record back,
-running it again, comparing two."""
+"""Records of a run: run folder, MCAP file for Foxglove, HTML report, replay and comparison."""
 
 from armcell.records.about import about_run, cell_of
 from armcell.records.again import execute_again

@@ -1,4 +1,4 @@
-"""What a record says of its run: all that is needed to run it again."""
+"""Run metadata in a record: everything that is needed to execute the run again."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from armcell.cell.versions import versions
 from armcell.core import InputError
 
 FORMAT = 1
-"""Of what stands in a record beside the ROS messages."""
+"""Format version of the metadata in a record."""
 
 
 def about_run(
     cell: Cell, seed: int | None, mode: str, values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """JSON-ready: the whole cell (with its other values), seed, mode, hashes, versions, machine."""
+    """Return JSON-ready run metadata, which suffices to execute the run again.
+
+    The metadata are the cell with changed values, the seed, mode, content hashes, versions and machine.
+
+    Args:
+        values: values that replaced those of the cell file, by path.
+    """
     return {
         "format": FORMAT,
         "cell": cell.name,
@@ -37,15 +43,16 @@ def about_run(
 
 
 def this_machine() -> str:
-    """The computer's name and processor."""
+    """Return the computer's name and processor."""
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
 def origin_of(about: Mapping[str, Any], file: Path) -> str:
-    """Where a record comes from, in words, if it is not this user's own of this computer; else nothing.
+    """Describe the origin of another user's or computer's record; empty for the user's own.
 
     Args:
-        file: of the record.
+        about: run metadata of the record.
+        file: file of the record.
     """
     machine = str(about.get("machine"))
     if machine != this_machine():
@@ -60,21 +67,24 @@ def _printable(text: str) -> str:
 
 
 def cell_of(about: Mapping[str, Any]) -> Cell:
-    """The cell that was run, as it was then; what its file now says does not matter.
+    """Return the cell as it was when the run was recorded, independent of its current file.
 
-    Meshes, scripts and robots that are files of their own are read anew: see `changed_since`.
+    Meshes, scripts and robots in separate files are read in their current version; see `changed_since`.
 
     Raises:
-        InputError: a file it needs is gone.
+        InputError: a file of the cell is missing.
     """
     name, file = str(about["cell"]), Path(about["file"])
     if about.get("built_in") and name in cell_names():
-        file = load(name).file  # perhaps armcell is installed elsewhere
+        file = load(name).file  # armcell may be installed in another folder now
     return Cell(name, file, validated(dict(about["spec"]), file))
 
 
 def changed_since(about: Mapping[str, Any], cell: Cell) -> list[str]:
-    """What is not as it was when the record was made, in words; empty if a run must repeat to the bit."""
+    """Describe what has changed since the recording.
+
+    An empty list means that executing the run again must give bit-identical results.
+    """
     then, now = about["hashes"], content_hashes(cell)
     found = []
     for part in sorted({*then, *now}):
@@ -86,10 +96,10 @@ def changed_since(about: Mapping[str, Any], cell: Cell) -> list[str]:
 
 
 def checked_about(data: Any, file: Path) -> dict[str, Any]:
-    """What a record says of its run, if this armcell can read it.
+    """Validate a record's run metadata and return it.
 
     Raises:
-        InputError: of another version.
+        InputError: the record has another format version.
     """
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         has = data.get("format") if isinstance(data, dict) else "nothing"

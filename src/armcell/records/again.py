@@ -1,4 +1,4 @@
-"""Running a recorded run again, and judging whether it came out the same to the bit."""
+"""Re-execution of a recorded run, and the check that the result is bit-identical."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ REPEATABLE = ("sim", "fake")
 def execute_again(
     record: Record, folder: Path, anyway: bool = False, observers: Sequence[Observer] = ()
 ) -> tuple[Comparison, dict[str, Any], RunRecorder]:
-    """Run a recorded run's task again, recorded into a folder.
+    """Execute a recorded run's task again and record it into a folder.
 
     Args:
-        anyway: also where something it depends on has changed since.
+        anyway: execute even if files or versions have changed since the recording.
     Returns:
-        How the two compare, the new run's result, and its recorder (closed).
+        Comparison of both runs, result of the new run, and its recorder (closed).
     Raises:
-        InputError: the record does not say what ran, it was a real arm's, or what has changed since.
+        InputError: the record has no run metadata, was made with a real arm, or its inputs have changed.
     """
     cell = checked_cell(record, anyway)
     seed, mode = int(record.about["seed"]), str(record.about["mode"])
@@ -42,10 +42,10 @@ def execute_again(
 
 
 def checked_cell(record: Record, anyway: bool = False) -> Any:
-    """The record's cell, if running it must give the same run.
+    """Return a record's cell if executing it must reproduce the run.
 
     Raises:
-        InputError: why it need not.
+        InputError: the run is not reproducible; the text gives the cause.
     """
     if not record.about:
         raise InputError(
@@ -75,6 +75,6 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
 
 
 def command_of(record: Record) -> str:
-    """The command that was typed."""
+    """Return the shell command that started the recorded run."""
     result: Mapping[str, Any] = record.result or {}
     return str(result.get("command") or f"armcell run {record.about['cell']} --seed {record.about['seed']}")

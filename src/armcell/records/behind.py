@@ -1,4 +1,4 @@
-"""A file whose disk may be slow: whoever writes goes on at once, a thread of its own puts it down."""
+"""Write-behind file: a background thread writes to the disk, so the caller never waits."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import threading
 from collections import deque
 from pathlib import Path
 
-MOST_WAITING = 256 << 20  # [bytes] a record of an hour; a disk that is so far behind has failed
+MOST_WAITING = 256 << 20  # [bytes] about one hour of recording; a disk this far behind counts as failed
 
 
 class WrittenBehind:
-    """A binary file to be written from its beginning to its end, as `mcap` writes one.
+    """Sequential binary file with background writes, usable as output of the `mcap` writer.
 
-    `write` and `flush` never wait for the disk. What goes wrong there is raised by the next call of either.
+    `write` and `flush` never wait for the disk. The next call of either raises the error of a failed write.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: the file cannot be created.
     """
 
     def __init__(self, file: Path):
         self._file = file.open("wb", buffering=0)
         self._wake = threading.Condition()
-        self._open: list[bytes] = []  # until the next flush
+        self._open: list[bytes] = []  # data queued until the next flush
         self._waiting: deque[bytes] = deque()
         self._bytes = self._position = 0
         self._closing = False
@@ -32,9 +32,10 @@ class WrittenBehind:
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """
+        """Queue data for the disk; return the number of bytes.
+
         Raises:
-            OSError: the disk is full, or is too far behind.
+            OSError: the disk is full, or too much data is waiting for it.
         """
         self._raise()
         if self._bytes + len(data) > MOST_WAITING:
@@ -48,17 +49,17 @@ class WrittenBehind:
 
     @property
     def waiting(self) -> int:
-        """Bytes that are not on the disk yet."""
+        """Number of bytes that are not on the disk yet."""
         return self._bytes
 
     def tell(self) -> int:
         return self._position
 
     def flush(self) -> None:
-        """Have everything that was written put down soon.
+        """Hand all queued data to the writer thread.
 
         Raises:
-            OSError: as `write`.
+            OSError: an earlier write failed.
         """
         self._raise()
         if self._open:
@@ -69,10 +70,10 @@ class WrittenBehind:
                 self._wake.notify()
 
     def wait(self) -> None:
-        """Flush, and wait until everything is on the disk.
+        """Flush, and wait until all data is on the disk.
 
         Raises:
-            OSError: it is not.
+            OSError: a write failed.
         """
         self.flush()
         with self._wake:
@@ -83,10 +84,10 @@ class WrittenBehind:
         return self._file.fileno()
 
     def close(self) -> None:
-        """Wait until everything is on the disk. Closing twice is fine.
+        """Wait until all data is on the disk and close the file; repeated calls have no effect.
 
         Raises:
-            OSError: it is not.
+            OSError: a write failed.
         """
         if self._file.closed:
             return
@@ -102,7 +103,7 @@ class WrittenBehind:
         self._raise()
 
     def _failed(self, error: OSError) -> None:
-        """What waits is given up, and the thread ends."""
+        """Store the error, discard the waiting data and end the thread."""
         with self._wake:
             self._error, self._closing = error, True
             self._waiting.clear()

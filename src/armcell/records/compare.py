@@ -1,4 +1,4 @@
-"""Where two recorded runs part: states number for number, events, plans, outcome, and what was asked."""
+"""Comparison of two recorded runs: states bit by bit, events, plans, outcome and inputs."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from armcell.records.mcap_writer import NANO
 from armcell.records.reader import Array, Record, RecordedJoints, RecordedState
 
 THRESHOLDS = (1e-9, 1e-6, 1e-4, 1e-2)
-"""[rad or m] joints, [m] objects: when the two were first so far apart is said."""
+"""Deviations, [rad or m] for joints and [m] for objects, whose first occurrence is reported."""
 TIMINGS = (
     "planning_time_s", "wall_time_s", "total_planning_time_s", "started_s",
-    "seconds",  # of a stage of a search
-    "plan_us", "simplify_us", "certify_us", "cost_over_time",  # of planners
+    "seconds",  # duration of a search stage
+    "plan_us", "simplify_us", "certify_us", "cost_over_time",  # planner timings
 )  # fmt: skip
-"""Wall clock, in events and results: differs between any two runs and means nothing."""
+"""Wall-clock values in events and results, ignored because they differ between any two runs."""
 AT_ONCE = NANO // 1000
-"""[ns] two states are of the same instant."""
+"""Minimum tolerance [ns] within which two states count as simultaneous."""
 
 
 @dataclass(frozen=True)
 class Parting:
-    """The first thing that is not the same."""
+    """First difference between two runs."""
 
     time: float  # [s]
     what: str  # "position of elbow_joint", "pose of cube", "time", "length"
@@ -42,31 +42,34 @@ class Parting:
 
 @dataclass(frozen=True)
 class Distance:
-    """How far apart the runs came, in one kind of thing."""
+    """Largest deviation between two runs for one joint or object."""
 
     what: str  # joint or object
     largest: float  # [rad or m]
-    at: float  # [s] when it was largest
-    reached: tuple[tuple[float, float], ...]  # (threshold, time [s]) that it was first above
+    at: float  # [s] time of the largest deviation
+    reached: tuple[tuple[float, float], ...]  # (threshold, first time [s] above it)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs beside each other. `parts` of what was asked differ: cell, seed, versions, ..."""
+    """Comparison of two runs.
+
+    `parts` describes the inputs that differ: cell, seed, versions, ...
+    """
 
     parts: tuple[str, ...]
-    states: int  # compared
-    same_states: int  # of them, from the beginning, alike to the bit
+    states: int  # number of compared states
+    same_states: int  # number of bit-identical states from the start
     state: Parting | None
-    distances: tuple[Distance, ...]  # of what differs, the farthest first
+    distances: tuple[Distance, ...]  # deviations, largest first
     event: Parting | None
     plan: Parting | None
     outcome: Parting | None
-    cut: tuple[str, ...] = ()  # records that are not whole, and why
+    cut: tuple[str, ...] = ()  # incomplete records and the causes
 
     @property
     def same_course(self) -> bool:
-        """Whether every recorded state, event and plan is the same."""
+        """True if all recorded states, events and plans are identical."""
         return self.state is None and self.event is None and self.plan is None
 
     @property
@@ -74,7 +77,7 @@ class Comparison:
         return self.same_course and self.outcome is None and not self.parts
 
     def words(self) -> list[str]:
-        """For people."""
+        """Return the comparison as lines of text."""
         lines = [*self.cut, *(f"asked: {part}" for part in self.parts)]
         if self.state is None:
             lines.append(f"states: all {self.states} identical to the bit")
@@ -91,7 +94,7 @@ class Comparison:
 
 
 def compare(first: Record, second: Record) -> Comparison:
-    """Compare two runs; states by the cell's clock."""
+    """Compare two recorded runs; states are paired by the cell's clock."""
     pairs = list(_pairs(first.states, second.states))
     state, same = None, 0
     for a, b in pairs:
@@ -115,7 +118,7 @@ def compare(first: Record, second: Record) -> Comparison:
     )
 
 
-# --- what was asked ---
+# --- inputs ---
 def _parts(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[str]:
     for key in ("cell", "mode", "seed"):
         if a.get(key) != b.get(key):
@@ -132,8 +135,10 @@ def _parts(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[str]:
 def _pairs(
     a: tuple[RecordedState, ...], b: tuple[RecordedState, ...]
 ) -> Iterator[tuple[RecordedState, RecordedState]]:
-    """States of the same instant. Paced and real runs have states at odd times: the nearest one counts,
-    where the other's next is not nearer.
+    """Yield pairs of states of the same time.
+
+    Paced and real runs have irregular sampling times: each state is paired with the nearest state of the
+    other run that is within half a sampling period.
     """
     times = np.array([s.nanoseconds for s in b])
     if len(times) == 0:
@@ -193,7 +198,7 @@ def _known(value: Any) -> str:
 
 
 def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distance, ...]:
-    """Per joint and object that differ, the farthest first."""
+    """Return the deviation of each joint and object that differs, largest first."""
     found: dict[str, list[tuple[float, float]]] = {}
     for a, b in pairs:
         theirs = dict(zip(b.joints.names, b.joints.positions.tolist()))
@@ -215,7 +220,11 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 # --- events, plans, outcome ---
 def _data_parting(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """The first value of two events' data that is not the same: its path ("stages[0].passed") and both."""
+    """Return the first difference in two events' data.
+
+    Returns:
+        Path of the value ("stages[0].passed") and both values, or None.
+    """
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys((*a, *b)):
             here = f"{path}.{key}" if path else str(key)
@@ -231,13 +240,15 @@ def _data_parting(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None
             if (found := _data_parting(one, two, f"{path}[{i}]")) is not None:
                 return found
         return None if len(a) == len(b) else (f"number of {path}", len(a), len(b))
-    same = a == b or (a != a and b != b)  # two that are not numbers
+    same = a == b or (a != a and b != b)  # both NaN
     return None if same else (path, a, b)
 
 
 def _compared(event: Event) -> Mapping[str, Any]:
-    """An event's data but for how a plan was found: a planner that ends by the clock has looked at more or
-    less, and the motion is compared itself."""
+    """Return an event's data without the planner's search statistics.
+
+    Planners with a time limit evaluate varying numbers of samples; the motion itself is compared separately.
+    """
     return {k: v for k, v in event.data.items() if event.kind != "plan" or k != "evidence"}
 
 
@@ -249,7 +260,7 @@ def _event_parting(a: Record, b: Record) -> Parting | None:
         one, two = (r.events[i] if i < len(r.events) else None for r in (a, b))
         if one is None or two is None:
             if (a.cut and one is None) or (b.cut and two is None):
-                return None  # what is missing is not known
+                return None  # missing values cannot be compared
             at = next(e.time for e in (one, two) if e is not None)
             return Parting(at, f"event {i + 1}", said(one), said(two))
         if (one.time, one.kind, one.text) != (two.time, two.kind, two.text):

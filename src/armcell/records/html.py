@@ -1,4 +1,4 @@
-"""Small helpers for one self-contained HTML page: every text escaped, numbers with units, inline pictures."""
+"""Helpers for one self-contained HTML page: escaped text, numbers with units, inline images."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def section(title: str, body: str) -> str:
 
 
 def text(value: Any) -> str:
-    """Any value as escaped text; nothing shows as a dash."""
+    """Format a value as escaped HTML text; None and empty text become a dash."""
     if value is None or value == "":
         return NONE
     if isinstance(value, bool):
@@ -91,12 +91,12 @@ def text(value: Any) -> str:
 
 
 def name(value: Any) -> str:
-    """A name with underscores, which breaks only after them."""
+    """Format a name as HTML that may break only after underscores."""
     return f'<span class="name">{text(value).replace("_", "_<wbr>")}</span>'
 
 
 def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> str:
-    """A number times `scale` with its unit; what is no finite number shows as text or a dash."""
+    """Format `value * scale` with its unit; other values become text, non-finite numbers a dash."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return text(value)
     if not math.isfinite(value):
@@ -105,7 +105,7 @@ def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> s
 
 
 def millimetres(value: Any, digits: int = 2) -> str:
-    """A length given in metres."""
+    """Format a length given in meters as millimeters."""
     return number(value, "mm", 1000.0, digits)
 
 
@@ -120,11 +120,13 @@ def tag(good: bool, words: str) -> str:
 def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = (), bad: Iterable[int] = ()
 ) -> str:
-    """A table of cells that are HTML already (from `text`, `number`, ...).
+    """Return an HTML table.
 
     Args:
-        numeric: columns to set flush right.
-        bad: rows to mark.
+        head: column titles.
+        rows: cells that are HTML already (from `text`, `number`, ...).
+        numeric: indices of right-aligned columns.
+        bad: indices of highlighted rows.
     """
     right, marked = set(numeric), set(bad)
 
@@ -150,7 +152,7 @@ def image(png: bytes, alt: str, css_class: str = "plot") -> str:
 
 
 def picture_png(rgb: NDArray[np.uint8]) -> bytes:
-    """A picture (h, w, 3) as PNG, at most `MAX_PICTURE_PX` wide."""
+    """Encode an image (h, w, 3) as PNG, downscaled to at most `MAX_PICTURE_PX` pixels width."""
     picture = Image.fromarray(rgb)
     if picture.width > MAX_PICTURE_PX:
         picture = picture.resize(

@@ -1,11 +1,11 @@
-"""Writing a run as MCAP with ROS 2 messages, which Foxglove and `ros2 bag` open as they are.
+"""MCAP writer for runs, with ROS 2 messages that Foxglove and `ros2 bag` can open.
 
-Topics: /joint_states, /joint_targets (what the joints were told), /gripper_states (width as position, force
-as effort), /contacts (JSON in a String), /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events
-(JSON in a String), /camera/<name>/compressed where asked for and, where the URDF's text is at hand,
-/robot_description. Frames: "world" is the root; the robot's links hang below it as in its tree, objects
-directly. A state ends with its /tf. MCAP metadata: "armcell.run" says what ran, "armcell.result" how it
-ended.
+Topics: /joint_states, /joint_targets (commanded positions), /gripper_states (width as position, force as
+effort), /contacts (JSON in a String), /tf, /tf_static, /object_pose/<name>, /planned_trajectory, /events
+(JSON in a String), /camera/<name>/compressed if requested and, if the URDF's text is available,
+/robot_description. Frames: "world" is the root; the robot's links follow its kinematic tree, objects are
+direct children. The /tf message is the last message of a state. MCAP metadata: "armcell.run" describes the
+run, "armcell.result" its result.
 """
 
 from __future__ import annotations
@@ -38,38 +38,42 @@ PROFILE = "ros2"
 STORE = Stores.ROS2_HUMBLE
 NANO = 1_000_000_000
 ABOUT, RESULT = "armcell.run", "armcell.result"
-_CHUNK_BYTES = 128 * 1024  # what a process that is killed can lose: about half a second
+_CHUNK_BYTES = 128 * 1024  # maximum data loss of a killed process: about half a second
 _LATCHED_QOS = (
-    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"  # transient local: kept for late comers
+    # transient local: delivered to late subscribers
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
 )
 _MAX_URDF_BYTES = 4_000_000
 
 
 @cache
 def typestore() -> Any:
-    """The message definitions in use."""
+    """Return the ROS message definitions in use."""
     return get_typestore(STORE)
 
 
 def schema_text(message_type: str) -> str:
-    """A message's definition followed by those of every type nested in it, as `ros2msg` wants it."""
+    """Return a message definition with all nested definitions, in MCAP's `ros2msg` encoding."""
     return typestore().generate_msgdef(message_type, ros_version=2)[0]
 
 
 def ros_name(name: str) -> str:
-    """A name that ROS accepts as a part of a topic: letters, digits and underscores, no digit first."""
+    """Convert a name to a legal ROS topic segment.
+
+    The segment contains letters, digits and underscores and does not begin with a digit.
+    """
     legal = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return f"_{legal}" if not legal or legal[0].isdigit() else legal
 
 
 class McapWriter:
-    """One MCAP file of one run. Written under a temporary name, given its own by `close`.
+    """Writer of one run's MCAP file; the file has a temporary name until `close`.
 
     Args:
-        file: where the record shall be.
-        scene: whose robot and objects; its fixed objects become static transforms.
-        start_ns: what cell time 0 is, in nanoseconds since 1970; now by default.
-        about: what ran, see `about_run`; stands first, so that a record that is cut off has it too.
+        file: final path of the record.
+        scene: scene with the robot and objects; fixed objects become static transforms.
+        start_ns: time of cell time 0 in nanoseconds since 1970; now by default.
+        about: run metadata, see `about_run`; written first, so that incomplete records contain it.
     """
 
     def __init__(
@@ -85,13 +89,13 @@ class McapWriter:
         self._scene = scene
         self._tree = kinematic_tree(scene.model)
         self._types = typestore().types
-        self._last_ns = 0  # log times never go back, even if the cell's clock is set back
+        self._last_ns = 0  # log times never decrease, even if the cell's clock is reset
         self._closed = False
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._topics: dict[str, str] = {}  # by object
+        self._topics: dict[str, str] = {}  # object name -> topic
         self._touching = False
-        self._stream = WrittenBehind(self._part)  # no motion waits for a disk
+        self._stream = WrittenBehind(self._part)  # a slow disk must not delay a motion
         self._writer = Writer(cast("BinaryIO", self._stream), _CHUNK_BYTES, CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="armcell")
         if about is not None:
@@ -100,11 +104,11 @@ class McapWriter:
         self._moving = [i for i, joint in enumerate(joints) if joint.movable]
         self._ends = [(joint.parent, joint.child) for joint in joints]
         self._write_static()
-        self._stream.wait()  # a disk that takes nothing is found before anything moves
+        self._stream.wait()  # raise disk errors before the robot moves
 
-    # --- what is recorded ---
+    # --- recording ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
-        """The cell at one instant; the tree at positions q (dof,)."""
+        """Write the cell's state at one time, with link transforms for joint positions q (dof,)."""
         time, object_poses = sample.time, sample.object_poses
         stamp = self._stamp(time)
         self._write_joints("/joint_states", time, sample.joints)
@@ -131,7 +135,7 @@ class McapWriter:
                 pose=pose,
             )
         self._write("/tf", "tf2_msgs/msg/TFMessage", time, transforms=transforms)
-        self._stream.flush()  # whole chunks go to the disk as they come
+        self._stream.flush()  # write complete chunks to the disk
 
     def _write_joints(self, topic: str, time: float, state: JointState) -> None:
         v, effort = ((() if x is None else x) for x in (state.velocities, state.efforts))
@@ -149,14 +153,14 @@ class McapWriter:
         )  # fmt: skip
 
     def write_image(self, camera: str, time: float, png: bytes) -> None:
-        """A camera's picture, as a PNG file."""
+        """Write a camera image, given as PNG data."""
         header = self._header(self._stamp(time), camera)
         data = np.frombuffer(png, dtype=np.uint8)
         topic, kind = f"/camera/{ros_name(camera)}/compressed", "sensor_msgs/msg/CompressedImage"
         self._write(topic, kind, time, header=header, format="png", data=data)
 
     def write_result(self, result: Mapping[str, Any]) -> None:
-        """How the run ended."""
+        """Write the run's result."""
         self._write_json(RESULT, result)
 
     def _write_json(self, name: str, data: Mapping[str, Any]) -> None:
@@ -172,7 +176,7 @@ class McapWriter:
         Point = self._type("trajectory_msgs/msg/JointTrajectoryPoint")
         Duration = self._type("builtin_interfaces/msg/Duration")
         empty = np.zeros(0)
-        # Rows in one piece: a trajectory that was put together by joints may have them in columns.
+        # Messages need contiguous rows; trajectories assembled by joint may be stored column-wise.
         q, v, a = (
             None if rows is None else np.ascontiguousarray(rows, dtype=float)
             for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations)
@@ -200,7 +204,7 @@ class McapWriter:
         )
 
     def close(self) -> None:
-        """Finish the file and give it its name. May be called twice."""
+        """Finish the file and give it its final name; repeated calls have no effect."""
         if self._closed:
             return
         self._closed = True
@@ -259,13 +263,13 @@ class McapWriter:
     def _object_topic(self, name: str) -> str:
         if name not in self._topics:
             topic = f"/object_pose/{ros_name(name)}"
-            while topic in self._topics.values():  # "a b" and "a-b" must not share one
+            while topic in self._topics.values():  # "a b" and "a-b" must not share a topic
                 topic += "_"
             self._topics[name] = topic
         return self._topics[name]
 
     def _link_transforms(self, q: ArrayLike, joints: list[int], stamp: Any) -> list[Any]:
-        """TransformStamped of some joints, parent link -> child link, at q (dof,)."""
+        """Return TransformStamped messages, parent link -> child link, of some joints at q (dof,)."""
         Ts = self._tree.link_transforms(q)
         found = []
         for i in joints:
@@ -278,7 +282,7 @@ class McapWriter:
         return found
 
     def _both(self, T: SE3) -> tuple[Any, Any]:
-        """A transform as geometry_msgs Transform and Pose."""
+        """Convert a transform to a geometry_msgs Transform and a Pose."""
         x, y, z = T.translation.tolist()
         qw, qx, qy, qz = T.quat_wxyz.tolist()
         rotation = self._type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw)
@@ -307,7 +311,7 @@ class McapWriter:
 
 
 def urdf_text(scene: PlanningScene) -> str | None:
-    """The robot's URDF, if `model.source` names the file and it is of a size to be sent."""
+    """Return the robot's URDF text, or None if there is no URDF file or it is too large."""
     source = scene.model.source
     if not source.endswith(".urdf"):
         return None
@@ -319,8 +323,11 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know: arrays and numpy numbers as lists and numbers, objects, contacts, poses and
-    mappings by their parts, the rest as text."""
+    """Convert values that JSON does not support.
+
+    Arrays and numpy numbers become lists and numbers; objects, contacts, poses and mappings become
+    dictionaries; other values become text.
+    """
     if isinstance(value, CollisionObject):
         return object_data(value)
     if isinstance(value, SE3):

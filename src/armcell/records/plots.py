@@ -1,4 +1,4 @@
-"""The report's plots, as PNG. Matplotlib's object API with Agg only: no global state, no display."""
+"""Plots of the run report as PNG, with Matplotlib's object API: no global state, no display."""
 
 from __future__ import annotations
 
@@ -20,20 +20,25 @@ from armcell.records.stages import StageSpan
 Array = NDArray[np.float64]
 
 WIDTH_IN, DPI = 10.5, 110
-# Fixed margins [in], so that the time axes of all figures stand below each other.
+# Fixed margins [in] align the time axes of all figures.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN, LEGEND_ROW_IN = 0.75, 0.55, 0.85, 0.48, 0.22, 0.22
-_LEGEND_COLUMNS_IN = 1.3  # width of one entry
-# Okabe and Ito's colour-blind-safe palette, its yellow (too faint on white) replaced by grey.
+_LEGEND_COLUMNS_IN = 1.3  # width of one legend entry [in]
+# Okabe and Ito's colorblind-safe palette; gray replaces yellow, which is too faint on white.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
-_STYLES = ("-", "--", ":")  # from the ninth curve on
+_STYLES = ("-", "--", ":")  # line styles; the second is used from the ninth curve
 _BANDS = ("#F1F4F8", "#FFFFFF")
 _INK, _FAINT = "#374151", "#D5DAE1"
-_LABEL_GAP_IN = 0.15  # stage names closer than this would overlap
+_LABEL_GAP_IN = 0.15  # [in] minimum distance of stage names
+PANEL_COLUMNS, PANEL_IN = 3, 1.7  # panels of step responses; height [in]
 MAX_OBJECTS = len(PALETTE)
 
 
 def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) -> dict[str, bytes]:
-    """Positions and velocities over time, one figure per arm, by its group's name ("joints" for the rest)."""
+    """Plot joint positions and velocities over time as PNG, one figure per arm.
+
+    Returns:
+        Image by name of the arm's group; "joints" for joints without an arm.
+    """
     figures = {}
     for name, joints in _arms(model).items():
         columns = [series.joint_names.index(joint) for joint in joints]
@@ -45,18 +50,34 @@ def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) 
     return figures
 
 
-def response_plot(times: Array, curves: Mapping[str, Array], target: float, title: str) -> bytes:
-    """Step responses [deg] over time, and the target they should go to."""
-    figure, (ax,) = _figure(1, 3.2, len(curves))
-    ax.axhline(target, color="#9AA3AF", linewidth=1.0, linestyle=":")
-    _curves(ax, times, curves)
-    _finish(figure, (ax,), ("angle [deg]",), (), times)
-    ax.set_title(title, color=_INK, fontsize=10, loc="left")
+def response_plot(times: Array, curves: Mapping[str, Array], title: str) -> bytes:
+    """Plot step responses over time as PNG, one panel per joint.
+
+    Args:
+        times: (k,) [s].
+        curves: panel title -> response as a fraction of the step (k,).
+    """
+    columns = min(PANEL_COLUMNS, len(curves))
+    rows = math.ceil(len(curves) / columns)
+    figure = Figure(figsize=(WIDTH_IN, PANEL_IN * rows + TOP_IN), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, color=_INK, fontsize=10)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax, (name, curve) in zip(panels, curves.items()):
+        ax.axhline(1.0, color="#9AA3AF", linewidth=1.0, linestyle=":")
+        ax.plot(times, curve, color=PALETTE[0], linewidth=1.2)
+        ax.set_title(name, color=_INK, fontsize=7.5, loc="left")
+        ax.tick_params(labelsize=7, colors=_INK)
+        ax.grid(color=_FAINT, linewidth=0.5)
+    for ax in panels[len(curves) :]:
+        ax.set_visible(False)
+    figure.supxlabel("time [s]", color=_INK, fontsize=8)
+    figure.supylabel("share of the step", color=_INK, fontsize=8)
     return _png(figure)
 
 
 def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
-    """Width and force per finger over time; None if neither was recorded."""
+    """Plot gripper width and force per finger over time as PNG; None if neither was recorded."""
     rows = [
         ("width [mm]", {name: 1000 * v for name, v in series.gripper_width.items()}),
         ("force per finger [N]", dict(series.gripper_force)),
@@ -74,7 +95,7 @@ def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
 
 
 def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
-    """z of the movable objects in the world frame; of many, those that moved most."""
+    """Plot the height (world z) of movable objects as PNG, limited to those that moved most."""
     heights = {n: 1000 * z for n, z in series.object_heights.items() if np.isfinite(z).any()}
     if not heights:
         return None
@@ -86,7 +107,10 @@ def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
 
 
 def _arms(model: RobotModel) -> dict[str, list[str]]:
-    """Revolute joints by the arm that has them; sliding ones (fingers) show as the gripper's width."""
+    """Group the revolute joints by arm.
+
+    Prismatic finger joints are excluded, because the gripper width shows them.
+    """
     turning = [n for n in model.joint_names if model.joint(n).type != "prismatic"]
     arms: dict[str, list[str]] = {}
     for gripper in model.grippers.values():
@@ -96,9 +120,9 @@ def _arms(model: RobotModel) -> dict[str, list[str]]:
     return {name: names for name, names in {**arms, "joints": rest}.items() if names}
 
 
-# --- one look for all ---
+# --- common style ---
 def _figure(rows: int, row_in: float, entries: int) -> tuple[Figure, tuple[Axes, ...]]:
-    """Axes of `row_in` height [in] below each other, with room for a legend of so many entries."""
+    """Create a figure of stacked axes, each `row_in` high [in], with space for the legend."""
     legend = math.ceil(entries / _legend_columns(entries)) * LEGEND_ROW_IN if entries else 0.0
     bottom = BOTTOM_IN + legend
     height = TOP_IN + rows * row_in + (rows - 1) * GAP_IN + bottom
@@ -153,7 +177,10 @@ def _finish(
 
 
 def _name_stages(ax: Axes, stages: Sequence[StageSpan], begin: float, end: float) -> None:
-    """Stage names above the topmost axes, leaning; where two would overlap the shorter stage's goes."""
+    """Write slanted stage names above the topmost axes.
+
+    If two names would overlap, the name of the shorter stage is omitted.
+    """
     gap = (end - begin) * _LABEL_GAP_IN / (0.8 * WIDTH_IN)
     named = list(stages)
 

@@ -1,4 +1,4 @@
-"""Reading a run's record back, whole or cut off: whatever was complete in it is there."""
+"""Reader of run records; of an incomplete record it returns all complete messages."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from armcell.records.recorder import MCAP_FILE
 
 Array = NDArray[np.float64]
 
-LARGEST_RECORD = 1 << 30  # [bytes]: what claims to be larger is damage
+LARGEST_RECORD = 1 << 30  # [bytes] a larger length field means that the file is damaged
 _JOINTS = ("/joint_states", "/joint_targets", "/gripper_states")
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedJoints:
-    """A JointState message as it stands in the record. Empty arrays where nothing was known."""
+    """JointState message of a record; arrays are empty where values were unknown."""
 
     names: tuple[str, ...]
     positions: Array
@@ -42,22 +42,22 @@ class RecordedJoints:
 
 @dataclass(frozen=True, eq=False)
 class RecordedState:
-    """One instant, number for number as recorded."""
+    """State of the cell at one time, with the exact recorded values."""
 
-    nanoseconds: int  # of the cell's clock
+    nanoseconds: int  # time of the cell's clock
     joints: RecordedJoints
     targets: RecordedJoints | None = None
     grippers: RecordedJoints | None = None  # width [m] as position, force [N] as effort
-    poses: Mapping[str, Array] = field(default_factory=dict)  # by object: x, y, z, qx, qy, qz, qw
+    poses: Mapping[str, Array] = field(default_factory=dict)  # object -> x, y, z, qx, qy, qz, qw
     contacts: tuple[tuple[Any, ...], ...] = ()  # a, b, distance [m], x, y, z [m]
 
     @property
     def time(self) -> float:
-        """[s]"""
+        """Time of the state [s]."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
-        """As an observer got it."""
+        """Return the state as the `StateSample` that observers receive."""
         t, g = self.time, self.grippers
         return StateSample(
             t,
@@ -72,12 +72,12 @@ class RecordedState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A run as recorded.
+    """Recorded run.
 
     Attributes:
-        about: what ran, see `about_run`; empty in a record of something else than a cell's task.
-        result: how it ended, or None: it was cut off, or nobody said.
-        cut: why the record is not whole; empty if it is.
+        about: run metadata, see `about_run`; empty if the record is not of a cell's task.
+        result: result of the run; None if the record is incomplete or no result was written.
+        cut: cause of an incomplete record; empty for a complete one.
     """
 
     file: Path
@@ -86,24 +86,24 @@ class Record:
     cut: str
     states: tuple[RecordedState, ...]
     events: tuple[Event, ...]
-    trajectories: tuple[tuple[float, JointTrajectory], ...]  # time [s] at which each began
-    images: int = 0  # camera pictures in it
+    trajectories: tuple[tuple[float, JointTrajectory], ...]  # (start time [s], trajectory)
+    images: int = 0  # number of camera images
 
     @property
     def duration(self) -> float:
-        """[s] of the cell's clock, from the first state to the last."""
+        """Duration [s] of the cell's clock between the first and the last state."""
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Of the last state not after a time [s]."""
+        """Return the index of the last state at or before a time [s]."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 
 def record_file(run: str | Path) -> Path:
-    """The record of a run folder, or a record's own file.
+    """Return the record file of a run folder, or the given file itself.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no record.
     """
     path = Path(run)
     if path.is_file():
@@ -118,10 +118,10 @@ def record_file(run: str | Path) -> Path:
 
 
 def read_record(run: str | Path) -> Record:
-    """A record from a run folder or an MCAP file.
+    """Read a record from a run folder or an MCAP file.
 
     Raises:
-        InputError: no record, no MCAP, of another version, or cut off before the first state.
+        InputError: no record, not an MCAP file, unsupported version, or cut off before the first state.
     """
     file = record_file(run)
     reading = _Reading(file)
@@ -138,7 +138,7 @@ def read_record(run: str | Path) -> Record:
 
 
 class _Reading:
-    """The messages of a file put together."""
+    """Reader state that assembles a file's messages."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -148,14 +148,14 @@ class _Reading:
         self.events: list[Event] = []
         self.trajectories: list[tuple[float, JointTrajectory]] = []
         self.images = 0
-        self._start: int | None = None  # [ns]; of a record without `about` its first message
-        self._kinds: dict[int, str] = {}  # message type by schema
+        self._start: int | None = None  # [ns] start; without `about`, the time of the first message
+        self._kinds: dict[int, str] = {}  # schema id -> message type
         self._channels: dict[int, Any] = {}
-        self._parts: dict[str, Any] = {}  # of the state that is being read
+        self._parts: dict[str, Any] = {}  # messages of the state that is being read
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Why the file ends too early, or nothing."""
+        """Read the file; return the cause if it ends too early, else an empty string."""
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader
         from rosbags.serde.errors import SerdeError

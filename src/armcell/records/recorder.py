@@ -1,4 +1,4 @@
-"""`RunRecorder`: an observer that keeps a run: MCAP on disk as it goes, series in memory for the report."""
+"""`RunRecorder`: observer that records a run to MCAP, and in memory for the report."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ logger = logging.getLogger(__name__)
 
 MCAP_FILE = "run.mcap"
 MAX_RATE_HZ = 100.0
-"""Of the cell's clock: denser samples are passed over (the last one is always kept)."""
+"""Maximum sampling rate by the cell's clock; further samples are skipped, the last one is kept."""
 MOST_SAMPLES = 60_000
-"""In memory, for the report: of a longer run (10 minutes) every other one is left out, again and again."""
+"""Maximum samples in memory for the report (10 minutes); beyond it, every other sample is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A key moment: `rgb` (h, w, 3) uint8."""
+    """Image `rgb` (h, w, 3) uint8 of a key moment of a run."""
 
     time: float  # [s]
     title: str
@@ -41,7 +41,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """What was sampled, as arrays over time; NaN where a value was not known."""
+    """Sampled values of a run as arrays over time; unknown values are NaN."""
 
     times: Array  # (n,) [s]
     joint_names: tuple[str, ...]  # the model's order
@@ -55,16 +55,16 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """z of each object's origin in the world frame (n,) [m]."""
+        """World z of each object's origin (n,) [m], by object name."""
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
 def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
-    """Make `root/<YYYYmmdd-HHMMSS>-<cell>/`; a second run within the same second gets "-2" and so on.
+    """Create the folder `root/<YYYYmmdd-HHMMSS>-<cell>/`, with a suffix "-2", ... if it exists.
 
     Args:
-        root: usually "runs"; made if missing.
-        cell: the cell's name or path (its last part counts).
+        root: usually "runs"; created if missing.
+        cell: the cell's name or path; only the last path component is used.
     """
     stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(cell).stem).strip("._") or "run"
     base = f"{now or datetime.now():%Y%m%d-%H%M%S}-{stem}"
@@ -87,18 +87,18 @@ def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
 
 
 class RunRecorder:
-    """Observer that writes `run.mcap` into a folder and keeps what the report needs.
+    """Observer that writes `run.mcap` into a folder and keeps the data for the report.
 
-    The MCAP has a temporary name until `close`; leaving the `with` block closes it, after an error too. Where
-    an error came before the first state, no folder is left.
+    The MCAP file has a temporary name until `close`. Leaving the `with` block closes it, also after an error.
+    If an error occurs before the first state, the folder is removed.
 
     Args:
-        folder: the run's folder (`new_run_folder`); made if missing.
-        scene: the robot and objects that are watched.
-        start_ns: what cell time 0 is in the MCAP, nanoseconds since 1970; now by default.
-        about: what runs, see `about_run`; without it the record can be looked at, not executed again.
+        folder: the run's folder (`new_run_folder`); created if missing.
+        scene: scene with the recorded robot and objects.
+        start_ns: time of cell time 0 in the MCAP, in nanoseconds since 1970; now by default.
+        about: run metadata, see `about_run`; without it, the record can be viewed but not executed again.
     Raises:
-        InputError: no record can be begun there: it is said before anything moves.
+        InputError: the record cannot be created; raised before the robot moves.
     """
 
     def __init__(
@@ -116,13 +116,13 @@ class RunRecorder:
         self.trajectories: list[tuple[float, JointTrajectory]] = []
         self.pictures: list[Picture] = []
         self._samples: list[StateSample] = []
-        self._count, self._every = 0, 1  # samples on disk; which of them stay in memory
-        self._last: StateSample | None = None  # on disk
-        self._skipped: StateSample | None = None  # the newest one, if it was passed over
+        self._count, self._every = 0, 1  # samples on disk; every n-th stays in memory
+        self._last: StateSample | None = None  # last sample on disk
+        self._skipped: StateSample | None = None  # newest sample, if it was skipped
         self._due = -np.inf
         self._q = np.array(scene.positions)
         self._column = {name: i for i, name in enumerate(scene.model.joint_names)}
-        self._lock = SteadyLock()  # an interrupt must not leave half a message in the file
+        self._lock = SteadyLock()  # an interrupt must not leave an incomplete message
         self._closed = False
         self._broken: OSError | None = None
         try:
@@ -137,7 +137,7 @@ class RunRecorder:
 
     @property
     def mcap_file(self) -> Path:
-        """Where the record is once closed."""
+        """Path of the record after `close`."""
         return self._mcap.file
 
     # --- Observer ---
@@ -160,9 +160,9 @@ class RunRecorder:
             self.trajectories.append((time, trajectory))
             self._keep_on_disk(lambda: self._mcap.write_trajectory(time, trajectory))
 
-    # --- besides ---
+    # --- additions ---
     def add_picture(self, time: float, title: str, rgb: NDArray[np.uint8]) -> None:
-        """A picture of a key moment for the report, `rgb` (h, w, 3) uint8."""
+        """Add an image `rgb` (h, w, 3) uint8 of a key moment to the report."""
         image = np.asarray(rgb)
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
             raise InputError(
@@ -172,7 +172,7 @@ class RunRecorder:
             self.pictures.append(Picture(time, title, image.copy()))
 
     def add_frame(self, time: float, camera: str, rgb: NDArray[np.uint8]) -> None:
-        """A camera's picture into the record, `rgb` (h, w, 3) uint8."""
+        """Write a camera image `rgb` (h, w, 3) uint8 into the record."""
         from PIL import Image
 
         file = io.BytesIO()
@@ -181,14 +181,14 @@ class RunRecorder:
             self._keep_on_disk(lambda: self._mcap.write_image(camera, time, file.getvalue()))
 
     def finish(self, result: Mapping[str, Any]) -> None:
-        """Keep how the run ended, and close."""
+        """Write the run's result and close the record."""
         with self._lock:
             self._keep_last()
             self._keep_on_disk(lambda: self._mcap.write_result(result))
         self.close()
 
     def series(self) -> Series:
-        """Everything sampled so far; of a long run (`MOST_SAMPLES`) evenly less."""
+        """Return all samples so far; a run with more than `MOST_SAMPLES` samples is evenly thinned."""
         with self._lock:
             samples, newest = list(self._samples), self._skipped or self._last
         if newest is not None and newest is not samples[-1]:
@@ -196,7 +196,7 @@ class RunRecorder:
         return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
-        """Write the last sample and finish the MCAP. May be called twice."""
+        """Write the last sample and finish the MCAP file; repeated calls have no effect."""
         with self._lock:
             if self._closed:
                 return
@@ -210,7 +210,7 @@ class RunRecorder:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close()
-        if kind is not None and self._last is None:  # of a run that did not begin nothing is left
+        if kind is not None and self._last is None:  # the run did not begin: remove its files
             with contextlib.suppress(OSError):
                 for file in (self.mcap_file, self.mcap_file.with_name(self.mcap_file.name + ".part")):
                     file.unlink(missing_ok=True)
@@ -222,7 +222,7 @@ class RunRecorder:
             self._keep(self._skipped)
 
     def _keep_on_disk(self, write: Callable[[], None]) -> None:
-        """A disk that is full ends the record, not the run: a real arm may be moving."""
+        """Run a write; a disk error ends the recording but not the run, as a real arm may be moving."""
         if self._closed or self._broken is not None:
             return
         try:
@@ -242,7 +242,7 @@ class RunRecorder:
             del self._samples[1::2]
             self._every *= 2
         self._last, self._skipped = sample, None
-        # From one due time to the next, so that the rate holds whatever the physics' step is.
+        # Advance by whole periods, so that the rate does not depend on the physics time step.
         late = not 0 <= sample.time - self._due < 1 / MAX_RATE_HZ
         self._due = (sample.time if late else self._due) + 1 / MAX_RATE_HZ
         for name, value in zip(sample.joints.joint_names, sample.joints.positions, strict=True):
@@ -279,7 +279,7 @@ def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
 
 
 def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
-    """One kind of value of a state in the order wanted, NaN for joints it does not have."""
+    """Return one kind of joint values in the given joint order, NaN for missing joints."""
     values = getattr(state, kind)
     if values is None or state.joint_names == joint_names:
         return values

@@ -1,4 +1,4 @@
-"""`write_report`: a run as one HTML file that needs nothing else: no network, no scripts, no other file."""
+"""`write_report`: run report as one self-contained HTML file without network or scripts."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ MAX_EVENTS = 2000
 
 
 def write_report(folder: Path, result: Mapping[str, Any], recorder: RunRecorder) -> Path:
-    """Write `report.html` into the run's folder; appears whole or not at all.
+    """Write `report.html` atomically into the run's folder.
 
     Args:
-        folder: the run's folder; made if missing.
+        folder: the run's folder; created if missing.
         result: the run's JSON: success, error_code, error_name, message, cell, task, mode, seed,
             stages [{name, planner, planning_time_s, motion_time_s, clearance_m, slip_m, error, ok}], slip_m,
-            placement_error_m, unwanted_contacts, min_clearance_m, welds, versions, command. What is
-            missing shows as a dash.
-        recorder: what was seen of the run; may be closed already.
+            placement_error_m, unwanted_contacts, min_clearance_m, welds, versions, command. Missing
+            entries are shown as a dash.
+        recorder: recorder of the run; may be closed already.
     Returns:
-        The file.
+        Path of the report.
     Raises:
-        OSError: it cannot be written; nothing of it is left.
+        OSError: the file is not writable; no partial file remains.
     """
     parts = [
         _headline(result),
@@ -85,7 +85,7 @@ def _headline(result: Mapping[str, Any]) -> str:
 
 
 def _error_words(result: Mapping[str, Any]) -> str:
-    """An error code's name as words: "goal in collision (-12)"."""
+    """Format an error code as words, e.g. "goal in collision (-12)"."""
     code, name = result.get("error_code"), result.get("error_name")
     if not name and isinstance(code, int):
         name = next((c.name for c in ErrorCode if c.value == code), None)
@@ -100,7 +100,7 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """A list of mappings of the result; entries of another kind become {"what": entry}."""
+    """Return a list of mappings from the result; other entries become {"what": entry}."""
     value = result.get(key) or []
     if not isinstance(value, list | tuple):
         value = [value]
@@ -187,7 +187,7 @@ def _contacts(result: Mapping[str, Any]) -> str:
 
 
 def _column_title(key: str) -> str:
-    """A JSON key as a heading: its unit in brackets (`force_n` -> "force [N]")."""
+    """Format a JSON key as a heading with its unit: `force_n` -> "force [N]"."""
     stem, _, unit = key.rpartition("_")
     known = {"s": "s", "n": "N", "m": "mm", "rad": "rad"}
     return f"{stem.replace('_', ' ')} [{known[unit]}]" if stem and unit in known else key.replace("_", " ")
@@ -221,7 +221,7 @@ def _events(recorder: RunRecorder) -> str:
 
 
 def _event_words(event: Event) -> str:
-    """An event's text; a stage's with its name, phase and error, as far as the text does not say them."""
+    """Return an event's text; for stage events add missing stage name, phase and error."""
     if event.kind != "stage":
         return event.text
     words = event.text if stage_name(event) in event.text else f"{stage_name(event)}: {event.text}"
@@ -267,7 +267,7 @@ def _plots(recorder: RunRecorder) -> str:
         height = plots.height_plot(series, spans)
         if height:
             out.append(f"<h3>Object height</h3>{html.image(height, 'object height over time')}")
-    except Exception:  # a plot that fails must not take the numbers with it
+    except Exception:  # a failing plot must not suppress the numbers
         logger.exception("a plot of the report failed")
         out.append('<p class="none">A plot could not be drawn; see the log.</p>')
     return "\n".join(out) or '<p class="none">Nothing to plot.</p>'

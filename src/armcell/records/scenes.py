@@ -1,4 +1,4 @@
-"""The planning scenes that a recorded run went through."""
+"""Sequence of planning scenes in a recorded run."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from armcell.scene import PlanningScene
 
 
 def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
-    """The scene at the beginning and after every change, with the time [s] of each. Robot and movable objects
-    stand where they did at the beginning: states say where they are.
+    """Return the scene at the start and after each change, with times [s].
+
+    The robot and the movable objects keep their initial poses; the recorded states contain their motion.
     """
     found = [(record.states[0].time, start)]
     for event in record.events:

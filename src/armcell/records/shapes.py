@@ -1,4 +1,4 @@
-"""Objects that come into a scene during a run, as JSON in its record, and back."""
+"""JSON conversion of objects that are added to a scene during a run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ def pose_data(T: SE3) -> dict[str, Any]:
 
 
 def object_data(item: CollisionObject) -> dict[str, Any]:
-    """Clouds of points and octrees are only named: they may be large and come ten times a second."""
+    """Convert an object to JSON data.
+
+    Point clouds and octrees are stored by name only, because they are large and may arrive ten times a
+    second.
+    """
     return {
         "shapes": [{**_shape_data(shape), "pose": pose_data(T)} for shape, T in item.shapes],
         "pose": pose_data(item.T_world_object),
@@ -35,7 +39,7 @@ def object_data(item: CollisionObject) -> dict[str, Any]:
 
 
 def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
-    """None where nothing of it was recorded."""
+    """Create an object from its JSON data; None if no geometry was recorded."""
     shapes = [
         (shape, SE3.from_mapping(each["pose"], "pose"))
         for each in data["shapes"]

@@ -1,4 +1,4 @@
-"""Which stage ran when, from the events of a run."""
+"""Time spans of a run's stages, derived from its events."""
 
 from __future__ import annotations
 
@@ -18,18 +18,23 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """`data["name"]` or `data["stage"]` of a stage event, else its text."""
+    """Return a stage event's name: `data["name"]` or `data["stage"]`, else its text."""
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 
 def ends_stage(event: Event) -> bool:
-    """Whether a stage event tells of an end: by `data["phase"]`, which otherwise is "begin"."""
+    """Return True if a stage event marks the end of the stage.
+
+    The phase is `data["phase"]`, by default "begin".
+    """
     return str(event.data.get("phase", "begin")).lower() in _ENDS
 
 
 def stage_spans(events: Iterable[Event], until: float) -> list[StageSpan]:
-    """The stages in time order. One begins with its event and ends with its end event, the next stage's
-    beginning or `until` [s], whichever comes first; spans without length are left out.
+    """Return the time spans of the stages, in time order.
+
+    A stage ends with its end event, the start of the next stage or `until` [s], whichever comes first. Empty
+    spans are omitted.
     """
     spans: list[StageSpan] = []
     name, begin = None, 0.0

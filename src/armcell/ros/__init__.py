@@ -1,4 +1,7 @@
-"""Messages, the in-process bus and the wires (Unity, ROS 1, ROS 2), with nothing of ROS installed."""
+"""ROS messages, an in-process bus, and transports to Unity, ROS 1 and ROS 2.
+
+The package needs no ROS installation.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +49,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """The nodes bring physics and planners along: only for those who ask for them."""
+    """Import the node and ROS 2 classes on first access, because they load physics and planners."""
     if name in ("CellNode", "ServedCell", "ServedPlanner"):
         from armcell.ros import nodes
 

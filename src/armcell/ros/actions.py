@@ -1,7 +1,8 @@
-"""Actions in ROS 1's style: five topics (goal, cancel, status, feedback, result) with actionlib's states.
+"""Actions in the style of ROS 1: five topics and the goal states of actionlib.
 
-Written on topics so that any transport carries them: a client in this process, in Unity or behind ROS 1 is
-served alike. States and transitions: wiki.ros.org/actionlib/DetailedDescription.
+The topics are goal, cancel, status, feedback and result. Any transport can carry topics, so clients in this
+process, in Unity and in ROS 1 all use the same server. States and transitions:
+wiki.ros.org/actionlib/DetailedDescription.
 """
 
 from __future__ import annotations
@@ -16,20 +17,22 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from armcell.core import ArmcellError, InputError
+from armcell.core import ArmcellError, ErrorCode, InputError
 from armcell.ros.bus import Bus
 from armcell.ros.names import resolve
+from armcell.ros.reasons import failed
 
 logger = logging.getLogger(__name__)
 STATUS_PERIOD = 0.2  # [s] actionlib's status_frequency is 5 Hz
 KEPT_FOR = 5.0  # [s] a finished goal stays in the status list: actionlib's status_list_timeout
 GOAL_QUEUE = 50
-INBOX = 256  # a client's results, feedback and status
-MAX_GOALS = 32  # waiting and at work; further ones are rejected
+INBOX = 256  # queue size for a client's results, feedback and status messages
+CANCELED, REPLACED = "canceled by a client", "preempted by a newer goal"
+MAX_GOALS = 32  # unfinished goals; the server rejects further goals
 
 
 class State(IntEnum):
-    """actionlib_msgs/GoalStatus, and LOST, which only clients use."""
+    """Goal states of actionlib_msgs/GoalStatus, and LOST, which only clients use."""
 
     PENDING = 0
     ACTIVE = 1
@@ -44,7 +47,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State:
-        return cls.LOST  # a number that came over a wire and means nothing
+        return cls.LOST  # a received number that is not a valid state
 
     @property
     def is_over(self) -> bool:
@@ -56,7 +59,7 @@ _OVER = (State.PREEMPTED, State.SUCCEEDED, State.ABORTED, State.REJECTED, State.
 
 @dataclass(frozen=True)
 class Done:
-    """How a goal ended."""
+    """Final state, result message and status text of an action goal."""
 
     state: State
     result: Any  # the action's Result message
@@ -64,18 +67,28 @@ class Done:
 
 
 class Goal:
-    """A goal being worked on, as its `execute` function sees it."""
+    """An action goal, as passed to the server's `execute` function."""
 
     def __init__(self, server: ActionServer, goal_id: Any, message: Any):
         self._server = server
         self.id, self.message = goal_id, message
         self.state, self.text = State.PENDING, ""
         self.cancel = threading.Event()
-        """Set when the goal shall stop: by a cancel message or by a newer goal."""
+        """Set when a cancel message or a newer goal requires this goal to stop."""
+        self.why_stopped = ""
+        self.accepted = False
         self.finished_at: float | None = None
 
+    def accept(self) -> None:
+        """Accept a pending goal, like `setAccepted` in actionlib.
+
+        A pending goal becomes active; a goal whose cancellation is already requested becomes preempting.
+        """
+        self._server._accept(self)
+
     def feedback(self, feedback: Any) -> None:
-        """Tell the client how it goes; a Feedback message of the action."""
+        """Accept the goal, if it is pending, and send a Feedback message to the client."""
+        self.accept()
         self._server._publish("feedback", feedback=feedback, status=self.status())
 
     def status(self) -> Any:
@@ -89,30 +102,36 @@ Execute = Callable[[Goal], Done]
 
 
 class ActionServer:
-    """Serves an action.
+    """An action server on the bus.
 
     Args:
-        type_name: without the suffix, e.g. "moveit_msgs/MoveGroup".
-        execute: works on a goal in a thread of its own, watches `goal.cancel`, returns how it ended.
-        concurrent: False as actionlib's SimpleActionServer: a new goal cancels the one at work and waits
-            for its end; True: each starts at once.
-        owner: a transport that serves it for somebody behind its wire (see `Bus.advertise`).
+        bus: the message bus.
+        name: name of the action.
+        type_name: action type without the suffix `Action`, e.g. "moveit_msgs/MoveGroup".
+        execute: executes one goal in a separate thread, monitors `goal.cancel`, and returns the final state
+            and result.
+        concurrent: if False, a new goal cancels the current goal and waits until it ends, as in actionlib's
+            SimpleActionServer; if True, goals run in parallel.
+        owner: the transport for which this server acts, if the real server is remote (see `Bus.advertise`).
+        accepts: if True, the server accepts each goal before it calls `execute`; if False, the goal stays
+            pending until `execute` calls `goal.accept()`, so that `execute` can still return REJECTED.
     Raises:
-        UnknownNameError: no such action.
+        UnknownNameError: the action type does not exist.
     """
 
     def __init__(
         self, bus: Bus, name: str, type_name: str, execute: Execute, concurrent: bool = False,
-        owner: object = None,
+        owner: object = None, accepts: bool = True,
     ):  # fmt: skip
         self.bus, self.name = bus, resolve(name)
         self.type = bus.schema.action(type_name)
-        self._execute, self._concurrent = execute, concurrent
+        self._execute, self._concurrent, self._owner = execute, concurrent, owner
+        self._accepts = accepts
         self._lock = threading.Lock()
         self._goals: dict[str, Goal] = {}
-        self._turn = threading.Lock()  # held by the goal at work, unless concurrent
-        self._numbers = itertools.count(1)  # of goals that come without an id
-        self._cancelled_until = 0  # [ns] goals stamped up to here are cancelled on arrival
+        self._turn = threading.Lock()  # held by the goal that executes, unless `concurrent`
+        self._numbers = itertools.count(1)  # for ids of goals that arrive without an id
+        self._cancelled_until = 0  # [ns] goals with a stamp up to this time are canceled on arrival
         self._stop = threading.Event()
         self._pub = {
             "feedback": bus.advertise(f"{self.name}/feedback", f"{self.type}ActionFeedback"),
@@ -128,7 +147,7 @@ class ActionServer:
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:
-        """Cancel what is at work and leave the bus."""
+        """Cancel all goals and remove the server from the bus."""
         self._stop.set()
         with self._lock:
             goals = list(self._goals.values())
@@ -151,21 +170,25 @@ class ActionServer:
         goal = Goal(self, goal_id, message.goal)
         with self._lock:
             if goal_id.id in self._goals:
-                return  # actionlib: a goal is taken once
+                return  # as in actionlib, a repeated goal id is ignored
             others = [g for g in self._goals.values() if not g.state.is_over]
             self._goals[goal_id.id] = goal
         if 0 < stamp <= self._cancelled_until:
+            goal.why_stopped = CANCELED
             goal.cancel.set()
         if len(others) >= MAX_GOALS:
             self._finish(goal, Done(State.REJECTED, self._empty_result(), f"{MAX_GOALS} goals wait already"))
             return
         if not self._concurrent:
             for other in others:
-                self._ask_to_stop(other)
+                self._ask_to_stop(other, REPLACED)
         threading.Thread(target=self._work, args=(goal,), name=f"goal {self.name}", daemon=True).start()
 
     def _on_cancel(self, message: Any) -> None:
-        """By id; by time (every goal up to the stamp); by both; or all, when neither is given."""
+        """Cancel goals by id, by time stamp (all goals up to the stamp), by both, or all goals.
+
+        A cancel message without id and stamp cancels all goals.
+        """
         stamp = message.stamp.to_nsec()
         with self._lock:
             goals = [g for g in self._goals.values() if not g.state.is_over]
@@ -173,10 +196,11 @@ class ActionServer:
         everything = not message.id and not stamp
         for goal in goals:
             if everything or goal.id.id == message.id or (stamp and goal.id.stamp.to_nsec() <= stamp):
-                self._ask_to_stop(goal)
+                self._ask_to_stop(goal, CANCELED)
 
-    def _ask_to_stop(self, goal: Goal) -> None:
+    def _ask_to_stop(self, goal: Goal, why: str) -> None:
         with self._lock:
+            goal.why_stopped = goal.why_stopped or why
             after = {State.PENDING: State.RECALLING, State.ACTIVE: State.PREEMPTING}
             goal.state = after.get(goal.state, goal.state)
         goal.cancel.set()
@@ -191,17 +215,16 @@ class ActionServer:
                 self._run(goal)
 
     def _run(self, goal: Goal) -> None:
-        with self._lock:
-            recalled = goal.cancel.is_set()
-            if not recalled:
-                goal.state = State.ACTIVE
-        if recalled:
+        if goal.cancel.is_set():
             done = Done(State.RECALLED, self._empty_result(), "cancelled before it began")
         else:
-            self._publish_status()
+            if self._accepts:
+                self._accept(goal)
+            else:
+                self._publish_status()  # clients see the pending state before a rejection
             try:
                 done = self._execute(goal)
-            except ArmcellError as error:  # what was asked cannot be: told, as services do
+            except ArmcellError as error:  # an expected failure: the result states the reason
                 logger.warning("action %s: %s", self.name, error)
                 done = Done(State.ABORTED, self._empty_result(), str(error))
             except Exception as error:
@@ -212,9 +235,32 @@ class ActionServer:
     def _empty_result(self) -> Any:
         return self.bus.schema.new(f"{self.type}Result")
 
-    def _finish(self, goal: Goal, done: Done) -> None:
+    def _accept(self, goal: Goal) -> None:
         with self._lock:
-            goal.state, goal.text = done.state, done.text
+            if goal.accepted:
+                return
+            goal.accepted = True
+            after = {State.PENDING: State.ACTIVE, State.RECALLING: State.PREEMPTING}
+            goal.state = after.get(goal.state, goal.state)
+        self._publish_status()
+
+    def _finish(self, goal: Goal, done: Done) -> None:
+        """Publish the final state of a goal, corrected to a transition that actionlib allows.
+
+        Only a pending goal can be rejected or recalled; only an accepted goal can succeed, abort or be
+        preempted.
+        """
+        if self._owner is None:  # otherwise the server behind the transport has stated the reason
+            done = _explained(done, goal.why_stopped)
+        state = done.state
+        if goal.accepted:
+            state = {State.REJECTED: State.ABORTED, State.RECALLED: State.PREEMPTED}.get(state, state)
+        elif state is State.PREEMPTED:
+            state = State.RECALLED
+        elif state not in (State.REJECTED, State.RECALLED):
+            self._accept(goal)
+        with self._lock:
+            goal.state, goal.text = state, done.text
             goal.finished_at = self.bus.clock.now()
         self._publish("result", result=done.result, status=goal.status())
         self._publish_status()
@@ -228,7 +274,7 @@ class ActionServer:
         try:
             self._pub[part].publish(message)
         except InputError:
-            if not self._stop.is_set():  # else closed meanwhile
+            if not self._stop.is_set():  # otherwise `close` was called in the meantime
                 raise
 
     def _publish_status(self) -> None:
@@ -248,8 +294,19 @@ class ActionServer:
             self._publish_status()
 
 
+def _explained(done: Done, why_stopped: str) -> Done:
+    """Return the outcome of a goal with its failure reason also written into the result message."""
+    if done.state is State.SUCCEEDED:
+        return done
+    stopped = done.state in (State.PREEMPTED, State.RECALLED)
+    why = why_stopped if stopped and why_stopped not in done.text else ""
+    text = ": ".join(part for part in (why, done.text) if part)
+    code = ErrorCode.PREEMPTED if stopped else ErrorCode.FAILURE
+    return Done(done.state, failed(done.result, text, code), text)
+
+
 class SentGoal:
-    """A goal as its client sees it."""
+    """Client-side handle of an action goal: its state, status text and result."""
 
     def __init__(self, client: ActionClient, goal_id: Any, on_feedback: Callable[[Any], None] | None):
         self._client, self._on_feedback = client, on_feedback
@@ -258,7 +315,7 @@ class SentGoal:
         self._over = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Whether the result is there, after waiting for it up to `timeout` [s]."""
+        """Wait up to `timeout` [s] for the result; return True if it has arrived."""
         return self._over.wait(timeout)
 
     def cancel(self) -> None:
@@ -266,7 +323,7 @@ class SentGoal:
 
 
 class ActionClient:
-    """Sends goals to an action served on the bus, here or behind a transport."""
+    """Client that sends goals to an action server on the bus or behind a transport."""
 
     _numbers = itertools.count(1)
 
@@ -277,7 +334,7 @@ class ActionClient:
         self._lock = threading.Lock()
         self._goal = bus.advertise(f"{self.name}/goal", f"{self.type}ActionGoal")
         self._cancel = bus.advertise(f"{self.name}/cancel", "actionlib_msgs/GoalID")
-        # One queue for the three topics: a goal's feedback must not be overtaken by its result.
+        # The three topics share one queue, so that a goal's result cannot overtake its feedback.
         self._inbox = bus.subscribe(f"{self.name}/result", f"{self.type}ActionResult", None, INBOX)
         self._inbox.join(f"{self.name}/feedback", f"{self.type}ActionFeedback")
         self._inbox.join(f"{self.name}/status", "actionlib_msgs/GoalStatusArray")
@@ -294,7 +351,11 @@ class ActionClient:
         self.close()
 
     def wait_for_server(self, timeout: float | None = None) -> bool:
-        """Whether somebody takes goals and all five topics are connected, after waiting for that."""
+        """Wait up to `timeout` [s] until all five topics of the action are connected to a server.
+
+        Returns:
+            True if a server receives goals and cancels and publishes result, feedback and status.
+        """
         give_up = None if timeout is None else time.monotonic() + timeout
         while True:
             version = self.bus.wait_change(-1, 0)
@@ -308,7 +369,12 @@ class ActionClient:
             self.bus.wait_change(version, left)
 
     def send(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> SentGoal:
-        """Send a Goal message of the action."""
+        """Send a Goal message to the action server and return the handle of the goal.
+
+        Args:
+            goal: Goal message of the action.
+            on_feedback: called with each Feedback message for this goal.
+        """
         schema, stamp = self.bus.schema, self.bus.stamp()
         text = f"/armcell-{os.getpid()}-{next(self._numbers)}-{stamp.to_sec():.9f}"
         goal_id = schema.new("actionlib_msgs/GoalID", stamp=stamp, id=text)
@@ -321,12 +387,12 @@ class ActionClient:
 
     @property
     def unfinished(self) -> list[SentGoal]:
-        """Goals that were sent and have no result yet."""
+        """Goals that this client sent and that have no result yet."""
         with self._lock:
             return list(self._goals.values())
 
     def cancel_all(self) -> None:
-        """Cancel every goal of the server, other clients' too."""
+        """Cancel every goal of the server, including goals of other clients."""
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))
 
     def _receive(self, message: Any) -> None:

@@ -1,80 +1,122 @@
-"""The in-process bus: topics, services, parameters and a clock, shared by whoever is in this process.
+"""The in-process message bus: topics, services, parameters and a clock.
 
-The served nodes are written once against it; a transport (Unity, ROS 1, ROS 2) is one more publisher,
-subscriber and server on it. Messages are passed as they are, not copied: whoever publishes one leaves it
-alone afterwards, whoever receives one does not write to it.
+Nodes use only the bus; each transport (Unity, ROS 1, ROS 2) acts as one more publisher, subscriber and server
+on it. The bus passes messages by reference: a publisher must not change a message after publishing it, and
+receivers must not write to it.
 """
 
 from __future__ import annotations
 
+import copy
 import logging
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from armcell.core import ArmcellError, InputError, UnknownNameError
 from armcell.core.checks import require
 from armcell.ros.clock import Clock
 from armcell.ros.definitions import plain_name
-from armcell.ros.names import resolve
-from armcell.ros.parameters import Parameters
+from armcell.ros.names import NameMap, resolve
+from armcell.ros.parameters import Parameters, RenamedParameters
 from armcell.ros.schema import Schema
 from armcell.ros.schema import schema as built_in
 
 logger = logging.getLogger(__name__)
-QUEUE_SIZE = 10  # ROS scripts' usual one
+QUEUE_SIZE = 10  # usual value in ROS scripts
 
-LOOK_PERIOD = 0.1  # [s] between two looks whether a service is there behind a wire
+LOOK_PERIOD = 0.1  # [s] polling period for a service behind a transport
 
 Put = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 Finder = Callable[[str], Handler | None]
-"""Gives what answers a service behind a wire, by its full name; None where nobody serves it there."""
+"""Returns the handler of a service behind a transport by its full name, or None if there is no server."""
 
 
 class ServiceError(ArmcellError):
-    """A service call that got no answer: nobody serves it, its handler failed, or time ran out."""
+    """A failed service call: no server, an error in the handler, or a timeout."""
 
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """A topic as it is now."""
+    """Snapshot of a topic: its type, connections and message counts."""
 
     name: str
     type: str
     publishers: int
     subscribers: int
-    messages: int  # published since the topic came up
-    dropped: int  # of its subscriptions' queues, since they came up
-    latched: bool = False  # one of its publishers keeps its last message for whoever comes later
+    messages: int  # published since the topic was created
+    dropped: int  # messages that full queues of current subscriptions have dropped
+    latched: bool = False  # at least one publisher sends its last message to new subscribers
 
 
 class Bus:
-    """Thread-safe. Locks are held for bookkeeping only, never while somebody's callback or handler runs."""
+    """Thread-safe message bus within one process.
+
+    The bus never holds a lock while a callback or service handler runs.
+    """
 
     def __init__(self, schema: Schema | None = None):
         self.schema = schema or built_in()
         self.clock = Clock()
-        self.parameters = Parameters()
+        self._names: NameMap | None = None
+        self._root, self._parameters = self, Parameters()
         self._lock = threading.Lock()
         self._topics: dict[str, _Topic] = {}
         self._services: dict[str, Service] = {}
         self._finders: list[Finder] = []
         self._changed = threading.Condition(self._lock)
-        self._version = 0  # counts who came and went
+        self._versions = [0]  # counts changes of publishers, subscribers and services; shared by all views
+
+    def renamed(self, names: NameMap | None) -> Bus:
+        """Return a view of this bus that maps a program's names by its namespace and remappings.
+
+        Transports use the bus itself, so that a namespace or remapping has the same effect on all of them.
+        """
+        view = copy.copy(self)
+        view._names = names
+        return view
+
+    @property
+    def names(self) -> NameMap | None:
+        """Map between this program's names and the bus's names; None for the bus itself."""
+        return self._names
+
+    @property
+    def parameters(self) -> Parameters:
+        found = self._root._parameters
+        return found if self._names is None else RenamedParameters(found, self._names)
+
+    @parameters.setter
+    def parameters(self, parameters: Parameters) -> None:
+        self._root._parameters = parameters
+
+    def full_name(self, name: str) -> str:
+        """Return the full name on the bus for a topic or service name that a program uses.
+
+        Raises:
+            InputError: ROS does not accept the name.
+        """
+        return resolve(name) if self._names is None else self._names.to_graph(name)
+
+    def _own_name(self, name: str) -> str:
+        return name if self._names is None else self._names.to_bus(name)
 
     # --- topics ---
     def advertise(self, topic: str, type_name: str, latch: bool = False, owner: object = None) -> Publisher:
-        """A publisher. With `latch`, later subscribers get its last message at once.
+        """Create a publisher on a topic.
 
         Args:
-            owner: a transport; its own attachments do not get what it publishes.
+            topic: name of the topic.
+            type_name: message type, `pkg/Name`.
+            latch: if True, each new subscriber receives the last message immediately.
+            owner: the transport that publishes; its own attachments do not receive these messages.
         Raises:
-            InputError: the topic carries another type, or its name is none.
-            UnknownNameError: no such message type.
+            InputError: the topic has another type, or the name is invalid.
+            UnknownNameError: the message type does not exist.
         """
         return self._join(topic, type_name, lambda t: Publisher(self, t, latch, owner))
 
@@ -85,13 +127,19 @@ class Bus:
         callback: Callable[[Any], None] | None = None,
         queue_size: int = QUEUE_SIZE,
     ) -> Subscription:
-        """A subscription: read it with `get`, or give a callback, which runs in a thread of its own.
+        """Subscribe to a topic; read messages with `get`, or pass a callback.
 
-        Its queue holds `queue_size` messages; a full one drops its oldest and counts that.
+        The callback runs in a separate thread. When the queue is full, the oldest message is dropped and
+        counted.
 
+        Args:
+            topic: name of the topic.
+            type_name: message type, `pkg/Name`.
+            callback: called with each message.
+            queue_size: maximum number of unread messages.
         Raises:
-            InputError: the topic carries another type, or its name is none.
-            UnknownNameError: no such message type.
+            InputError: the topic has another type, or the name is invalid.
+            UnknownNameError: the message type does not exist.
         """
         subscription = self._join(topic, type_name, lambda t: Subscription(self, t, queue_size))
         if callback is not None:
@@ -99,28 +147,40 @@ class Bus:
         return subscription
 
     def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
-        """For transports: `put` is called with each message in the publisher's thread, in order.
+        """Attach a transport's function to a topic; the bus calls it in the publisher's thread.
 
-        It must be quick, must not fail, and must not use the bus. What publishers of the same `owner`
-        publish is not given: it came over the wire that it would go back to.
+        `put` receives the messages in order. It must be quick, must not raise, and must not use the bus. It
+        does not receive messages of publishers with the same `owner`, because those messages arrived through
+        the same transport.
+
+        Args:
+            topic: name of the topic.
+            type_name: message type, `pkg/Name`.
+            put: called with each message.
+            owner: the transport.
         """
         return self._join(topic, type_name, lambda t: Attachment(self, t, put, owner))
 
     def topics(self, besides: object = None) -> list[TopicInfo]:
-        """Every topic with a publisher or a subscriber, not counting those of one owner."""
+        """List the topics, each with its number of publishers and subscribers.
+
+        Args:
+            besides: an owner whose publishers and subscribers are not counted; topics without others are
+                omitted.
+        """
         with self._lock:
             topics = sorted(self._topics.values(), key=lambda t: t.name)
-        infos = [t.info(besides) for t in topics]
+        infos = [replace(i, name=self._own_name(i.name)) for i in (t.info(besides) for t in topics)]
         return [i for i in infos if i.publishers or i.subscribers or besides is None]
 
     def topic_type(self, topic: str) -> str | None:
-        """The type a topic carries; None when there is no such topic."""
+        """Return the message type of a topic, or None if the topic does not exist."""
         with self._lock:
-            found = self._topics.get(resolve(topic))
+            found = self._topics.get(self.full_name(topic))
             return found.type if found else None
 
     def _join(self, name: str, type_name: str, make: Callable[[_Topic], Any]) -> Any:
-        name, type_name = resolve(name), plain_name(type_name)
+        name, type_name = self.full_name(name), plain_name(type_name)
         self.schema.definition(type_name)
         with self._lock:
             topic = self._topics.get(name)
@@ -145,24 +205,31 @@ class Bus:
             self._has_changed()
 
     def _has_changed(self) -> None:
-        self._version += 1
+        self._versions[0] += 1
         self._changed.notify_all()
 
     def wait_change(self, version: int, timeout: float | None = None) -> int:
-        """Wait until somebody has come or gone since `version` (0 at first); the version that is now."""
+        """Wait until a publisher, subscriber or service is added or removed; return the new version.
+
+        Args:
+            version: version that the previous call returned; 0 for the first call.
+            timeout: longest wait [s]; None waits forever.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._version != version, timeout)
-            return self._version
+            self._changed.wait_for(lambda: self._versions[0] != version, timeout)
+            return self._versions[0]
 
     # --- services ---
     def serve(self, name: str, type_name: str, handler: Handler) -> Service:
-        """Answer a service: `handler(request)` gives the response, in the caller's thread.
+        """Register a handler for a service; `handler(request)` returns the response.
+
+        The handler runs in the caller's thread.
 
         Raises:
-            InputError: somebody serves it already.
-            UnknownNameError: no such service type.
+            InputError: the bus already has a server for this name.
+            UnknownNameError: the service type does not exist.
         """
-        name, type_name = resolve(name), plain_name(type_name)
+        name, type_name = self.full_name(name), plain_name(type_name)
         self.schema.service(type_name)
         with self._changed:
             if name in self._services:
@@ -172,7 +239,7 @@ class Bus:
         return service
 
     def find_elsewhere(self, finder: Finder) -> None:
-        """For transports: ask here, too, for services that nobody serves on the bus."""
+        """Register a transport's lookup function for services without a server on the bus."""
         with self._lock:
             self._finders.append(finder)
 
@@ -186,13 +253,13 @@ class Bus:
         return next((found for find in finders if (found := find(name)) is not None), None)
 
     def call(self, name: str, request: Any) -> Any:
-        """Ask a service, on the bus or behind a transport.
+        """Call a service on the bus or behind a transport and return its response.
 
         Raises:
-            ServiceError: nobody serves it, or the handler failed; says which.
-            InputError: the request is of another type.
+            ServiceError: the service has no server, or its handler failed; the message states the cause.
+            InputError: the request has another type.
         """
-        name = resolve(name)
+        name = self.full_name(name)
         with self._lock:
             service = self._services.get(name)
             served = list(self._services)
@@ -214,8 +281,8 @@ class Bus:
         return response
 
     def wait_for_service(self, name: str, timeout: float | None = None) -> bool:
-        """Whether a service is there, after waiting for it up to `timeout` [s]."""
-        name = resolve(name)
+        """Wait up to `timeout` [s] for a service; return True if it is available."""
+        name = self.full_name(name)
         give_up = None if timeout is None else time.monotonic() + timeout
         while True:
             left = None if give_up is None else max(give_up - time.monotonic(), 0.0)
@@ -229,22 +296,25 @@ class Bus:
                 return False
 
     def services(self) -> dict[str, str]:
-        """Type by name of everything served."""
+        """Return the type of each service on the bus, by service name."""
         with self._lock:
-            return {name: service.type for name, service in sorted(self._services.items())}
+            return {self._own_name(name): service.type for name, service in sorted(self._services.items())}
 
     # --- time ---
     def stamp(self) -> Any:
-        """Now, as builtin_interfaces/Time."""
+        """Return the current time as a builtin_interfaces/Time message."""
         return self.schema.message("builtin_interfaces/Time").from_sec(self.clock.now())
 
     def header(self, frame_id: str = "") -> Any:
-        """A std_msgs/Header stamped now."""
+        """Return a std_msgs/Header with the current time."""
         return self.schema.new("std_msgs/Header", stamp=self.stamp(), frame_id=frame_id)
 
 
 class _Topic:
-    """Who publishes and who receives. Its lock makes deliveries come in one order for everybody."""
+    """Publishers and receivers of one topic.
+
+    The topic's lock ensures that all receivers get the messages in the same order.
+    """
 
     def __init__(self, name: str, type_name: str):
         self.name, self.type = name, type_name
@@ -294,12 +364,15 @@ class _Topic:
 
 
 def _same(publisher: Publisher, receiver: Attachment) -> bool:
-    """Whether both belong to one transport."""
+    """Return True if a publisher and a receiver belong to the same transport."""
     return publisher.owner is not None and publisher.owner is receiver.owner
 
 
 class _Member:
-    """What joins a topic and leaves it by `close`, by the end of a `with` block, or never."""
+    """Base class for publishers and receivers of a topic, which leave the topic by `close`.
+
+    A member is also a context manager that closes at the end of a `with` block.
+    """
 
     def __init__(self, bus: Bus, topic: _Topic, owner: object = None):
         self._bus, self._topic, self.owner = bus, topic, owner
@@ -307,7 +380,7 @@ class _Member:
         self.closed = False
 
     def close(self) -> None:
-        """Leave the topic. Closing twice is fine."""
+        """Leave the topic. Repeated calls have no effect."""
         self.closed = True
         self._bus._leave(self._topic, self)
 
@@ -319,7 +392,7 @@ class _Member:
 
 
 class Publisher(_Member):
-    """Puts messages on a topic."""
+    """Publisher of messages on one topic."""
 
     def __init__(self, bus: Bus, topic: _Topic, latch: bool, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -327,10 +400,10 @@ class Publisher(_Member):
         self.latched: Any = None
 
     def publish(self, message: Any) -> None:
-        """Hand a message to every subscriber; never waits for one.
+        """Deliver a message to every subscriber without waiting for any of them.
 
         Raises:
-            InputError: not the topic's type, or the publisher is closed.
+            InputError: the message has another type than the topic, or the publisher is closed.
         """
         given = getattr(message, "_type", type(message).__name__)
         if given != self.type:
@@ -341,12 +414,12 @@ class Publisher(_Member):
 
     @property
     def subscribers(self) -> int:
-        """How many receive what is published here."""
+        """Number of receivers of the topic, including those of transports."""
         return len(self._topic.receivers)
 
 
 class Attachment(_Member):
-    """A transport's function on a topic."""
+    """A transport's receiver function on a topic."""
 
     def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -354,10 +427,10 @@ class Attachment(_Member):
 
 
 class Subscription(Attachment):
-    """A bounded queue on a topic.
+    """Bounded message queue on a topic.
 
     Attributes:
-        dropped: messages that were pushed out unread.
+        dropped: number of unread messages that the full queue has dropped.
     """
 
     def __init__(self, bus: Bus, topic: _Topic, queue_size: int):
@@ -377,7 +450,13 @@ class Subscription(Attachment):
             self._arrived.notify()
 
     def get(self, timeout: float | None = None) -> Any:
-        """The oldest unread message, or None when none came within `timeout` [s] or it was closed."""
+        """Return the oldest unread message.
+
+        Args:
+            timeout: longest wait for a message [s]; None waits until the subscription is closed.
+        Returns:
+            The message, or None if the timeout expired or the subscription is closed.
+        """
         give_up = None if timeout is None else time.monotonic() + timeout
         with self._arrived:
             while not self._queue and not self.closed:
@@ -388,11 +467,11 @@ class Subscription(Attachment):
             return self._queue.popleft() if self._queue else None
 
     def join(self, topic: str, type_name: str) -> None:
-        """Put another topic's messages into the same queue, so that their order is kept."""
+        """Add another topic to this queue, so that messages of both topics keep their order."""
         self._joined.append(self._bus.attach(topic, type_name, self._put))
 
     def run(self, callback: Callable[[Any], None]) -> None:
-        """Call back with each message, from a thread of its own, until closed."""
+        """Start a thread that calls `callback` with each message until the subscription is closed."""
         require(self._thread is None, f"the subscription of {self.topic} has a callback already")
 
         def loop() -> None:
@@ -416,7 +495,7 @@ class Subscription(Attachment):
 
 
 class Service:
-    """A served name; `close` stops serving it."""
+    """A service on the bus; `close` removes it."""
 
     def __init__(self, bus: Bus, name: str, type_name: str, handler: Handler):
         self._bus = bus

@@ -1,4 +1,4 @@
-"""The bus's time: the wall's, or a simulation's that somebody sets."""
+"""The clock of the message bus: wall-clock time, or simulation time that a caller sets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from armcell.core.checks import require
 
 
 class Clock:
-    """Seconds since 1970, or a simulation's own seconds once `set` has been called."""
+    """A clock that reads Unix time in seconds, or simulation time once `set` has been called."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -20,19 +20,29 @@ class Clock:
         return self._simulated is not None
 
     def now(self) -> float:
-        """[s]"""
+        """Return the current time [s]: simulation time if it was set, otherwise Unix time."""
         simulated = self._simulated
         return time.time() if simulated is None else simulated
 
     def set(self, seconds: float) -> None:
-        """Simulation time from now on. May go back: a simulation was reset."""
+        """Switch the clock to simulation time and set it to `seconds`.
+
+        Time may jump backward, for example when the simulation is reset.
+        """
         require(0 <= seconds < float("inf"), f"time is {seconds}, it must be 0 s or later")
         with self._changed:
             self._simulated = float(seconds)
             self._changed.notify_all()
 
     def wait_until(self, seconds: float, timeout: float | None = None) -> bool:
-        """Wait for this clock to show a time [s]; false when `timeout` seconds of wall time passed first."""
+        """Wait until this clock reaches the time `seconds` [s].
+
+        Args:
+            seconds: target time on this clock.
+            timeout: longest wait in wall-clock time [s]; None waits forever.
+        Returns:
+            True if the clock reached the target, False if the timeout expired first.
+        """
         give_up = None if timeout is None else time.monotonic() + timeout
         with self._changed:
             while (left := seconds - self.now()) > 0:

@@ -1,9 +1,9 @@
-"""Encoding and decoding: ROS 1 serialisation and CDR (ROS 2), by rosbags' generated code.
+"""Message encoding and decoding in ROS 1 serialization and in CDR (ROS 2), based on rosbags.
 
-Both speak the same schema. The ROS 2 dialect differs in one type: `std_msgs/Header` has no `seq`, as in
-the messages of Unity's connector and in ROS 2's own.
+Both encodings use the same schema, with one exception: in CDR, `std_msgs/Header` has no `seq`, as in ROS 2
+and in Unity's connector.
 
-Decoded arrays are views of the received bytes: nothing is copied, and they cannot be written to.
+Decoded arrays are read-only views of the received bytes, without a copy.
 """
 
 from __future__ import annotations
@@ -22,15 +22,20 @@ from armcell.ros.schema import schema as built_in
 
 HEADER = "std_msgs/Header"
 MAX_ITEMS = 1 << 26
-"""Items of one sequence: no frame within the wires' caps holds more."""
+"""Maximum number of items in a sequence; no frame within the transports' size limits holds more."""
 
 
 class WireError(ArmcellError):
-    """Bytes that are no message of the type they are said to be."""
+    """Received bytes that cannot be decoded as a message of the expected type."""
 
 
 class Codec:
-    """One encoding of one schema. Thread-safe: rosbags' functions keep no state."""
+    """Encoder and decoder for the messages of one schema. Thread-safe.
+
+    Args:
+        name: "ros1" for ROS 1 serialization, "cdr" for CDR.
+        schema: the message types.
+    """
 
     def __init__(self, name: str, schema: Schema):
         self.name, self.schema = name, schema
@@ -44,10 +49,10 @@ class Codec:
         self._store.types = _Classes(schema, self._cdr)
 
     def encode(self, message: Any) -> memoryview:
-        """A message's bytes.
+        """Encode a message to bytes.
 
         Raises:
-            InputError: a field's value does not fit its type.
+            InputError: the value of a field does not fit its type.
         """
         name = message._type
         tidy = self.schema.tidy(name)
@@ -59,24 +64,26 @@ class Codec:
             raise InputError(f"{name} cannot be encoded: {error}", cure=_culprit(message)) from None
 
     def prepare(self, name: str) -> None:
-        """Make the functions of a type now (up to 0.1 s for a planning scene), not at its first message.
+        """Generate the encoding functions of a message type now instead of at its first message.
+
+        Generation takes up to 0.1 s, for example for a planning scene.
 
         Raises:
-            UnknownNameError: no such type.
+            UnknownNameError: the type does not exist.
         """
         self.schema.definition(name)
         self._store.get_msgdef(rosbags_name(plain_name(name)))
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """The message in `data`, which must be all of it.
+        """Decode bytes that contain exactly one message of the type `name`.
 
         Raises:
-            UnknownNameError: no such type.
-            WireError: the bytes are not such a message.
+            UnknownNameError: the type does not exist.
+            WireError: the bytes are not a valid message of this type.
         """
         name = plain_name(name)
         if self._cdr and len(data) == 4 and _is_empty(self.schema.definition(name)):
-            return self.schema.new(name)  # Unity leaves out the byte that ROS 2 puts into an empty message
+            return self.schema.new(name)  # Unity omits the byte that ROS 2 puts into an empty message
         self.schema.definition(name)
         run = self._store.deserialize_cdr if self._cdr else self._store.deserialize_ros1
         try:
@@ -88,7 +95,7 @@ class Codec:
 
 
 class _Classes(dict):
-    """Classes by rosbags' names, made when first asked for."""
+    """Dictionary of message classes by rosbags' names; creates each class on first access."""
 
     def __init__(self, schema: Schema, cdr: bool):
         super().__init__()
@@ -112,7 +119,10 @@ def _is_empty(definition: Definition) -> bool:
 
 
 def _culprit(message: Any) -> str | None:
-    """Which plain field has a value of the wrong kind; None if it lies deeper."""
+    """Return a hint that names the first field with text instead of a number, or vice versa.
+
+    Returns None if no direct field of the message has this fault, that is, if the fault is nested deeper.
+    """
     default = type(message)()
     for name in message._fields:
         value, model = getattr(message, name), getattr(default, name)
@@ -128,14 +138,18 @@ def _codec(name: str, schema: Schema) -> Codec:
 
 
 def ros1(schema: Schema | None = None) -> Codec:
-    """ROS 1 serialisation, of the built-in schema unless told."""
+    """Return the ROS 1 serialization codec for a schema (default: the built-in schema)."""
     return _codec("ros1", schema or built_in())
 
 
 def cdr(schema: Schema | None = None) -> Codec:
-    """CDR, little-endian, with its 4-byte header: ROS 2's encoding."""
+    """Return the little-endian CDR codec with a 4-byte header, the encoding of ROS 2.
+
+    Args:
+        schema: the message types; default: the built-in schema.
+    """
     return _codec("cdr", schema or built_in())
 
 
 CODECS = {"ROS1": ros1, "ROS2": cdr}
-"""By the name of the protocol in ROS-TCP's handshake."""
+"""Codec factories by the protocol name in the handshake of ROS-TCP."""

@@ -1,18 +1,19 @@
-"""What is wrong with others' messages: each kind is said once, all are counted."""
+"""A counter for faults in received messages, so that each kind is logged only once."""
 
 from __future__ import annotations
 
 import threading
 from collections import Counter
 
-MORE = "more"  # one kind for all that come after the most
+MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 class Complaints:
-    """Counts mistakes by kind. Thread-safe.
+    """Thread-safe counter of faults by kind.
 
     Args:
-        most: kinds that are told apart: whoever makes up new mistakes fills neither the log nor the memory.
+        most: maximum number of distinct kinds. Later kinds share one counter, so that a faulty sender can
+            flood neither the log nor the memory.
     """
 
     def __init__(self, most: int = 100):
@@ -21,7 +22,7 @@ class Complaints:
         self._counts: Counter[str] = Counter()
 
     def is_new(self, kind: str) -> bool:
-        """Count a mistake; whether it is the first of its kind, which is the one to be said."""
+        """Count one fault; return True if it is the first of its kind and should be logged."""
         with self._lock:
             if kind not in self._counts and len(self._counts) >= self._most:
                 kind = MORE

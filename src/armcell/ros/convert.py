@@ -1,4 +1,4 @@
-"""Between armcell's values and messages. Quaternions are xyzw here, as everywhere in ROS."""
+"""Conversions between armcell's types and ROS messages. Quaternions are in xyzw order."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from armcell.model import RobotModel
 from armcell.ros.schema import Schema
 from armcell.ros.units import unit_fault
 
-TIME_GAP = 1e-9  # [s] two points closer than a nanosecond are at one time
+TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
 
 def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
-    """A sensor_msgs/JointState; what is not known stays empty."""
+    """Convert a joint state to a sensor_msgs/JointState.
+
+    Unknown velocities and efforts become empty arrays.
+    """
     empty = np.zeros(0)
     return schema.new(
         "sensor_msgs/JointState",
@@ -29,16 +32,18 @@ def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
 
 
 def pose_message(schema: Schema, T: SE3) -> Any:
-    """A geometry_msgs/Pose."""
+    """Convert a pose to a geometry_msgs/Pose."""
     point = schema.new("geometry_msgs/Point", *T.translation.tolist())
     return schema.new("geometry_msgs/Pose", point, schema.new("geometry_msgs/Quaternion", *_xyzw(T)))
 
 
 def pose_from_message(pose: Any) -> SE3:
-    """T of a geometry_msgs/Pose or Transform. A quaternion of zeros, as in a new message, turns nothing.
+    """Convert a geometry_msgs/Pose or Transform to an SE3.
+
+    An all-zero quaternion, the default in a new message, counts as the identity rotation.
 
     Raises:
-        InputError: numbers that are not finite, or a quaternion far from length 1.
+        InputError: a number is not finite, or the quaternion's length differs from 1 by more than 0.1.
     """
     if hasattr(pose, "orientation"):
         p, r = pose.position, pose.orientation
@@ -56,7 +61,7 @@ def pose_from_message(pose: Any) -> SE3:
 
 
 def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
-    """A geometry_msgs/TransformStamped from the header's frame to `child`."""
+    """Create a geometry_msgs/TransformStamped from the header's frame to the frame `child`."""
     vector = schema.new("geometry_msgs/Vector3", *T.translation.tolist())
     rotation = schema.new("geometry_msgs/Quaternion", *_xyzw(T))
     return schema.new(
@@ -68,7 +73,13 @@ def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
 
 
 def image_message(schema: Schema, header: Any, picture: np.ndarray) -> Any:
-    """A sensor_msgs/Image of colours (h, w, 3) uint8 (rgb8) or of depth (h, w) float32 [m] (32FC1)."""
+    """Convert an image to a sensor_msgs/Image.
+
+    Args:
+        schema: the message types.
+        header: std_msgs/Header with the camera frame.
+        picture: color (h, w, 3) uint8, encoded as rgb8, or depth (h, w) float32 [m], encoded as 32FC1.
+    """
     rows = np.ascontiguousarray(picture)
     encoding = "rgb8" if rows.ndim == 3 else "32FC1"
     height, width = rows.shape[:2]
@@ -77,7 +88,7 @@ def image_message(schema: Schema, header: Any, picture: np.ndarray) -> Any:
 
 
 def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
-    """A sensor_msgs/CameraInfo of a camera whose pictures are rectified, or with its distortion."""
+    """Convert a pinhole camera to a sensor_msgs/CameraInfo, including its distortion, if any."""
     p, K = pinhole, pinhole.matrix
     d = np.zeros(5)
     d[: len(p.distortion)] = p.distortion
@@ -90,9 +101,13 @@ def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
 
 
 def cloud_message(schema: Schema, header: Any, points: np.ndarray, rgb: np.ndarray | None = None) -> Any:
-    """A sensor_msgs/PointCloud2 of points (h, w, 3) float32 [m], NaN where nothing was seen.
+    """Convert points to a sensor_msgs/PointCloud2.
 
-    With colours (h, w, 3) each point has a field rgb as PCL packs it: 0x00rrggbb in a float's bits.
+    Args:
+        schema: the message types.
+        header: std_msgs/Header with the frame of the points.
+        points: (h, w, 3) float32 [m]; NaN where the camera measured nothing.
+        rgb: optional colors (h, w, 3) uint8; packed as in PCL, 0x00rrggbb in the bits of a float.
     """
     height, width = points.shape[:2]
     names = ["x", "y", "z"] + (["rgb"] if rgb is not None else [])
@@ -116,14 +131,18 @@ def _xyzw(T: SE3) -> list[float]:
 
 
 def trajectory_from_message(message: Any, model: RobotModel, now: JointState) -> JointTrajectory:
-    """A trajectory_msgs/JointTrajectory, checked: nothing in it can surprise whoever plays it.
+    """Validate a trajectory_msgs/JointTrajectory and convert it to a JointTrajectory.
 
-    One whose first point lies ahead in time begins where the robot is `now`, as ROS's
-    joint_trajectory_controller has it. One without points is empty: stop.
+    If the first point is later than 0 s, the trajectory begins with the robot's current state, as in ROS's
+    joint_trajectory_controller. A message without points is an empty trajectory, which means stop.
 
+    Args:
+        message: the JointTrajectory message.
+        model: the robot, for joint names and limits.
+        now: current joint state.
     Raises:
-        InputError: joints unknown or named twice, lengths that do not fit, numbers that are not finite,
-            time that does not increase, positions out of limits; says which joint and point.
+        InputError: a joint is unknown or repeated, array lengths differ, a number is not finite, times do not
+            increase, or a position exceeds its limits. The error names the joint and the point.
     """
     names = tuple(message.joint_names)
     _check_names(names, model)
@@ -152,7 +171,7 @@ def trajectory_from_message(message: Any, model: RobotModel, now: JointState) ->
         velocities = None if velocities is None else np.vstack((moving, velocities))
         accelerations = None if accelerations is None else np.vstack((np.zeros(n), accelerations))
     if velocities is None:
-        accelerations = None  # without velocities they say nothing
+        accelerations = None  # interpolation cannot use accelerations without velocities
     return JointTrajectory(names, times, positions, velocities, accelerations)
 
 
@@ -166,7 +185,11 @@ def _check_names(names: Sequence[str], model: RobotModel) -> None:
 
 
 def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
-    """One array (points, n) of a field; None when no point has it."""
+    """Stack one field of all points into an array (points, n); return None if no point sets it.
+
+    Raises:
+        InputError: a point has the wrong number of values, or a value is not finite.
+    """
     rows = [np.asarray(getattr(point, field), dtype=float) for point in points]
     if not any(row.size for row in rows):
         return None

@@ -1,9 +1,9 @@
-"""C# message classes in the style of Unity's ROS-TCP-Connector (its MessageGeneration), for the packages
-the connector does not ship.
+"""Generator for C# message classes in the style of Unity's ROS-TCP-Connector.
 
-Names follow the connector: `pkg_msgs` becomes the namespace `RosMessageTypes.Pkg`, a message's class ends in
-`Msg`, the parts of services and actions do not. A response is registered with the subtopic Response, under
-the service's name.
+It covers the packages that the connector does not include. Names follow the connector's MessageGeneration:
+`pkg_msgs` becomes the namespace `RosMessageTypes.Pkg`; the class of a message ends in `Msg`, but the parts of
+services and actions have no suffix. A service response is registered under the name of the service with the
+subtopic Response.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from armcell.ros.definitions import PLACEHOLDER, Definition, field_parts
 from armcell.ros.schema import Schema
 
 NOT_SHIPPED = ("control_msgs", "moveit_msgs")
-"""Packages whose classes the connector lacks."""
+"""Packages that the connector does not include."""
 
 BASE_TYPES = {
     "bool": "bool",
@@ -96,23 +96,25 @@ FULL_CONSTRUCTOR = """
 """
 
 
-# ROS 2 puts one byte into an empty message (the connector's own empty classes leave it out).
+# ROS 2 puts one byte into an empty message; the connector's own empty classes omit it.
 EMPTY_READ = "#if ROS2\n            deserializer.Read(out byte unused);\n#endif\n"
 EMPTY_WRITE = "#if ROS2\n            serializer.Write((byte)0);\n#endif\n"
 
 
 class Generated(NamedTuple):
-    """One source file, with its place below the output folder."""
+    """A generated source file: its path relative to the output folder, and its text."""
 
     path: str
     text: str
 
 
 def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Generated]:
-    """The classes of whole packages.
+    """Generate the C# classes of all messages in the packages, with the fields of ROS 1.
+
+    Types that exist only in ROS 2 are omitted.
 
     Raises:
-        UnknownNameError: no such package.
+        UnknownNameError: a package does not exist.
     """
     known = {name.split("/")[0] for name in schema.messages}
     files = []
@@ -120,7 +122,7 @@ def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Genera
         if package not in known:
             raise UnknownNameError("message package", package, known)
         for name in schema.messages:
-            if name.startswith(f"{package}/"):
+            if name.startswith(f"{package}/") and name not in schema.ros2_only:
                 kind, cls = _kind(schema, name)
                 folder = f"{namespace(package)}/{kind}"
                 files.append(Generated(f"{folder}/{cls}.cs", csharp_class(schema, name)))
@@ -128,7 +130,7 @@ def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Genera
 
 
 def write(files: Iterable[Generated], folder: Path) -> list[Path]:
-    """Put generated files below a folder, which is made when missing."""
+    """Write generated files to a folder, create missing folders, and return the paths."""
     written = []
     for file in files:
         path = folder / file.path
@@ -139,7 +141,12 @@ def write(files: Iterable[Generated], folder: Path) -> list[Path]:
 
 
 def csharp_class(schema: Schema, name: str) -> str:
-    """The source of one message's class."""
+    """Return the C# source of one message class.
+
+    Args:
+        schema: the message types.
+        name: name of the message, `pkg/Name`.
+    """
     package = name.split("/")[0]
     kind, cls = _kind(schema, name)
     is_service = kind == "srv"
@@ -162,14 +169,14 @@ def csharp_class(schema: Schema, name: str) -> str:
 
 
 def namespace(package: str) -> str:
-    """The connector's name of a package: `object_recognition_msgs` is `ObjectRecognition`."""
+    """Return the C# namespace of a package: `ObjectRecognition` for object_recognition_msgs."""
     if any(part in package for part in ("_msgs", "_srvs", "_actions")):
         package = package[: package.rindex("_")]
     return "".join(word[:1].upper() + word[1:] for word in package.split("_"))
 
 
 def _kind(schema: Schema, name: str) -> tuple[str, str]:
-    """The folder (msg, srv, action) and class name of a message."""
+    """Return the folder (msg, srv or action) and the C# class name of a message."""
     item = name.split("/")[1]
     if any(name in (f"{s}Request", f"{s}Response") for s in schema.services):
         return "srv", item
@@ -207,7 +214,7 @@ def _safe(name: str) -> str:
 
 
 class _Member:
-    """A field's C# type and the lines that declare, set, read, write and print it."""
+    """A message field in C#: its type and the lines that declare, set, read, write and print it."""
 
     def __init__(self, schema: Schema, package: str, field: str, node: Any):
         is_message, kind, length = field_parts(node)

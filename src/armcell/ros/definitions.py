@@ -1,7 +1,7 @@
-"""Reading `.msg`, `.srv` and `.action` texts into field lists.
+"""Parser for `.msg`, `.srv` and `.action` texts.
 
-A definition is a list of constants and a list of fields, in rosbags' form. Names are `pkg/Name` here and
-everywhere above; rosbags' own `pkg/msg/Name` is used only inside `ros`.
+A definition is a list of constants and a list of fields in rosbags' form. Type names have the form
+`pkg/Name`; rosbags' form `pkg/msg/Name` is used only inside the package `ros`.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ NOETIC_PACKAGES = (
     "trajectory_msgs",
     "visualization_msgs",
 )
-"""What we take from rosbags' Noetic set."""
+"""Packages whose definitions come from rosbags' Noetic set."""
 
-PLACEHOLDER = "structure_needs_at_least_one_member"  # rosbags' (and ROS 2's) field of an empty message
+PLACEHOLDER = "structure_needs_at_least_one_member"  # field of an empty message in rosbags and ROS 2
 MAX_FILE_BYTES = 1_000_000
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 
-Field = tuple[str, Any]  # name, rosbags' type node
+Field = tuple[str, Any]  # field name and type node of rosbags
 
 
 class Definition(NamedTuple):
-    """A message's constants (name, base type, value) and fields."""
+    """Constants (name, base type, value) and fields of a message."""
 
     constants: list[tuple[str, str, Any]]
     fields: list[Field]
 
 
 class Interfaces(NamedTuple):
-    """What a set of definitions contains: messages by name, and which names are services and actions."""
+    """A set of definitions: messages by name, and the names of services and actions."""
 
     messages: dict[str, Definition]
     services: list[str]
@@ -58,19 +58,24 @@ class Interfaces(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """`pkg/msg/Name`, `pkg/srv/Name` or `pkg/Name` as `pkg/Name`."""
+    """Return `pkg/msg/Name`, `pkg/srv/Name` or `pkg/action/Name` as `pkg/Name`."""
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name
 
 
 def rosbags_name(name: str) -> str:
-    """`pkg/Name` as rosbags' `pkg/msg/Name`."""
+    """Return `pkg/Name` in rosbags' form `pkg/msg/Name`."""
     package, _, item = name.partition("/")
     return f"{package}/msg/{item}"
 
 
 def field_parts(node: Any) -> tuple[bool, str, int | None]:
-    """A type node as (is a message, base type or `pkg/Name`, length): length None = no array, 0 = any."""
+    """Split a field's type node of rosbags into its parts.
+
+    Returns:
+        Tuple (is a message, base type or `pkg/Name`, array length). The length is None for a field that is
+            not an array, and 0 for an array of variable length.
+    """
     length: int | None = None
     kind, inner = node
     if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -82,7 +87,7 @@ def field_parts(node: Any) -> tuple[bool, str, int | None]:
 
 
 def noetic() -> Interfaces:
-    """The common packages, as rosbags describes them."""
+    """Return the definitions of the common ROS Noetic packages, from rosbags."""
     store = get_typestore(Stores.ROS1_NOETIC)
     messages = {
         plain_name(name): Definition(list(constants), list(fields))
@@ -94,10 +99,11 @@ def noetic() -> Interfaces:
 
 
 def read_folder(folder: Path) -> Interfaces:
-    """Every definition below a folder: `<package>/msg|srv|action/<Name>.msg|srv|action`.
+    """Read all definitions in a folder: `<package>/msg|srv|action/<Name>.msg|srv|action`.
 
     Raises:
-        InputError: with file and reason.
+        InputError: a file is invalid, or the folder contains no definitions; the error names the file and the
+            reason.
     """
     messages: dict[str, Definition] = {}
     services: list[str] = []
@@ -134,7 +140,14 @@ def read_folder(folder: Path) -> Interfaces:
 
 
 def parse(text: str, name: str) -> dict[str, Definition]:
-    """One message's text."""
+    """Parse the text of a `.msg` file.
+
+    Args:
+        text: contents of the file.
+        name: name of the message, `pkg/Name`.
+    Raises:
+        InputError: the text is not a valid message definition.
+    """
     try:
         constants, fields = get_types_from_msg(text, rosbags_name(name))[rosbags_name(name)]
     except (TypesysError, KeyError, ValueError) as error:
@@ -143,13 +156,13 @@ def parse(text: str, name: str) -> dict[str, Definition]:
 
 
 def parse_service(text: str, name: str) -> dict[str, Definition]:
-    """`request --- response` as `NameRequest` and `NameResponse`."""
+    """Parse the text of a `.srv` file into the messages `NameRequest` and `NameResponse`."""
     request, response = _sections(text, name, 2)
     return parse(request, f"{name}Request") | parse(response, f"{name}Response")
 
 
 def parse_action(text: str, name: str) -> dict[str, Definition]:
-    """`goal --- result --- feedback` as the seven messages that ROS 1's actionlib makes of them."""
+    """Parse the text of an `.action` file into the seven messages of ROS 1's actionlib."""
     goal, result, feedback = _sections(text, name, 3)
     texts = {
         "Goal": goal,
@@ -176,7 +189,7 @@ def _sections(text: str, name: str, count: int) -> list[str]:
 
 
 def nested(definition: Definition) -> Iterator[str]:
-    """Names of the messages a definition uses."""
+    """Yield the names of the messages nested directly in a definition."""
     for _, node in definition.fields:
         is_message, name, _ = field_parts(node)
         if is_message:

@@ -1,7 +1,7 @@
-"""Message classes, made from definitions: plain attributes, every field with its default.
+"""Message classes built from definitions: plain attributes, each field with a default value.
 
-A number array is a numpy array of the wire's type. A list (as ROS scripts assign it) is fine too; it is
-turned into an array when the message is encoded.
+A numeric array is a numpy array with the element type of the definition. A list, as ROS scripts often assign,
+is also valid; the encoder converts it to an array.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ DTYPES: dict[str, Any] = {
     "float32": np.float32,
     "float64": np.float64,
 }
-"""numpy types of arrays on the wire."""
+"""numpy element type of each base type in an encoded array."""
 
 
 class Message:
-    """Base of every message class. `_type` is `pkg/Name`; constants are class attributes."""
+    """Base class of every message. `_type` is `pkg/Name`; constants are class attributes."""
 
     __slots__ = ()
     _type: ClassVar[str]
@@ -55,7 +55,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class Stamp:
-    """What time and duration messages can do beside carrying `sec` and `nanosec`."""
+    """Conversion methods of time and duration messages with the fields `sec` and `nanosec`."""
 
     __slots__ = ()
     sec: int
@@ -69,7 +69,10 @@ class Stamp:
 
     @classmethod
     def from_sec(cls, seconds: float) -> Any:
-        """From seconds, rounded to the nearest nanosecond; nanosec is in 0..999999999."""
+        """Create the message from seconds, rounded to the nearest nanosecond.
+
+        `nanosec` is in the range 0 to 999999999.
+        """
         sec, nanosec = divmod(round(seconds * 1e9), 1_000_000_000)
         return cls(sec, nanosec)  # type: ignore[call-arg]
 
@@ -81,15 +84,17 @@ STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 
 
 def python_name(field: str) -> str:
-    """A field's attribute: `lambda` would be `lambda_`."""
+    """Return the attribute name of a field; a Python keyword such as `lambda` becomes `lambda_`."""
     return f"{field}_" if keyword.iskeyword(field) else field
 
 
 def make_class(name: str, definition: Definition, find: Callable[[str], type]) -> type:
-    """The class of message `pkg/Name`.
+    """Create the Python class of the message `pkg/Name`.
 
     Args:
-        find: the class of another message by name, for the fields that nest it.
+        name: message name, `pkg/Name`.
+        definition: constants and fields of the message.
+        find: returns the class of another message by its name, for nested fields.
     """
     package, _, item = name.partition("/")
     specs: list[Any] = []
@@ -102,7 +107,7 @@ def make_class(name: str, definition: Definition, find: Callable[[str], type]) -
         "_fields": tuple(spec[0] for spec in specs),
         "__doc__": f"{name}: {', '.join(spec[0] for spec in specs)}",
         "__module__": f"{package}.msg",
-        PLACEHOLDER: 0,  # read by the CDR encoder where the message has no field
+        PLACEHOLDER: 0,  # the CDR encoder reads this attribute if the message has no fields
     }
     bases = (Stamp, Message) if name in STAMPS else (Message,)
     return dataclasses.make_dataclass(item, specs, bases=bases, namespace=namespace, eq=False, slots=True)
@@ -125,9 +130,9 @@ def _several(make: Callable[[], Any], count: int) -> list[Any]:
 
 
 class Tidy:
-    """Makes what a user has put into a message fit the wire: lists to arrays of the right type.
+    """Callable that converts lists in a message to arrays of the type that the encoder needs.
 
-    The message itself is not changed. What needs no change is not copied.
+    The original message does not change, and valid fields are not copied.
     """
 
     def __init__(self, definition: Definition, find: Callable[[str], Tidy]):
@@ -178,7 +183,7 @@ def _array(message: Any, name: str, value: Any, dtype: np.dtype) -> Any:
 
 
 def _fits(array: Any, dtype: np.dtype) -> bool:
-    """Whether numbers can go into an array of a type without turning into something else."""
+    """Return True if an array can be converted to a numeric type without changing its values."""
     if dtype.kind == "f":
         return array.dtype.kind in "fiub"
     if dtype.kind == "b":

@@ -1,4 +1,4 @@
-"""Parameters by name, in nested namespaces, as ROS 1's parameter server keeps them."""
+"""Parameters in nested namespaces, as on ROS 1's parameter server."""
 
 from __future__ import annotations
 
@@ -7,32 +7,35 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from armcell.core import UnknownNameError
-from armcell.ros.names import resolve
+from armcell.ros.names import NameMap, resolve
 
 _NONE = object()
 
 
 class Parameters:
-    """Thread-safe. A name may be a value or a namespace; a namespace reads and writes as a dict."""
+    """Thread-safe parameter store in which a name is either a value or a namespace.
+
+    Reading or writing a namespace uses a nested dict.
+    """
 
     def __init__(self) -> None:
         self._values: dict[str, Any] = {}
         self._lock = threading.Lock()
 
     def set(self, name: str, value: Any) -> None:
-        """Set a value; a mapping replaces the whole namespace."""
+        """Set a parameter; a mapping replaces the whole namespace."""
         name = resolve(name)
         with self._lock:
             self._drop(name)
-            for parent in _parents(name):  # a value that was there becomes a namespace
+            for parent in _parents(name):  # a parent that held a value becomes a namespace
                 self._values.pop(parent, None)
             self._values.update(_flat(name, value))
 
     def get(self, name: str, default: Any = _NONE) -> Any:
-        """A value, or a namespace as nested dicts; "/" is everything.
+        """Return a value, or a namespace as nested dicts; "/" returns all parameters.
 
         Raises:
-            UnknownNameError: not set, and no default given.
+            UnknownNameError: the parameter is not set and the caller gave no default.
         """
         name = "/" if name == "/" else resolve(name)
         with self._lock:
@@ -49,7 +52,7 @@ class Parameters:
         """Remove a value or a namespace.
 
         Raises:
-            UnknownNameError: not set.
+            UnknownNameError: the parameter is not set.
         """
         name = resolve(name)
         with self._lock:
@@ -70,6 +73,29 @@ class Parameters:
         for n in gone:
             del self._values[n]
         return bool(gone)
+
+
+class RenamedParameters(Parameters):
+    """View of the parameters for a program in a namespace or with remapped names."""
+
+    def __init__(self, parameters: Parameters, names: NameMap):
+        self._parameters, self._map = parameters, names
+
+    def set(self, name: str, value: Any) -> None:
+        self._parameters.set(self._map.to_graph(name), value)
+
+    def get(self, name: str, default: Any = _NONE) -> Any:
+        full = self._map.namespace if name == "/" else self._map.to_graph(name)
+        return self._parameters.get(full, default)
+
+    def delete(self, name: str) -> None:
+        self._parameters.delete(self._map.to_graph(name))
+
+    def names(self) -> list[str]:
+        return [self._map.to_bus(name) for name in self._parameters.names()]
+
+    def __contains__(self, name: str) -> bool:
+        return self._map.to_graph(name) in self._parameters
 
 
 def _parents(name: str) -> Iterator[str]:

@@ -1,7 +1,9 @@
-"""The message schema: every type by name, its class, definition text and md5 sum.
+"""The message schema, which maps a type name to its class, definition text and MD5 sum.
 
-One schema serves all wires. `schema()` is the built-in one; `Schema(...)` with a folder adds a user's types.
-It is also the allow-list: a name from a wire is looked up here and never imported.
+One schema serves all transports: a type has ROS 1's layout if it exists in ROS 1, and its class also has the
+fields that exist only in ROS 2. `schema()` returns the built-in schema; `Schema(folder)` adds a user's types.
+The schema also acts as the allow-list: type names received from a network are looked up here and never
+imported.
 """
 
 from __future__ import annotations
@@ -18,12 +20,14 @@ from armcell.ros.definitions import (
     FOLDER,
     PLACEHOLDER,
     Definition,
+    Interfaces,
     field_parts,
     nested,
     noetic,
     plain_name,
     read_folder,
 )
+from armcell.ros.distros import DISTROS, PLUMBING, layouts
 from armcell.ros.messages import Message, Tidy, make_class
 
 ROS1_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duration": "duration"}
@@ -31,36 +35,63 @@ ACTION_PARTS = ("Goal", "Result", "Feedback")
 
 
 class Schema:
-    """Message types by name.
+    """Registry of message, service and action types by name.
 
     Args:
-        folders: definitions beside the built-in ones, each `<folder>/<package>/msg|srv|action/...`.
+        folders: additional definitions, each `<folder>/<package>/msg|srv|action/...`.
     Raises:
-        InputError: a file is wrong, a type differs from one of the same name, a nested type is missing.
+        InputError: a file is invalid, a type is defined twice with different contents, or a nested type is
+            missing.
     """
 
     def __init__(self, *folders: Path):
         self.definitions: dict[str, Definition] = {}
         self.services: list[str] = []
         self.actions: list[str] = []
-        for found in (noetic(), *(read_folder(folder) for folder in (FOLDER, *folders))):
-            for name, definition in found.messages.items():
-                if self.definitions.setdefault(name, definition) != definition:
-                    raise InputError(f"message {name} is defined twice, differently")
-            self.services = sorted({*self.services, *found.services})
-            self.actions = sorted({*self.actions, *found.actions})
-        for name, definition in self.definitions.items():
-            for inner in nested(definition):
+        for found in (noetic(), read_folder(FOLDER)):
+            self._add(found)
+        built_in = set(self.definitions)
+        for folder in folders:
+            self._add(read_folder(folder))
+        self.own = frozenset(self.definitions.keys() - built_in)  # types from the user's folders
+        self._whole: dict[str, Definition] = {}
+        ros1 = set(self.definitions)
+        self._add_ros2()
+        self.ros2_only = frozenset(self.definitions.keys() - ros1)
+        for name in self.definitions:
+            for inner in nested(self.whole(name)):
                 if inner not in self.definitions:
                     raise InputError(f"{name} uses {inner}, which is not defined", cure="add its .msg file")
         self._classes: dict[str, type] = {}
         self._tidies: dict[str, Tidy] = {}
         self._texts: dict[str, str] = {}
 
+    def _add(self, found: Interfaces) -> None:
+        for name, definition in found.messages.items():
+            if self.definitions.setdefault(name, definition) != definition:
+                raise InputError(f"message {name} is defined twice, differently")
+        self.services = sorted({*self.services, *found.services})
+        self.actions = sorted({*self.actions, *found.actions})
+
+    def _add_ros2(self) -> None:
+        """Add the types and fields that exist only in ROS 2; newer distributions take precedence."""
+        for distro in reversed(DISTROS):
+            found = layouts(distro)
+            for name, definition in found.messages.items():
+                if name.split("/")[0] in PLUMBING or name in self.own:
+                    continue
+                known = self.whole(name) if name in self.definitions else None
+                if known is None:
+                    self.definitions[name] = definition
+                elif (merged := _merged(known, definition)) != known:
+                    self._whole[name] = merged
+            self.services = sorted({*self.services, *found.services})
+            self.actions = sorted({*self.actions, *found.actions})
+
     # --- types ---
     @property
     def messages(self) -> list[str]:
-        """Every message, the parts of services and actions among them."""
+        """Names of all messages, including the parts of services and actions, sorted."""
         return sorted(self.definitions)
 
     def definition(self, name: str) -> Definition:
@@ -69,26 +100,41 @@ class Schema:
         except KeyError:
             raise UnknownNameError("message type", name, self.definitions) from None
 
-    def message(self, name: str) -> type[Any]:
-        """The class of `pkg/Name` (also `pkg/msg/Name`): a `Message` with the definition's fields.
+    def whole(self, name: str) -> Definition:
+        """Return the ROS 1 definition of a type, extended by the fields that exist only in ROS 2.
+
+        The class of the type has all of these fields.
 
         Raises:
-            UnknownNameError: no such type.
+            UnknownNameError: the type does not exist.
+        """
+        return self._whole.get(plain_name(name)) or self.definition(name)
+
+    def message(self, name: str) -> type[Any]:
+        """Return the message class of `pkg/Name` (or `pkg/msg/Name`).
+
+        The class derives from `Message` and has the fields that `whole` returns.
+
+        Raises:
+            UnknownNameError: the type does not exist.
         """
         name = plain_name(name)
-        if name not in self._classes:  # of two threads that make it at once, all get the first one's
-            self._classes.setdefault(name, make_class(name, self.definition(name), self.message))
+        if name not in self._classes:  # if two threads create the class, both use the first result
+            self._classes.setdefault(name, make_class(name, self.whole(name), self.message))
         return self._classes[name]
 
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """A message: `new("geometry_msgs/Point", x=1.0)`, `new("builtin_interfaces/Time", 3, 500)`."""
+        """Create a message from its type name and field values.
+
+        Examples: `new("geometry_msgs/Point", x=1.0)`, `new("builtin_interfaces/Time", 3, 500)`.
+        """
         return self.message(name)(*values, **fields)
 
     def service(self, name: str) -> tuple[type[Message], type[Message]]:
-        """Request and response class of a service.
+        """Return the request class and the response class of a service type.
 
         Raises:
-            UnknownNameError: no such service.
+            UnknownNameError: the service type does not exist.
         """
         name = plain_name(name)
         if name not in self.services:
@@ -96,10 +142,10 @@ class Schema:
         return self.message(f"{name}Request"), self.message(f"{name}Response")
 
     def action(self, name: str) -> str:
-        """An action's name without the suffix `Action`: `moveit_msgs/MoveGroup`.
+        """Return an action type as `pkg/Name`, without the suffix `Action`.
 
         Raises:
-            UnknownNameError: no such action.
+            UnknownNameError: the action type does not exist.
         """
         plain = plain_name(name).removesuffix("Action")
         if plain not in self.actions:
@@ -107,30 +153,31 @@ class Schema:
         return plain
 
     def tidy(self, name: str) -> Tidy:
-        """What makes a message of this type fit for the wire."""
+        """Return the converter that prepares messages of this type for encoding."""
         if name not in self._tidies:
-            self._tidies.setdefault(name, Tidy(self.definition(name), self.tidy))
+            self._tidies.setdefault(name, Tidy(self.whole(name), self.tidy))
         return self._tidies[name]
 
     # --- texts and sums ---
     def text(self, name: str) -> str:
-        """A message's definition, one constant or field per line."""
+        """Return the definition text of a message, with one constant or field per line."""
         return "".join(f"{line}\n" for line in self._lines(self.definition(name), {}))
 
     def full_text(self, name: str) -> str:
-        """The definition followed by those of all nested types, as TCPROS and bags carry it."""
+        """Return the definition text of a message and all nested types, as in TCPROS and bag files."""
         name = plain_name(name)
         seen: list[str] = [name]
-        for outer in seen:  # grows while walked
+        for outer in seen:  # the loop appends nested types to this list
             seen += [n for n in nested(self.definition(outer)) if n not in seen and n not in ROS1_TIMES]
         rest = (f"{'=' * 80}\nMSG: {inner}\n{self.text(inner)}" for inner in seen[1:])
         return self.text(name) + "".join(rest)
 
     def md5(self, name: str) -> str:
-        """The sum ROS 1 compares, of a message or a service.
+        """Return the MD5 sum that ROS 1 compares for a message or a service.
 
-        Source: gentools.compute_md5 of ROS 1's genmsg: constants first, nested types by their own sums,
-        comments and package names left out; a service's is the sum of request and response texts.
+        Source: `gentools.compute_md5` in ROS 1's genmsg. The text lists constants first, replaces each nested
+        type by its MD5 sum, and omits comments and package names. The text of a service is the request text
+        followed by the response text.
         """
         name = plain_name(name)
         if name in self.services:
@@ -147,7 +194,10 @@ class Schema:
         return self._texts[name]
 
     def _lines(self, definition: Definition, names: Mapping[str, str]) -> list[str]:
-        """Lines of a definition, nested types called by `names` where it has them (arrays then unmarked)."""
+        """Return the lines of a definition, with nested types replaced by their entries in `names`.
+
+        A replaced type has no array suffix.
+        """
         lines = [f"{kind} {constant}={value}" for constant, kind, value in definition.constants]
         for field, node in definition.fields:
             if field == PLACEHOLDER:
@@ -162,15 +212,28 @@ class Schema:
         return lines
 
 
+def _merged(known: Definition, other: Definition) -> Definition:
+    """Extend a definition by the constants and fields that exist only in another layout.
+
+    Field names are compared without case, because CameraInfo's names differ only in case.
+    """
+    constants = {name for name, _, _ in known.constants}
+    fields = {name.lower() for name, _ in known.fields} | {PLACEHOLDER}
+    return Definition(
+        known.constants + [c for c in other.constants if c[0] not in constants],
+        known.fields + [f for f in other.fields if f[0].lower() not in fields],
+    )
+
+
 def _md5(text: str) -> str:
     return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
 
 
-_first = threading.Lock()  # `cache` would let two threads make one each
+_first = threading.Lock()  # `cache` alone would let two threads each create a schema
 
 
 def schema() -> Schema:
-    """The built-in schema."""
+    """Return the built-in message schema; all callers share one instance."""
     with _first:
         return _built_in()
 

@@ -1,4 +1,4 @@
-"""Numbers that would make sense in another unit: degrees, or millimetres."""
+"""Detection of numbers in the wrong unit: degrees for radians, or millimeters for meters."""
 
 from __future__ import annotations
 
@@ -9,13 +9,19 @@ import numpy as np
 from armcell.core import SE3, InputError
 from armcell.model import RobotModel
 
-TURN = 2 * np.pi + 0.1  # [rad] beyond which an angle is suspicious
-MANY = 5.0  # times its range that a sliding joint is away
-FAR = 100.0  # [m] from the robot: no work cell is as big
+TURN = 2 * np.pi + 0.1  # [rad] a larger angle is suspicious
+MANY = 5.0  # a prismatic joint's value beyond this multiple of its limit is suspicious
+FAR = 100.0  # [m] maximum distance from the origin: no work cell is larger
 
 
 def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[float]) -> str | None:
-    """What joint positions look like that fit the limits only in another unit; None where they do not."""
+    """Return a hint if joint positions fit the limits only in degrees or millimeters, else None.
+
+    Args:
+        model: the robot, for joint types and limits.
+        names: joint names, in the order of `positions`.
+        positions: one value for each joint [rad or m].
+    """
     turning, sliding = [], []
     for name, value in zip(names, positions, strict=True):
         joint = model.joint(name)
@@ -32,9 +38,10 @@ def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[floa
 
 
 def check_near(T: SE3) -> None:
-    """
+    """Check that a pose is at most 100 m from the origin, to detect millimeters sent as meters.
+
     Raises:
-        InputError: a pose is so far away that its unit must be wrong.
+        InputError: the translation is longer than 100 m.
     """
     distance = float(np.linalg.norm(T.translation))
     if distance > FAR:

@@ -1,4 +1,4 @@
-"""What may touch, said for a whole body instead of for a pair."""
+"""Allowed collisions of a whole body (a default) in addition to those of a pair of bodies."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ if TYPE_CHECKING:
 
 
 def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
-    """The pairs that a scene allows or forbids by name, and those it allows by a body's default.
+    """Return the allowed collision pairs of a scene, with per-body defaults expanded to pairs.
 
-    Pairs come before defaults; of two defaults "not allowed" wins (MoveIt's AllowedCollisionMatrix).
+    An entry for a pair takes precedence over defaults. If the defaults of two bodies disagree, their contact
+    is not allowed, as in MoveIt's AllowedCollisionMatrix.
+
+    Returns:
+        Pair of body names -> whether their contact is allowed.
     """
     pairs = dict(scene.allowed_pairs)
     bodies = [*scene.model.links, *scene.objects, *scene.attached]
@@ -25,7 +29,7 @@ def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
 
 
 def forgotten(scene: PlanningScene, name: str) -> PlanningScene:
-    """A scene in which nothing is said about the contacts of a body."""
+    """Return the scene without any allowed-collision entries for the body `name`."""
     return replace(
         scene,
         allowed_pairs={pair: allow for pair, allow in scene.allowed_pairs.items() if name not in pair},

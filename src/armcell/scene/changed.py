@@ -1,4 +1,4 @@
-"""What is different between two scenes of one robot, for records."""
+"""Differences between two scenes of the same robot, for records and for replanning."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from armcell.scene.scene import PlanningScene
 
 
 def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]:
-    """By kind: `added` and `changed` {name: CollisionObject}, `moved` {name: T_world_object}, `removed`
-    [name], `allowed` [[a, b, whether they may touch, or None for no more said]]. Kinds without any are left
-    out. Joint positions and what is attached are not looked at.
+    """Return the differences between the objects and allowed pairs of two scenes.
+
+    Joint positions and attached objects are not compared.
+
+    Returns:
+        Non-empty entries only: `added` and `changed` {name: CollisionObject}, `moved` {name: T_world_object},
+        `removed` [name], and `allowed` [[a, b, allowed]], where `allowed` is None if the pair has no entry
+            any more.
     """
     olds, news = before.objects, after.objects
     held = {*before.attached, *after.attached}
@@ -37,7 +42,7 @@ def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]
 
 
 def new_obstacles(before: PlanningScene, now: PlanningScene) -> list[str]:
-    """Objects in the world that are new since before, of another shape, or elsewhere."""
+    """Return the names of world objects that are new, moved or reshaped since an earlier scene."""
     found = []
     for name, item in now.objects.items():
         was = before.objects.get(name)

@@ -1,4 +1,4 @@
-"""From a depth image to points."""
+"""Conversion of depth images into 3D points."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ def depth_points(
     nearest: float = 0.0,
     farthest: float = np.inf,
 ) -> Array:
-    """The points (n, 3) [m, world frame] of a depth image.
+    """Convert a depth image into points (n, 3) [m, world frame].
 
     Args:
-        depth: (rows, columns) [m] along the optical axis, or whole numbers in millimetres (ROS's 16UC1);
-            what is NaN, infinite or not positive was not seen and is left out.
-        intrinsics: K (3, 3) [px], whole numbers at the pixels' centres.
-        T_world_camera: of the optical frame: z forward, x right, y down.
-        nearest: points nearer or farther than these [m] are left out.
+        depth: (rows, columns) distances along the optical axis, either floats [m] or integers [mm] (ROS's
+            16UC1 encoding). Pixels that are NaN, infinite or not positive are left out.
+        intrinsics: camera matrix K (3, 3) [px]; integer coordinates are pixel centers.
+        T_world_camera: pose of the optical frame (z forward, x right, y down).
+        nearest, farthest: points outside this range of depths [m] are left out.
+    Raises:
+        InputError: `depth` is not a 2D array of numbers, or `intrinsics` is not a valid camera matrix.
     """
     float_array(depth, None, "a depth image", finite=False)
     image, K = np.asarray(depth), float_array(intrinsics, (3, 3), "intrinsics")

@@ -1,4 +1,7 @@
-"""Many changes of a scene at once, all or nothing: what MoveIt's planning scene diff can say."""
+"""Scene diffs: lists of scene changes, of which either all or none are applied.
+
+The changes cover the content of MoveIt's PlanningScene diff message.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,18 @@ from armcell.scene.objects import CollisionObject, Color, ObjectType
 from armcell.scene.scene import WORLD, PlanningScene
 
 OCTOMAP = "<octomap>"
-"""Name of the object that holds the octomap, as in MoveIt: to be named where contact with it is allowed."""
+"""Name of the octomap object, as in MoveIt, for example to allow contact with the octomap."""
 
 
 class Change(Protocol):
-    """One entry of a diff: a small value that makes another scene of a scene."""
+    """One change in a scene diff; `applied_to` returns the changed scene."""
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene: ...
 
 
 @dataclass(frozen=True, eq=False)
 class SceneDiff:
-    """Changes in the order in which they are made."""
+    """An ordered list of scene changes; either all or none of them are applied."""
 
     changes: tuple[Change, ...] = ()
 
@@ -35,10 +38,10 @@ class SceneDiff:
         return SceneDiff((*self.changes, *other.changes))
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """The changed scene; the given one stays as it is, also where a change fails.
+        """Return the scene with all changes applied; `scene` itself never changes.
 
         Raises:
-            InputError: names the first entry that cannot be made.
+            InputError: a change cannot be applied; the message names the first such change.
         """
         for i, change in enumerate(self.changes):
             try:
@@ -57,7 +60,10 @@ class SceneDiff:
 # --- objects ---
 @dataclass(frozen=True, eq=False)
 class AddObject:
-    """An object added, or replaced if one of that name is there. Its pose is in `frame`."""
+    """A scene change that adds an object or replaces the object of the same name.
+
+    The object's pose is relative to `frame`.
+    """
 
     object: CollisionObject
     frame: str = WORLD
@@ -73,7 +79,7 @@ class AddObject:
 
 @dataclass(frozen=True, eq=False)
 class AppendShapes:
-    """Shapes (and subframes) added to an object in the world, in the object's frame."""
+    """A scene change that adds shapes and subframes to a world object, in the object's frame."""
 
     name: str
     shapes: tuple[tuple[Shape, SE3], ...] = ()  # (shape, T_object_shape)
@@ -87,7 +93,7 @@ class AppendShapes:
 
 @dataclass(frozen=True, eq=False)
 class MoveObject:
-    """An object in the world put elsewhere."""
+    """A scene change that gives a world object a new pose, relative to `frame`."""
 
     name: str
     T_frame_object: SE3
@@ -99,7 +105,10 @@ class MoveObject:
 
 @dataclass(frozen=True)
 class RemoveObject:
-    """An object taken away, with what was said about its contacts; detach it first if it is attached."""
+    """A scene change that removes a world object and its allowed-collision entries.
+
+    An attached object must be detached first.
+    """
 
     name: str
 
@@ -110,9 +119,10 @@ class RemoveObject:
 
 @dataclass(frozen=True)
 class RemoveAllObjects:
-    """Everything in the world taken away but the octomap; what is attached stays (as in MoveIt).
+    """A scene change that removes all world objects except the octomap, as in MoveIt.
 
-    With `attached`, that too: as moveit_commander's PlanningSceneInterface.clear().
+    Attached objects stay, unless `attached` is True; then the change has the effect of moveit_commander's
+    `PlanningSceneInterface.clear()`.
     """
 
     attached: bool = False
@@ -130,7 +140,7 @@ class RemoveAllObjects:
 @dataclass(frozen=True)
 @checked()
 class SetColor:
-    """r, g, b, a of 0 to 1, of an object in the world or attached."""
+    """A scene change that sets the RGBA color (0 to 1) of a world object or attached object."""
 
     name: str
     color: Color
@@ -148,10 +158,13 @@ class SetType:
         return _with_property(scene, self.name, type=self.type)
 
 
-# --- holding ---
+# --- attached objects ---
 @dataclass(frozen=True, eq=False)
 class AttachObject:
-    """An object of the world fixed to a link; or `object`, which is new and placed in that link's frame."""
+    """A scene change that attaches an object to a link.
+
+    The object is an existing world object, or the new `object`, whose pose is relative to the link.
+    """
 
     name: str
     link: str
@@ -166,7 +179,10 @@ class AttachObject:
 
 @dataclass(frozen=True)
 class DetachObject:
-    """An attached object put back into the world where it is, or taken away altogether."""
+    """A scene change that detaches an object and leaves it at its current pose in the world.
+
+    With `remove`, the object is removed from the scene instead.
+    """
 
     name: str
     remove: bool = False
@@ -176,10 +192,10 @@ class DetachObject:
         return scene.without_object(self.name) if self.remove else scene
 
 
-# --- what may touch, how near ---
+# --- allowed collisions and padding ---
 @dataclass(frozen=True)
 class Allow:
-    """Contact of two bodies allowed or forbidden."""
+    """A scene change that allows or forbids contact between two bodies."""
 
     a: str
     b: str
@@ -191,7 +207,10 @@ class Allow:
 
 @dataclass(frozen=True)
 class AllowByDefault:
-    """Contact of a body with whatever no pair speaks of; None forgets what was said."""
+    """A scene change that sets a body's default: whether it may touch other bodies.
+
+    None removes the body's default.
+    """
 
     name: str
     allow: bool | None = True
@@ -203,7 +222,15 @@ class AllowByDefault:
 @dataclass(frozen=True)
 @checked()
 class SetPadding:
-    """Padding of all links, and of some, and factors of size; links that are not named stay as they are."""
+    """A scene change that sets link padding [m] and link scale factors for collision checks.
+
+    Links that `links` and `scales` do not name keep their individual values.
+
+    Attributes:
+        padding: padding of all links [m]; None leaves it unchanged.
+        links: padding by link [m].
+        scales: scale factor by link.
+    """
 
     padding: float | None = None  # [m]
     links: Mapping[str, float] = field(default_factory=dict)  # [m]
@@ -217,7 +244,7 @@ class SetPadding:
 # --- robot, octomap, frames ---
 @dataclass(frozen=True, eq=False)
 class SetState:
-    """Some or all joints moved."""
+    """A scene change that sets the positions of some or all joints."""
 
     state: JointState
 
@@ -227,7 +254,7 @@ class SetState:
 
 @dataclass(frozen=True, eq=False)
 class SetOctomap:
-    """The octomap replaced; None clears it."""
+    """A scene change that replaces the octomap, or removes it if `octree` is None."""
 
     octree: Octree | None
     T_world_octomap: SE3 = SE3.identity()
@@ -249,9 +276,14 @@ class SetFixedFrame:
 def with_octomap(
     scene: PlanningScene, octree: Octree | None, T_world_octomap: SE3 = SE3.identity()
 ) -> PlanningScene:
-    """A scene with its octomap (the object `OCTOMAP`) replaced, or cleared by None.
+    """Return the scene with its octomap (the object `OCTOMAP`) replaced, or removed if None.
 
-    What may touch the octomap stays: it is the same one, seen anew.
+    Allowed-collision entries of the octomap stay, because a new octomap is an update of the same object.
+
+    Args:
+        scene: the scene.
+        octree: the new octomap, or None.
+        T_world_octomap: pose of the octree.
     """
     if octree is not None:
         return scene.with_object(CollisionObject.single(OCTOMAP, octree, T_world_octomap))

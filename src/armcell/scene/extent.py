@@ -1,4 +1,4 @@
-"""Where a first look at a scene should go."""
+"""Camera target and view radius for the first view of a scene."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from numpy.typing import NDArray
 from armcell.kinematics import kinematic_tree
 from armcell.scene.scene import PlanningScene
 
-LARGE = 2.0  # [m] an object that reaches farther from its origin is the surroundings
+LARGE = 2.0  # [m] an object that extends farther from its origin counts as surroundings
 
 
 def extent(scene: PlanningScene) -> tuple[NDArray[np.float64], float]:
-    """Middle (3,) and radius [m] of what a first look should show: the origins of links and of objects that
-    are not the surroundings."""
+    """Return the center (3,) [m, world frame] and radius [m] of a scene's first view.
+
+    The view covers the origins of all links and of all objects that extend less than 2 m from their origin;
+    larger objects count as surroundings.
+    """
     points = [*kinematic_tree(scene.model).link_transforms(scene.positions)[:, :3, 3]]
     points += [
         item.T_world_object.translation for item in scene.objects.values() if item.bounds()[1].max() < LARGE

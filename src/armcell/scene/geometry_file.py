@@ -1,8 +1,8 @@
-"""MoveIt's .scene text files: a scene's objects, as RViz and `saveGeometryToStream` write them.
+"""MoveIt's .scene text files with a scene's objects (`saveGeometryToStream`, RViz).
 
-The new form has a pose per object and subframes; in the old one objects stand at the origin. Which one it is
-shows at the first object, as in MoveIt (`PlanningScene::loadGeometryFromStream`). Colours of all zeros mean
-none. Files hold no names of types, masses or clouds.
+The new format has a pose and subframes for each object; in the old format, objects are at the world origin.
+The reader detects the format at the first object, as MoveIt's `PlanningScene::loadGeometryFromStream` does. A
+color of all zeros means "no color". The files contain no object types, masses or point clouds.
 """
 
 from __future__ import annotations
@@ -35,16 +35,21 @@ from armcell.scene.objects import CollisionObject, Color
 log = logging.getLogger(__name__)
 
 MAX_PARTS = 1_000_000
-"""Shapes, vertices or triangles a file may announce: more is a mistake."""
+"""Maximum number of shapes, vertices or triangles that a file may declare; a larger number is an error."""
 
 
 def save_scene_file(objects: Iterable[CollisionObject], path: str | Path, name: str = "armcell") -> list[str]:
-    """Write objects as MoveIt does (the new form); numbers in full, so that nothing is lost.
+    """Write objects to a .scene file in MoveIt's new format, with full numeric precision.
 
+    Args:
+        objects: the objects.
+        path: the file.
+        name: name of the scene in the file.
     Returns:
-        Names of the objects left out: octomaps and clouds, which the format does not know.
+        Names of the objects left out: octomaps and point clouds, which the format does not support.
     Raises:
-        InputError: a capsule (MoveIt has none), or a name with a line break.
+        InputError: an object contains a capsule (unknown to MoveIt), or a name contains a line break or, for
+            a subframe, white space.
     """
     lines, left_out = [name], []
     for item in objects:
@@ -64,10 +69,10 @@ def save_scene_file(objects: Iterable[CollisionObject], path: str | Path, name: 
 
 
 def load_scene_file(path: str | Path) -> tuple[CollisionObject, ...]:
-    """The objects of a .scene file, in either form, fixed in the world.
+    """Load the objects of a .scene file, in the new or the old format, as fixed world objects.
 
     Raises:
-        InputError: with file, line and reason.
+        InputError: the file is not a valid .scene file; the message contains file, line and reason.
     """
     return _Reader(Path(path)).objects()
 
@@ -104,14 +109,17 @@ def _shape_lines(name: str, shape: Shape) -> list[str]:
 
 
 class _Reader:
-    """Words with their line numbers; MoveIt's reader does not care for line breaks except in names."""
+    """A word-by-word reader of a .scene file that knows the current line number.
+
+    As in MoveIt's reader, line breaks only matter in object names.
+    """
 
     def __init__(self, path: Path):
         self.path = path
         self.lines = read_text(path, 100_000_000).splitlines()
         if not self.lines or not any(line.strip() for line in self.lines):
             raise InputError("is empty, a .scene file begins with the scene's name", file=path)
-        self.row = 1  # the line to be read next; the first is the scene's name
+        self.row = 1  # index of the next line to read; line 0 is the scene's name
         self.words: list[str] = []
 
     def fail(self, reason: str) -> InputError:
@@ -145,7 +153,7 @@ class _Reader:
         xyz = [self.number(f"the position of {of}") for _ in range(3)]
         quat_xyzw = np.array([self.number(f"the quaternion of {of}") for _ in range(4)])
         norm = np.linalg.norm(quat_xyzw)
-        if not 0.9 < norm < 1.1:  # MoveIt writes six digits and does not look
+        if not 0.9 < norm < 1.1:  # tolerant: MoveIt writes six digits and does not normalize
             raise self.fail(f"the quaternion of {of} has norm {norm:.3g}, a rotation needs norm 1")
         return SE3.from_quat_xyzw(xyz, quat_xyzw / norm)
 
@@ -221,7 +229,7 @@ class _Reader:
         raise self.fail(f"{what} is a {kind!r}; known: box, sphere, cylinder, cone, plane, mesh")
 
     def _plane(self, equation: list[float]) -> tuple[Shape, SE3]:
-        """a x + b y + c z + d = 0; what lies behind it is solid here."""
+        """Return the solid half-space behind the plane a x + b y + c z + d = 0, with its pose."""
         normal, d = np.array(equation[:3]), equation[3]
         length = float(np.linalg.norm(normal))
         if length == 0:

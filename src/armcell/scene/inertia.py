@@ -1,4 +1,4 @@
-"""How a solid's mass is spread: centre and inertia of objects, for physics and for payloads."""
+"""Center of mass and inertia of solid objects, for physics and for payloads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ Array = NDArray[np.float64]
 
 
 def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
-    """Centre of mass (3,) [m] and inertia (3, 3) [m^2] about it, of one kilogram of a uniform solid."""
+    """Return the center of mass (3,) [m] and inertia (3, 3) [m^2] of a uniform solid of 1 kg.
+
+    The inertia is relative to the center of mass. A mesh that is not watertight counts as its convex hull.
+    """
     match shape:
         case Box():
             x, y, z = shape.x**2, shape.y**2, shape.z**2
@@ -30,7 +33,7 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
             return np.array([0, 0, -shape.length / 4]), np.diag([side, side, 0.3 * r])
         case Capsule():
             r, h = shape.radius, shape.length
-            ball = 4 / 3 * r / (h + 4 / 3 * r)  # the two half spheres' share of the mass
+            ball = 4 / 3 * r / (h + 4 / 3 * r)  # fraction of the mass in the two hemispheres
             rod = 1 - ball
             axial = rod * r**2 / 2 + ball * 0.4 * r**2
             side = rod * (r**2 / 4 + h**2 / 12) + ball * (0.4 * r**2 + h**2 / 4 + 3 / 8 * h * r)
@@ -47,9 +50,14 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
 
 
 def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Array, Array]:
-    """Centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about it, in the object's frame.
+    """Return an object's center of mass (3,) [m] and its inertia (3, 3) [kg m^2] about it.
 
-    The mass is spread evenly over the shapes' volumes (overlaps count twice).
+    Both are in the object's frame. The mass is distributed evenly over the shapes' volumes; overlaps count
+    twice.
+
+    Args:
+        shapes: (shape, T_object_shape) pairs.
+        mass: total mass [kg].
     """
     parts = []
     volumes = []

@@ -1,7 +1,8 @@
-"""Objects made by us, by name: everyday things of simple solids, whose sizes may be changed.
+"""The object library: everyday objects made of simple solids, with adjustable sizes.
 
-Each stands on the plane z = 0 of its own frame, its middle at x = y = 0, so its pose is where it stands. The
-solids of one object do not overlap, so volumes and inertias are exact.
+The origin of each object's frame is at the center of its footprint, with z up, so the object's pose is the
+pose of the surface point below it. The solids of one object do not overlap, so volumes and inertias are
+exact.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from armcell.core.checks import checked
 from armcell.scene.objects import CollisionObject, Color, Material
 
 Solids = tuple[tuple[Shape, SE3], ...]
-WALL_PIECES = 16  # of a mug's round wall
+WALL_PIECES = 16  # number of flat segments of a mug's round wall
 
 
 @dataclass(frozen=True)
 @checked()
 class Kind:
-    """A kind of object: its solids by size, what it is made of, how it looks."""
+    """A kind of library object: its solids as a function of the sizes, density, friction, color."""
 
     solids: Callable[..., Solids]
-    density: float  # [kg/m^3] of the solids; a filled can counts its content
+    density: float  # [kg/m^3] mean density of the solids, including the content of a full can
     friction: float
     color: Color
 
     @property
     def sizes(self) -> dict[str, float]:
-        """The sizes it takes, with their defaults [m]."""
+        """The adjustable sizes of a library object by name, with their default values [m]."""
         return {p.name: float(p.default) for p in inspect.signature(self.solids).parameters.values()}
 
 
@@ -40,7 +41,7 @@ library: Registry[Kind] = Registry("library object")
 
 
 def object_names() -> list[str]:
-    """Names of the library's objects."""
+    """Return the names of the objects in the library of everyday objects."""
     return list(library)
 
 
@@ -53,17 +54,20 @@ def library_object(
     sizes: dict[str, float] | None = None,
     **properties,
 ) -> CollisionObject:
-    """An object of the library.
+    """Create an object from the library of everyday objects.
 
     Args:
-        name: in the scene; the kind's by default.
-        pose: T_world_object, of the point it stands on.
-        scale: factor of all sizes.
-        sizes: some of `library[kind].sizes` [m], before the scale.
-        properties: of `CollisionObject`, instead of the library's (mass, material, color, ...).
+        kind: name of the library object, see `object_names()`.
+        name: name in the scene; by default `kind`.
+        pose: T_world_object of the center of the object's footprint.
+        movable: whether the object can be moved.
+        scale: factor for all sizes.
+        sizes: values for some of `library[kind].sizes` [m], before scaling.
+        properties: fields of `CollisionObject` that replace the library's values (mass, material, color,
+            ...).
     Raises:
-        UnknownNameError: no such kind.
-        InputError: a size it does not have, or that is not possible.
+        UnknownNameError: the library has no such kind.
+        InputError: the kind has no such size, or the sizes are not possible.
     """
     made = library[kind]
     wanted = {**made.sizes, **(sizes or {})}
@@ -98,12 +102,12 @@ def _at(x: float, y: float, z: float) -> SE3:
     return SE3.from_xyz(x, y, z)
 
 
-@_kind("box", 300.0, 0.5, (0.78, 0.62, 0.42, 1.0))  # a carton with something in it
+@_kind("box", 300.0, 0.5, (0.78, 0.62, 0.42, 1.0))  # a filled carton
 def _box(length: float = 0.06, width: float = 0.04, height: float = 0.09) -> Solids:
     return ((Box(length, width, height), _at(0, 0, height / 2)),)
 
 
-@_kind("can", 900.0, 0.4, (0.80, 0.25, 0.22, 1.0))  # of drink, full
+@_kind("can", 900.0, 0.4, (0.80, 0.25, 0.22, 1.0))  # a full beverage can
 def _can(radius: float = 0.033, height: float = 0.115) -> Solids:
     return ((Cylinder(radius, height), _at(0, 0, height / 2)),)
 
@@ -133,13 +137,13 @@ def _mug(radius: float = 0.036, height: float = 0.085, wall: float = 0.004, hand
         ring = [(r * np.cos(t), r * np.sin(t)) for r, t in ((inner, a), (radius, a), (radius, b), (inner, b))]
         parts.append((prism(np.array(ring), height), SE3.identity()))
     bar, low, high = 2 * wall, 0.25 * height, 0.75 * height
-    for z in (low, high):  # two bars out, one up
+    for z in (low, high):  # the handle: two horizontal bars and one vertical bar
         parts.append((Box(handle, bar, bar), _at(apothem + handle / 2, 0, z)))
     parts.append((Box(bar, bar, high - low - bar), _at(apothem + handle - bar / 2, 0, (low + high) / 2)))
     return tuple(parts)
 
 
-@_kind("l_bracket", 2700.0, 0.4, (0.70, 0.72, 0.75, 1.0))  # aluminium
+@_kind("l_bracket", 2700.0, 0.4, (0.70, 0.72, 0.75, 1.0))  # aluminum
 def _l_bracket(
     length: float = 0.06, width: float = 0.04, height: float = 0.06, thickness: float = 0.006
 ) -> Solids:
@@ -150,12 +154,12 @@ def _l_bracket(
     )
 
 
-@_kind("rod", 700.0, 0.5, (0.70, 0.52, 0.33, 1.0))  # wood; lies along x
+@_kind("rod", 700.0, 0.5, (0.70, 0.52, 0.33, 1.0))  # wood; horizontal along x
 def _rod(radius: float = 0.012, length: float = 0.2) -> Solids:
     return ((Cylinder(radius, length), SE3.from_xyz_rpy((0, 0, radius), (0, np.pi / 2, 0))),)
 
 
-@_kind("bolt", 7850.0, 0.35, (0.55, 0.56, 0.60, 1.0))  # steel, M16; stands on its head
+@_kind("bolt", 7850.0, 0.35, (0.55, 0.56, 0.60, 1.0))  # steel, M16; upright, head down
 def _bolt(
     across_flats: float = 0.024, head: float = 0.010, shank: float = 0.008, length: float = 0.06
 ) -> Solids:
@@ -189,10 +193,13 @@ def _open_box(length: float, width: float, height: float, wall: float) -> Solids
 
 # --- convex meshes ---
 def prism(outline: np.ndarray, height: float) -> Mesh:
-    """A closed prism over a convex outline (n, 2) [m], anticlockwise, from z = 0 up to `height` [m].
+    """Return a closed prism over a convex outline, from z = 0 to `height`.
 
+    Args:
+        outline: corners (n, 2) [m], counterclockwise.
+        height: [m].
     Raises:
-        InputError: height not positive.
+        InputError: the height is not positive.
     """
     n = len(outline)
     if height <= 0:
@@ -201,7 +208,7 @@ def prism(outline: np.ndarray, height: float) -> Mesh:
 
 
 def frustum(low: float, high: float, height: float, edges: int = 32) -> Mesh:
-    """A closed frustum of a cone: radius [m] at z = 0 and at `height` [m]."""
+    """Return a closed conical frustum with radius `low` [m] at z = 0 and `high` [m] at `height`."""
     t = 2 * np.pi * np.arange(edges) / edges
     circle = np.column_stack([np.cos(t), np.sin(t)])
     bottom = np.column_stack([low * circle, np.zeros(edges)])

@@ -1,4 +1,4 @@
-"""Objects from mesh files, looked at before they are used: the units, whether they are closed and solid."""
+"""Objects from mesh files, with checks of their size (wrong units) and closed surface."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from armcell.scene.objects import CollisionObject
 
 log = logging.getLogger(__name__)
 
-LARGEST_MOVABLE = 3.0  # [m] along one axis; what is larger was hardly meant to be gripped
-LARGEST = 200.0  # [m] of what stands: a hall
+LARGEST_MOVABLE = 3.0  # [m] along one axis: a larger object is hardly meant to be grasped
+LARGEST = 200.0  # [m] along one axis of a fixed object, such as a factory hall
 SMALLEST = 5e-4  # [m] along the longest axis
 
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """What was found out about a mesh."""
+    """Size, closedness, convexity and volume of a mesh."""
 
     size: tuple[float, float, float]  # [m] along its axes
-    closed: bool  # every edge has two triangles, consistently turned
+    closed: bool  # every edge has two triangles with consistent orientation
     open_edges: int
     convex: bool
-    volume: float  # [m^3]; of the convex hull where it is not closed
+    volume: float  # [m^3]; that of the convex hull if the mesh is not closed
 
 
 def mesh_facts(mesh: Mesh) -> MeshFacts:
-    """What a mesh is like.
+    """Measure a mesh: size, closedness, convexity and volume.
 
     Raises:
-        InputError: it is flat: it has no volume, so nothing can be held and nothing has an inertia.
+        InputError: the mesh is flat, so it has no volume and no inertia.
     """
     import trimesh
 
@@ -50,10 +50,15 @@ def mesh_facts(mesh: Mesh) -> MeshFacts:
 
 
 def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
-    """Refuse what cannot be meant, warn of what will be guessed.
+    """Reject a mesh with an implausible size, and warn if it is not closed.
 
+    For a movable object with an open mesh, mass and inertia are those of the convex hull.
+
+    Args:
+        mesh: the mesh [m].
+        movable: whether the object is movable, with a smaller size limit (3 m instead of 200 m).
     Raises:
-        InputError: a size that only a wrong unit explains (with the scale that would cure it), or no volume.
+        InputError: only a wrong unit explains the size (the message suggests a scale), or the mesh is flat.
     """
     facts = mesh_facts(mesh)
     size = max(facts.size)
@@ -85,14 +90,18 @@ def mesh_object(
     movable: bool = True,
     **properties,
 ) -> CollisionObject:
-    """An object of one mesh file: OBJ, STL, PLY, GLB, DAE or OFF.
+    """Create an object from a mesh file (OBJ, STL, PLY, GLB, DAE or OFF).
 
     Args:
-        scale: metres per unit of the file.
-        density: [kg/m^3]; gives the mass, unless `mass` is among the properties.
-        properties: of `CollisionObject`.
+        name: name of the object.
+        file: the mesh file.
+        pose: T_world_object; by default the identity.
+        scale: meters per unit of the file.
+        density: [kg/m^3] from which the mass follows, unless `properties` contain `mass`.
+        movable: whether the object can be moved.
+        properties: other fields of `CollisionObject`.
     Raises:
-        InputError: unreadable, flat, or of a size that cannot be meant.
+        InputError: the mesh is not readable, flat, or of an implausible size.
     """
     mesh = load_mesh(Path(file), (scale, scale, scale))
     facts = check_mesh(mesh, movable)

@@ -1,4 +1,4 @@
-"""An obstacle whose motion is known: a belt's box, a door, another arm's load."""
+"""Obstacles with a known motion, such as a box on a conveyor, a door or another arm's load."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """An object with poses at times (k,) [s]: straight and evenly between them, at rest before and after.
+    """An object that follows a known motion, given by poses at times (k,) [s].
 
-    The object's own pose does not count.
+    Between two times the object moves in a straight line and turns evenly; before the first and after the
+    last time it is at rest. `object.T_world_object` is ignored.
     """
 
     object: CollisionObject
@@ -35,7 +36,7 @@ class MovingObject:
             raise InputError(f"moving object {name!r}: its times must be finite and increase")
         if self.object.has_cloud or not np.isfinite(self.reach):
             raise InputError(f"moving object {name!r}: a cloud or plane cannot move")
-        # Metres that any of its points can have moved up to each time.
+        # Upper bound of the distance [m] that any point of the object has moved by each time.
         far = [a.distance_to(b) for a, b in zip(self.poses, self.poses[1:], strict=False)]
         steps = [metres + radians * self.reach for metres, radians in far]
         object.__setattr__(self, "_travelled", np.concatenate([[0.0], np.cumsum(steps)]))
@@ -46,16 +47,16 @@ class MovingObject:
 
     @property
     def reach(self) -> float:
-        """[m] from the object's origin to its farthest point, or a bit more."""
+        """Upper bound of the distance [m] from the moving object's origin to its farthest point."""
         found = 0.0
         for shape, T in self.object.shapes:
             centre, half = local_bounds(shape)
-            limit = np.inf if half.max() >= 50 else np.linalg.norm(half)  # a plane has no end
+            limit = np.inf if half.max() >= 50 else np.linalg.norm(half)  # a plane is infinite
             found = max(found, float(np.linalg.norm(T.apply(centre)) + limit))
         return found
 
     def pose(self, t: float) -> SE3:
-        """T_world_object at a time [s]."""
+        """Return the object's pose T_world_object at time `t` [s]."""
         i = int(np.searchsorted(self.times, t, side="right")) - 1
         if i < 0:
             return self.poses[0]
@@ -65,14 +66,20 @@ class MovingObject:
         return self.poses[i].interpolate(self.poses[i + 1], float(share))
 
     def travel(self, t0: float, t1: float) -> float:
-        """[m] that no point of it moves more than between two times."""
+        """Return an upper bound of any object point's travel [m] between times t0 and t1 [s]."""
         a, b = np.interp([t0, t1], self.times, self._travelled)  # pyright: ignore[reportAttributeAccessIssue]
         return float(b - a)
 
     def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
-        """One standing object of copies along the way between two times, `step` [m] of travel apart.
+        """Return one fixed object made of copies of the moving object between times t0 and t1.
 
-        What lies between copies is not in it: a motion planned around it has to be proven with the times.
+        The result does not cover the space between the copies, so a motion planned around it must still be
+        checked against the moving object at its times.
+
+        Args:
+            t0, t1: start and end time [s].
+            step: largest travel between two copies [m].
+            most: maximum number of intervals between copies.
         """
         count = int(np.clip(np.ceil(self.travel(t0, t1) / step), 1, most)) + 1
         fine = np.union1d(np.linspace(t0, t1, 20 * count), self.times[(self.times > t0) & (self.times < t1)])

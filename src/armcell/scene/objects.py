@@ -1,4 +1,4 @@
-"""What stands in the cell besides the robot: objects, their shapes and their physical properties."""
+"""Collision objects: shapes, pose, mass, friction and other physical properties."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from armcell.core.geometry import extent, local_bounds
 Color = tuple[float, float, float, float]
 
 DEFAULT_DENSITY = 600.0
-"""[kg/m^3] where no mass is given: between softwood and plastic parts."""
+"""[kg/m^3] of objects without a mass: between the densities of softwood and plastic parts."""
 
 
 CLOUDS_STAND = "point clouds and octrees are obstacles that stand in the world; they cannot move or be held"
@@ -38,24 +38,47 @@ USE_A_SOLID = "describe what moves by solids or a mesh"
 @dataclass(frozen=True)
 @checked()
 class Material:
-    """Friction as MuJoCo and Coulomb mean it: one sliding coefficient (soft contacts have no separate
-    static one), a torsional and a rolling one [m]. Defaults: painted wood on rubber.
+    """Coulomb friction of an object's surface: static, dynamic, torsional and rolling.
+
+    The coefficients of torsional and rolling friction are lengths [m]. The defaults are those of painted wood
+    on rubber.
+
+    Raises:
+        InputError: a coefficient is negative or not finite, or dynamic friction exceeds static friction.
     """
 
-    friction: float = 0.8
+    friction: float = (
+        0.8  # static: largest tangential force of a contact at rest, as a fraction of the normal force
+    )
     torsional_friction: float = 0.005
     rolling_friction: float = 0.0001
+    dynamic_friction: float | None = None  # coefficient of a sliding contact; None: same as `friction`
 
     def __post_init__(self) -> None:
-        for name in ("friction", "torsional_friction", "rolling_friction"):
+        for name in ("friction", "torsional_friction", "rolling_friction", "dynamic_friction"):
             value = getattr(self, name)
-            if not np.isfinite(value) or value < 0:
+            if value is not None and (not np.isfinite(value) or value < 0):
                 raise InputError(f"{name} is {value:g}, it must be a number >= 0")
+        if self.dynamic_friction is not None and self.dynamic_friction > self.friction:
+            raise InputError(
+                f"dynamic friction {self.dynamic_friction:g} is above static friction {self.friction:g}",
+                cure="a contact that slides holds less than one at rest; swap them?",
+            )
+
+    @property
+    def sliding(self) -> float:
+        """Friction coefficient of a sliding contact: `dynamic_friction`, or `friction` if None."""
+        return self.friction if self.dynamic_friction is None else self.dynamic_friction
+
+    def scaled(self, factor: float) -> Material:
+        """Return the material with static and dynamic friction multiplied by `factor`."""
+        dynamic = None if self.dynamic_friction is None else self.dynamic_friction * factor
+        return replace(self, friction=self.friction * factor, dynamic_friction=dynamic)
 
 
 @dataclass(frozen=True)
 class ObjectType:
-    """What an object is an instance of, as object_recognition_msgs/ObjectType: a key in a database."""
+    """The type of an object as a database key, like object_recognition_msgs/ObjectType."""
 
     key: str = ""
     db: str = ""
@@ -64,15 +87,16 @@ class ObjectType:
 @dataclass(frozen=True)
 @checked()
 class Thread:
-    """An object screwed into another: it turns about its own z axis and moves along it, nothing else.
+    """A screw connection: the object can only turn about its own z axis while moving along it.
 
-    Right-handed: seen from its z axis' tip, turning it clockwise moves it along -z.
+    The thread is right-handed: turned clockwise, as seen from the tip of its z axis, the object moves along
+    -z.
     """
 
-    into: str  # the object that has the hole
+    into: str  # name of the object with the threaded hole
     pitch: float  # [m] per turn
-    travel: float  # [m] that it can still go in
-    torque: float = 0.2  # [Nm] of friction
+    travel: float  # [m] that the object can still be screwed in
+    torque: float = 0.2  # [Nm] friction torque
 
     def __post_init__(self) -> None:
         for name in ("pitch", "travel"):
@@ -86,11 +110,21 @@ class Thread:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CollisionObject:
-    """A named rigid object. `shapes` are placed in the object's own frame.
+    """A named rigid object made of one or more shapes.
 
-    `subframes` are named frames on it, known to the scene as "object/subframe".
-    `movable` objects are free bodies in physics (they can be picked); the others are fixed obstacles.
-    `mass` [kg] None means volume times `DEFAULT_DENSITY`.
+    Attributes:
+        name: unique name in the scene.
+        shapes: shapes with their poses in the object's frame.
+        T_world_object: pose of the object.
+        color: RGBA, 0 to 1.
+        movable: whether the object is a free body in physics that can be picked; otherwise it is a fixed
+            obstacle.
+        mass: [kg]; None means volume times `DEFAULT_DENSITY`.
+        material: friction.
+        subframes: named frames on the object, which the scene knows as "object/subframe".
+        type: key of the object's type in a database.
+        thread: screw connection to another object, in physics.
+        belt: surface velocity of a fixed object [m/s, object frame], such as a conveyor.
     """
 
     name: str
@@ -102,8 +136,8 @@ class CollisionObject:
     material: Material = Material()
     subframes: Mapping[str, SE3] = field(default_factory=dict)  # T_object_subframe by name
     type: ObjectType = ObjectType()
-    thread: Thread | None = None  # screwed into another object, in physics
-    belt: tuple[float, float, float] | None = None  # [m/s, object frame] of a fixed object's surface
+    thread: Thread | None = None  # screw connection to another object, in physics
+    belt: tuple[float, float, float] | None = None  # [m/s, object frame] surface velocity of a fixed object
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -129,20 +163,23 @@ class CollisionObject:
 
     @staticmethod
     def single(name: str, shape: Shape, pose: SE3 | None = None, **properties) -> CollisionObject:
-        """An object of one shape at its own origin."""
+        """Create an object with a single shape at the origin of the object's frame."""
         return CollisionObject(name, ((shape, SE3.identity()),), pose or SE3.identity(), **properties)
 
     def at(self, T_world_object: SE3) -> CollisionObject:
-        return replace(self, T_world_object=T_world_object)
+        """Return the object with another pose, without validating the other fields again."""
+        other = object.__new__(CollisionObject)
+        other.__dict__.update(self.__dict__, T_world_object=T_world_object)
+        return other
 
     @property
     def has_cloud(self) -> bool:
-        """Whether one of its shapes is a point cloud or octree."""
+        """Whether one of the object's shapes is a point cloud or an octree."""
         return any(isinstance(shape, PointCloud | Octree) for shape, _ in self.shapes)
 
     @property
     def volume(self) -> float:
-        """[m^3], the sum over the shapes."""
+        """Sum of the shapes' volumes [m^3]."""
         return sum(shape_volume(shape) for shape, _ in self.shapes)
 
     @property
@@ -150,7 +187,7 @@ class CollisionObject:
         return self.mass if self.mass is not None else DEFAULT_DENSITY * self.volume
 
     def extent(self, direction: NDArray[np.float64]) -> float:
-        """Size [m] along a unit direction (3,) of the object's frame."""
+        """Return the object's size [m] along a unit direction (3,) in the object's frame."""
         ends, direction = [], float_array(direction, (3,), "a direction")
         for shape, T in self.shapes:
             low, high = extent(shape, T.rotation.matrix.T @ direction)
@@ -159,7 +196,7 @@ class CollisionObject:
         return max(e[1] for e in ends) - min(e[0] for e in ends)
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest corner (3,), (3,) [m] of the box around it, in the object's frame."""
+        """Return the lowest and highest corner (3,) [m] of the bounding box, in the object's frame."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape, T in self.shapes:
             centre, half = local_bounds(shape)
@@ -170,9 +207,9 @@ class CollisionObject:
 
 
 def shape_volume(shape: Shape) -> float:
-    """[m^3]; a plane has none, a mesh that is not closed takes its convex hull's.
+    """Return a shape's volume [m^3]; a plane has volume 0.
 
-    Parts of clouds count as often as they overlap.
+    A mesh that is not closed counts as its convex hull. Overlapping points of a cloud count several times.
     """
     match shape:
         case Box():

@@ -1,4 +1,4 @@
-"""Octrees as OctoMap writes them: the binary form that `.bt` files and octomap_msgs/Octomap carry."""
+"""Writer for OctoMap's binary octree format, used by .bt files and octomap_msgs/Octomap."""
 
 from __future__ import annotations
 
@@ -13,25 +13,29 @@ from armcell.scene.octree_file import BINARY, DEPTH
 
 I64 = NDArray[np.int64]
 
-OFF = 1e-3  # of a voxel: this near to the grid is on it
-MOST = 20_000_000  # voxels that cells off the grid are made of
-LEAF, INNER = 2, 3  # two bits of a child, as a little-endian number
+OFF = 1e-3  # [voxels] tolerance for a cell to count as on the grid
+MOST = 20_000_000  # maximum number of voxels that replace cells off the grid
+LEAF, INNER = 2, 3  # the two bits that encode a child node, as a little-endian number
 
 
 def octree_bytes(octree: Octree) -> tuple[bytes, float]:
-    """An octree's binary data and its resolution [m]: the smallest cell. No data where there are no cells.
+    """Encode an octree in OctoMap's binary format.
 
-    Cells that are not on the octree's grid become the voxels that they reach into.
+    Cells off the octree's grid are replaced by the voxels that they overlap.
 
+    Returns:
+        The binary data (empty if the octree has no cells) and the resolution [m], the size of the smallest
+            cell.
     Raises:
-        InputError: it reaches farther than OctoMap's 2^15 voxels from the origin, or has too many of them.
+        InputError: the octree extends farther than OctoMap's 2^15 voxels from the origin, or cells off the
+            grid overlap too many voxels.
     """
     if not len(octree.sizes):
         return b"", 0.05
     resolution = float(octree.sizes.min())
     starts, sizes = _apart(*_cells(octree, resolution))
-    level = np.round(np.log2(sizes) / 3).astype(np.int64)  # 0: a voxel
-    # Each inner node is written before what is below it: by its first voxel, the larger one first.
+    level = np.round(np.log2(sizes) / 3).astype(np.int64)  # 0: a single voxel
+    # The format has each inner node before its descendants: sort by first voxel, larger nodes first.
     parents, depths, bits = [], [], []
     inner = np.zeros(0, np.int64)  # first voxels of the inner nodes one level below
     for up in range(1, DEPTH + 1):
@@ -49,10 +53,10 @@ def octree_bytes(octree: Octree) -> tuple[bytes, float]:
 
 
 def save_octree(octree: Octree, path: str | Path) -> None:
-    """Write a `.bt` file, for OctoMap's own programs.
+    """Write an octree to a .bt file, which OctoMap's programs can read.
 
     Raises:
-        InputError: see `octree_bytes`; or the file cannot be written.
+        InputError: the octree cannot be encoded (see `octree_bytes`), or the file cannot be written.
     """
     data, resolution = octree_bytes(octree)
     bits = np.frombuffer(data, "<u2")
@@ -65,7 +69,7 @@ def save_octree(octree: Octree, path: str | Path) -> None:
 
 
 def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
-    """Codes of the first voxels (n,) and numbers of voxels (n,) of the cells."""
+    """Return the octree's cells as codes of their first voxels (n,) and numbers of voxels (n,)."""
     edges = octree.sizes / resolution
     whole = 2.0 ** np.round(np.log2(edges))
     low = octree.centres / resolution - edges[:, None] / 2
@@ -85,7 +89,14 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
 
 
 def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
-    """The voxels (m, 3) that cells with low corners (n, 3) and edges (n,), in voxels, reach into."""
+    """Return the voxels (m, 3) that cells off the octree's grid overlap.
+
+    Args:
+        low: lowest corners of the cells (n, 3) [voxels].
+        edges: edge lengths (n,) [voxels].
+    Raises:
+        InputError: the cells overlap more than 20 million voxels.
+    """
     first = np.floor(low + OFF).astype(np.int64)
     count = np.ceil(low + edges[:, None] - OFF).astype(np.int64) - first
     if np.prod(count, axis=1).sum() > MOST:
@@ -97,7 +108,7 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Without cells that are within others."""
+    """Return the octree cells that are not inside another cell."""
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]
     ends = np.maximum.accumulate(starts + numbers)

@@ -1,4 +1,4 @@
-"""`PlanningScene`: robot, state, objects, attached bodies and what may touch; an immutable value."""
+"""`PlanningScene`: an immutable robot state with objects and allowed collisions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WORLD = "world"
 
 @dataclass(frozen=True, eq=False)
 class AttachedBody:
-    """An object that moves with a link; `touch_links` may touch it."""
+    """An object attached to a link; contact with the links in `touch_links` is allowed."""
 
     object: CollisionObject
     link: str
@@ -37,9 +37,10 @@ class AttachedBody:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PlanningScene:
-    """Everything a planner may know. `with_*()` return a changed copy; nothing is changed in place.
+    """An immutable planning scene: the robot, its state, the objects and the allowed collisions.
 
-    The world frame is the frame of the robot's root link. `positions` (dof,) are in the model's order.
+    The `with_*()` methods return a changed copy. The world frame is the frame of the robot's root link.
+    `positions` (dof,) [rad or m] have the model's joint order.
     """
 
     model: RobotModel
@@ -47,8 +48,8 @@ class PlanningScene:
     objects: Mapping[str, CollisionObject] = field(default_factory=dict)
     attached: Mapping[str, AttachedBody] = field(default_factory=dict)
     allowed_pairs: Mapping[frozenset[str], bool] = field(default_factory=dict)  # overrides the SRDF's pairs
-    allowed_defaults: Mapping[str, bool] = field(default_factory=dict)  # of a body, where no pair says else
-    padding: float = 0.0  # [m] around every link, against objects only
+    allowed_defaults: Mapping[str, bool] = field(default_factory=dict)  # by body, for pairs without an entry
+    padding: float = 0.0  # [m] around every link, only for checks against objects
     link_padding: Mapping[str, float] = field(default_factory=dict)
     link_scale: Mapping[str, float] = field(default_factory=dict)
     fixed_frames: Mapping[str, SE3] = field(default_factory=dict)  # T_world_frame by name
@@ -74,18 +75,33 @@ class PlanningScene:
         return JointState(self.model.joint_names, self.positions)
 
     def with_positions(self, positions: ArrayLike) -> PlanningScene:
-        """Another robot state (dof,), within limits."""
+        """Return the scene with other joint positions (dof,) [rad or m].
+
+        Raises:
+            InputError: wrong length, a non-finite value, or a position outside the limits.
+        """
         return replace(
             self, positions=np.array(self.model.check_positions(positions, margin=1e-3), dtype=float)
         )
 
     def with_state(self, state: JointState) -> PlanningScene:
-        """Some or all joints moved; the others stay."""
+        """Return the scene with the joints of `state` moved; other joints keep their positions.
+
+        Mimic joints, as ROS's /joint_states names them, follow their own joints and are ignored here.
+        """
+        joints = self.model.joints
+        names = [n for n in state.joint_names if n not in joints or joints[n].mimic is None]
+        if len(names) < len(state.joint_names):
+            state = state.reindexed(names)
         return self.with_positions(self.state.updated(state).positions)
 
     # --- objects ---
     def object(self, name: str) -> CollisionObject:
-        """An object, attached or not (an attached one at its present pose)."""
+        """Return a world object or attached object by name, with its current pose.
+
+        Raises:
+            UnknownNameError: the scene has no such object.
+        """
         if name in self.objects:
             return self.objects[name]
         if name in self.attached:
@@ -93,10 +109,10 @@ class PlanningScene:
         raise UnknownNameError("object", name, [*self.objects, *self.attached])
 
     def with_object(self, item: CollisionObject) -> PlanningScene:
-        """An object added, or replaced if one of that name is there.
+        """Return the scene with an object added; an object of the same name is replaced.
 
         Raises:
-            InputError: a link or an attached object has that name.
+            InputError: a link, a fixed frame or an attached object has the same name.
         """
         if item.name in self.model.links or item.name == WORLD:
             raise InputError(f"object {item.name!r} has the name of a link", cure="give it another name")
@@ -112,16 +128,27 @@ class PlanningScene:
         return replace(self, objects={**self.objects, name: self.objects[name].at(T_world_object)})
 
     def without_object(self, name: str) -> PlanningScene:
-        """Also forgets what the object was allowed to touch: another of that name is another object."""
+        """Return the scene without a world object and without its allowed-collision entries.
+
+        The entries are removed because a later object of the same name is a different object.
+
+        Raises:
+            UnknownNameError: the world has no such object.
+        """
         if name not in self.objects:
             raise UnknownNameError("object", name, self.objects)
         return forgotten(replace(self, objects={k: v for k, v in self.objects.items() if k != name}), name)
 
     def with_attached(self, name: str, link: str, touch_links: Iterable[str] = ()) -> PlanningScene:
-        """An object taken from the world and fixed to a link where it now is.
+        """Return the scene with a world object attached to a link at its current pose.
 
         Args:
-            link: or a frame that moves with one, such as a subframe of another held object.
+            name: the object.
+            link: a link, or a frame that moves with a link, such as a subframe of another attached object.
+            touch_links: links that may touch the object, in addition to the link that carries it.
+        Raises:
+            UnknownNameError: the object, link or frame does not exist.
+            InputError: the object contains a point cloud or an octree.
         """
         link = self.anchor(link)[0]
         if name not in self.objects:
@@ -138,16 +165,28 @@ class PlanningScene:
         return replace(self, objects=rest, attached={**self.attached, name: body})
 
     def with_detached(self, name: str) -> PlanningScene:
-        """An attached object put back into the world where it now is."""
+        """Return the scene with an attached object moved back to the world at its current pose.
+
+        Raises:
+            UnknownNameError: no attached object has this name.
+        """
         if name not in self.attached:
             raise UnknownNameError("attached object", name, self.attached)
         item = self.attached[name].object.at(self.frame_pose(name))
         rest = {k: v for k, v in self.attached.items() if k != name}
         return replace(self, attached=rest, objects={**self.objects, name: item})
 
-    # --- what may touch ---
+    # --- allowed collisions ---
     def with_allowed(self, a: str, b: str | Iterable[str], allow: bool = True) -> PlanningScene:
-        """Allow (or forbid) contact between bodies: links, objects, attached objects."""
+        """Return the scene with contact between bodies allowed or forbidden.
+
+        Args:
+            a: a link, world object or attached object.
+            b: one or several bodies of the same kinds.
+            allow: True to allow contact, False to forbid it.
+        Raises:
+            UnknownNameError: a body does not exist.
+        """
         others = (b,) if isinstance(b, str) else tuple(b)
         known = [*self.model.links, *self.objects, *self.attached]
         for name in (a, *others):
@@ -157,9 +196,16 @@ class PlanningScene:
         return replace(self, allowed_pairs={**self.allowed_pairs, **pairs})
 
     def with_default_allowed(self, name: str, allow: bool | None) -> PlanningScene:
-        """What holds for all pairs of a body that nothing else is said about, also with bodies added later.
+        """Return the scene with contact between a body and all others allowed or not by default.
 
-        None forgets it. Where the two of a pair disagree, contact is not allowed (as in MoveIt).
+        The default applies to pairs without an entry of their own, including bodies added later. If the
+        defaults of two bodies disagree, their contact is not allowed, as in MoveIt.
+
+        Args:
+            name: a link, world object or attached object.
+            allow: whether contact is allowed; None removes the default.
+        Raises:
+            UnknownNameError: the body does not exist.
         """
         known = [*self.model.links, *self.objects, *self.attached]
         if name not in known:
@@ -169,11 +215,11 @@ class PlanningScene:
 
     @cached_property
     def allowed(self) -> Mapping[frozenset[str], bool]:
-        """What was said by pair and, for the other pairs, by default."""
+        """Allowed (True) and forbidden (False) collision pairs, with defaults expanded to pairs."""
         return expanded(self) if self.allowed_defaults else self.allowed_pairs
 
     def is_allowed(self, a: str, b: str) -> bool:
-        """Whether contact between two bodies is to be ignored."""
+        """Return whether collision checks ignore contact between two bodies."""
         pair = frozenset((a, b))
         if pair in self.allowed:
             return self.allowed[pair]
@@ -184,7 +230,16 @@ class PlanningScene:
 
     def with_padding(self, padding: float | None = None, link_padding: Mapping[str, float] | None = None,
                      link_scale: Mapping[str, float] | None = None) -> PlanningScene:  # fmt: skip
-        """Links grown against objects by metres (padding) or by a factor (scale, at least 1 makes sense)."""
+        """Return the scene with links enlarged for collision checks against objects.
+
+        Args:
+            padding: padding of all links [m]; None keeps the current value.
+            link_padding: padding by link [m]; None keeps the current values.
+            link_scale: scale factor by link, usually at least 1; None keeps the current values.
+        Raises:
+            InputError: a negative padding or a scale that is not positive.
+            UnknownNameError: a link does not exist.
+        """
         values = [padding or 0.0, *(link_padding or {}).values()]
         if any(not np.isfinite(v) or v < 0 for v in values):
             raise InputError("padding must be a number of metres >= 0")
@@ -201,10 +256,15 @@ class PlanningScene:
 
     # --- frames ---
     def with_fixed_frame(self, name: str, T_parent_frame: SE3, parent: str = WORLD) -> PlanningScene:
-        """A named frame that stands in the world, placed where it now is in `parent`.
+        """Return the scene with a named frame that is fixed in the world.
 
+        Args:
+            name: name of the frame.
+            T_parent_frame: pose of the frame relative to `parent`.
+            parent: frame whose current pose is used; later motions of `parent` do not move the new frame.
         Raises:
-            InputError: a link or object has that name.
+            InputError: a link or object has the same name.
+            UnknownNameError: `parent` does not exist.
         """
         if not name or name in (WORLD, *self.model.links, *self.objects, *self.attached):
             raise InputError(f"fixed frame {name!r} has the name of a link or object", cure="rename it")
@@ -213,16 +273,18 @@ class PlanningScene:
 
     @property
     def frame_names(self) -> list[str]:
-        """Every frame there is: world, links, fixed frames, objects and their subframes."""
+        """Names of all frames: world, links, fixed frames, objects and their subframes."""
         items = [*self.objects.values(), *(body.object for body in self.attached.values())]
         own = [name for item in items for name in (item.name, *(f"{item.name}/{s}" for s in item.subframes))]
         return [WORLD, *self.model.links, *self.fixed_frames, *own]
 
     def anchor(self, name: str) -> tuple[str, SE3]:
-        """The link that a frame moves with and T_link_frame; the root link for what stands in the world.
+        """Return the link that a frame moves with, and the frame's pose relative to the link.
+
+        For a frame that is fixed in the world, the link is the robot's root link.
 
         Raises:
-            UnknownNameError: no such frame.
+            UnknownNameError: the frame does not exist.
         """
         root = self.model.root_link
         if name == WORLD:
@@ -243,10 +305,10 @@ class PlanningScene:
         raise UnknownNameError("frame", name, self.frame_names)
 
     def frame_pose(self, name: str) -> SE3:
-        """T_world_frame of a link, an object (attached or not), a subframe ("cup/handle") or a fixed frame.
+        """Return the pose T_world_frame of a link, object, subframe ("cup/handle") or fixed frame.
 
         Raises:
-            UnknownNameError: no such frame.
+            UnknownNameError: the frame does not exist.
         """
         link, T_link_frame = self.anchor(name)
         if link == self.model.root_link:
@@ -254,14 +316,14 @@ class PlanningScene:
         return kinematic_tree(self.model).link_pose(self.positions, link) @ T_link_frame
 
     def transform(self, target: str, source: str) -> SE3:
-        """T_target_source, as TF's lookup_transform(target, source)."""
+        """Return T_target_source, like TF's `lookup_transform(target, source)`."""
         return self.frame_pose(target).inv() @ self.frame_pose(source)
 
     # --- many changes at once ---
     def apply(self, diff: SceneDiff) -> PlanningScene:
-        """All changes of a diff, or none.
+        """Return the scene with all changes of a scene diff applied.
 
         Raises:
-            InputError: one of them cannot be made; says which and why.
+            InputError: a change cannot be applied; the message says which change and why.
         """
         return diff.applied_to(self)

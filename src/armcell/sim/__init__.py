@@ -1,9 +1,12 @@
-"""Physics: a planning scene as a MuJoCo world that steps only when told; grips, contacts, cameras."""
+"""MuJoCo physics for a planning scene: stepping, grippers, contacts, and cameras.
+
+A `SimWorld` advances only when the caller steps it.
+"""
 
 # isort: off
 from armcell._interrupts import silent_helpers
 
-with silent_helpers():  # glfw, which this imports, starts a process that reads its input
+with silent_helpers():  # mujoco imports glfw, which starts a process that reads standard input
     import mujoco as _mujoco  # noqa: F401
 # isort: on
 

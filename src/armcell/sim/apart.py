@@ -1,8 +1,9 @@
-"""Bodies that the engine need not compare, because they are known to be apart.
+"""Motion bounds that let MuJoCo skip the collision test of body pairs known to be apart.
 
-It tells bodies apart by boxes and spheres around them, at every step. Here a pair is not looked at as long as
-its distance, once measured, is more than the joints between the two can have made up for since; and a body
-with no pair to be looked at is not even sorted in. So the contacts are the same.
+MuJoCo's broad phase compares bounding boxes and spheres at every step. `Apart` measures the distance of a
+pair once; MuJoCo skips the pair until the joints between its two bodies have moved far enough to use up this
+distance. A body with no pair left to test does not enter the broad phase at all. The contacts are exactly
+those that MuJoCo finds without `Apart`.
 """
 
 from __future__ import annotations
@@ -18,27 +19,34 @@ from armcell.sim.stepping import ALL
 
 Array = NDArray[np.float64]
 
-MOST_BODIES = 30  # one bit each of the engine's masks; the lowest is everything else's
+MOST_BODIES = 30  # each body takes one bit of MuJoCo's contact masks; all other geoms share the lowest bit
 UNKNOWN = {int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("PLANE", "HFIELD", "SDF")}
-"""Kinds of geoms whose distances the engine does not tell."""
+"""Geom types for which MuJoCo cannot compute distances."""
 FREE, SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-BEYOND = 0.05  # [m] how far a slide may go beyond its range
+BEYOND = 0.05  # [m] assumed largest overshoot of a slide joint beyond its limits
 
 
 class Apart:
-    """Pairs of bodies, for `stepping.take_steps`.
+    """Body pairs with motion bounds, which let MuJoCo skip pairs that cannot be in contact.
+
+    `stepping.take_steps` reads and updates the arrays.
 
     Attributes:
-        arrays: of p pairs, the c joint values between their bodies, and k pairs of their geoms:
-            (c,) index in qpos; (c,) how far a point of one can move against the other for each unit [m];
-            (c,) the value when the distance was measured; (p + 1,) where those of a pair begin;
-            (p,) how far both may have moved since [m], and (p,) how far from now on, at least;
-            (p,) whether the engine does not look at the pair, and whether it is to be measured in this step;
-            (nq,) the largest way of any pair for each unit of qpos, and qpos as it was before the last step;
-            (p, 2) bodies; (k, 2) geoms, and (p + 1,) where those of a pair begin;
-            (geom,) the bit of its body in the engine's masks, and the masks of what it may touch;
-            (body,) how many pairs of each the engine looks at, and its two masks of bodies;
-            (geom,) radius of the sphere around each [m].
+        arrays: tuple for p body pairs with c joint values and k geom pairs in total, in this order:
+            (c,) index in qpos of each joint value that moves one body of a pair against the other;
+            (c,) upper bound of the relative motion of the two bodies per unit of this joint value [m];
+            (c,) joint value at the time of the last distance measurement;
+            (p + 1,) offsets of each pair's first joint value;
+            (p,) motion allowed since the last measurement [m];
+            (p,) lower bound of the motion still allowed from now on [m];
+            (p,) True where MuJoCo skips the pair;
+            (p,) True where this step must measure the distance of the pair;
+            (nq,) largest motion bound of all pairs per unit of qpos [m];
+            (nq,) qpos before the last step;
+            (p, 2) bodies; (k, 2) geoms; (p + 1,) offsets of each pair's first geom pair;
+            (geom,) contact mask bit of the geom's body; (geom,) contact mask of the bodies it may touch;
+            (body,) number of pairs that MuJoCo tests; (body,) contype mask; (body,) conaffinity mask;
+            (geom,) radius of the bounding sphere [m].
     """
 
     def __init__(self, built: BuiltModel):
@@ -46,7 +54,7 @@ class Apart:
         self._model, n = model, model.nq
         comparable = _comparable(model)
         plain = [b for b in range(model.nbody) if _plain(model, b)][:MOST_BODIES]
-        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):  # which moves within a step
+        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):  # RK4 moves the bodies within a step
             plain = []
         known = set(plain)
         self._pairs = np.array([p for p in comparable if known.issuperset(p)], np.int64).reshape(-1, 2)
@@ -66,8 +74,9 @@ class Apart:
         rows, columns = reach.nonzero()
         self._left, self._shut = np.zeros(count), np.zeros(count, np.bool_)
         self.arrays = (
-            columns, reach[rows, columns], np.zeros(len(rows)), np.searchsorted(rows, np.arange(count + 1)),
-            np.zeros(count), self._left, self._shut, np.zeros(count, np.bool_),
+            np.ascontiguousarray(columns), reach[rows, columns], np.zeros(len(rows)),
+            np.searchsorted(rows, np.arange(count + 1)), np.zeros(count),
+            self._left, self._shut, np.zeros(count, np.bool_),
             reach.max(axis=0, initial=0.0), np.zeros(n), self._pairs,
             np.array([pair for some in geoms for pair in some], np.int64).reshape(-1, 2),
             np.cumsum([0, *map(len, geoms)]), self._bit, model.geom_conaffinity,
@@ -76,7 +85,7 @@ class Apart:
         self.forget()
 
     def forget(self) -> None:
-        """Let the engine look at every pair."""
+        """Make MuJoCo test every body pair again, for example after a body was moved outside a step."""
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
         model.geom_conaffinity[self._bit > 0] = ALL
@@ -89,7 +98,7 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Pairs of bodies that the engine compares."""
+    """Return the pairs of bodies that MuJoCo tests for contact."""
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
     weld = model.body_weldid.tolist()
     above = [weld[parent] for parent in model.body_parentid[weld].tolist()]
@@ -104,14 +113,18 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Whether it has geoms, and all touch whatever there is and are of a kind whose distances are known."""
+    """Return True if a body has geoms, all with default masks and of types with known distances."""
     geoms = _geoms(model, body)
     masks = (model.geom_contype[geoms] == 1).all() and (model.geom_conaffinity[geoms] == 1).all()
     return bool(geoms) and bool(masks) and UNKNOWN.isdisjoint(model.geom_type[geoms].tolist())
 
 
 def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
-    """Of each pair (p, nq): how far a point of one can move against the other for each unit of qpos [m]."""
+    """Return motion bounds (p, nq) [m] of each body pair per unit of each qpos value.
+
+    Entry [i, j] bounds how far a point of one body of pair i can move against the other body when qpos[j]
+    changes by one unit.
+    """
     ways = {body: _way_up(model, body) for body in set(pairs.ravel().tolist())}
     found = np.zeros((len(pairs), model.nq))
     for row, (a, b) in zip(found, pairs.tolist(), strict=True):
@@ -125,17 +138,21 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Of a body and all above it, the joints: where each begins in qpos, and how far the body's farthest
-    point moves for each unit."""
+    """Return the joints of a body and of all its ancestors with their motion bounds.
+
+    Returns:
+        The joints by body id, from the given body up to the world. Each joint is a tuple: start index in
+        qpos, and motion of the given body's farthest point [m] per unit of each qpos value.
+    """
     offsets = np.linalg.norm(model.geom_pos[(geoms := _geoms(model, body))], axis=1)
-    # from the link's origin to its farthest point, and then on from frame to frame
+    # distance from the link's origin to its farthest point; each ancestor below adds the offset of its frame
     reach = float((offsets + model.geom_rbound[geoms]).max())
     way: dict[int, list[tuple[int, tuple[float, ...]]]] = {}
     while body > 0:
         start, slides, joints = int(model.body_jntadr[body]), 0.0, []
         for j in range(start, start + int(model.body_jntnum[body])):
             if model.jnt_type[j] == FREE:
-                # two unit quaternions d apart are a turn by 4 asin(d / 2), which moves no point by more
+                # two unit quaternions d apart differ by a rotation of 4 asin(d / 2), a chord of at most 2 d
                 moves = (1.0,) * 3 + (2.0 * reach,) * 4
             elif model.jnt_type[j] == SLIDE:
                 moves = (1.0,)

@@ -1,7 +1,8 @@
-"""From a `PlanningScene` to a MuJoCo model.
+"""Conversion of a `PlanningScene` to a MuJoCo model.
 
-The model is made from the robot's tree directly. What physics adds to the scene's data is in
-`PhysicsSettings`. Links and objects keep their names as bodies, so a contact can be told by name.
+`build` creates the MuJoCo model directly from the robot's kinematic tree. `PhysicsSettings` holds the
+parameters that the scene does not have. Each link and object becomes a body of the same name, so contacts
+have names.
 """
 
 from __future__ import annotations
@@ -23,12 +24,18 @@ RENDER_CAMERA = "render"
 
 
 def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
-    """Every object of a scene at its present pose. Attached ones are free bodies in physics."""
+    """Return every object of a scene by name, at its current pose.
+
+    Attached objects are included, because they are free bodies in physics.
+    """
     return {**scene.objects, **{name: scene.object(name) for name in scene.attached}}
 
 
 def same_build(a: PlanningScene, b: PlanningScene) -> bool:
-    """Whether two scenes compile to the same model but for joint positions and free bodies' poses."""
+    """Return True if two scenes compile to the same model.
+
+    Joint positions and poses of free bodies may differ.
+    """
     if a.model is not b.model or dict(a.allowed) != dict(b.allowed) or set(a.attached) != set(b.attached):
         return False
     olds, news = scene_objects(a), scene_objects(b)
@@ -59,14 +66,14 @@ def build(
     visuals: bool = False,
     decals: Iterable[Decal] = (),
 ) -> BuiltModel:
-    """Compile a scene.
+    """Compile a planning scene to a MuJoCo model.
 
     Args:
-        visuals: add the links' visual meshes (no contacts, no mass) for drawing. The physics is the same
-            without them and compiles faster.
-        decals: pictures to be drawn, for models with visuals.
+        visuals: also add the links' visual meshes, without contacts or mass, for rendering. A model without
+            visual meshes has the same physics and compiles faster.
+        decals: images to attach to links, objects or the world; only for models with `visuals`.
     Raises:
-        InputError: MuJoCo refuses the model.
+        InputError: MuJoCo rejects the model.
     """
     settings = settings or PhysicsSettings()
     spec = mujoco.MjSpec()
@@ -113,11 +120,11 @@ def set_options(spec: mujoco.MjSpec, settings: PhysicsSettings) -> None:
     option.iterations = settings.iterations
     option.noslip_iterations = settings.noslip_iterations
     option.gravity = settings.gravity
-    # MuJoCo 4.0.0's sparse Newton solver has a known defect, and "auto" turns to it at 60 degrees of freedom
+    # MuJoCo 4.0.0's sparse Newton solver has a known defect; "auto" selects it from 60 degrees of freedom on
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     if settings.sleep:
         option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    else:  # to look for islands, which sleep needs, takes longer than it saves with so few bodies
+    else:  # only sleeping needs islands; with few bodies, finding islands costs more time than it saves
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     spec.compiler.balanceinertia = True
     spec.compiler.fusestatic = False

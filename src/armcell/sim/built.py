@@ -1,4 +1,4 @@
-"""A compiled MuJoCo model, and the table of what is where in it."""
+"""A compiled MuJoCo model with its index tables for joints, bodies, and grippers."""
 
 from __future__ import annotations
 
@@ -21,27 +21,33 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class GripperIndex:
-    """One gripper's servo. The servo's length is the driven joint's position (mean over the fingers)."""
+    """Indices and limits of one gripper's position servo.
+
+    The length of the servo's tendon is the driven joint's position, averaged over the fingers.
+    """
 
     gripper: Gripper
     ctrl: int
-    joints: tuple[tuple[int, float], ...]  # (index in qpos, weight): the servo's length is their weighted sum
+    joints: tuple[tuple[int, float], ...]  # (index in qpos, weight); the tendon length is the weighted sum
     lower: float  # [m] of the driven joint
     upper: float
     max_speed: float  # [m/s] of the driven joint
     max_force: float  # [N] per finger
-    finger_owners: tuple[int, ...]
-    hand: NDArray[np.bool_]  # (owner,) whether it is a link of the hand
+    finger_owners: NDArray[np.int64]  # (fingers,) index of each finger's link among the owners
+    hand: NDArray[np.bool_]  # (owners,) True where the owner is a link of the hand
     tcp_body: int
 
     def length(self, qpos: Array) -> float:
-        """Of the servo at a state. (MuJoCo's own is one step old after a step.)"""
+        """Return the tendon length [m] at a state `qpos`.
+
+        MuJoCo's own tendon length is one step old after a step.
+        """
         return sum(weight * float(qpos[i]) for i, weight in self.joints)
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel:
-    """A compiled model with indices by name. `owners` are links, then objects."""
+    """A compiled MuJoCo model with indices by name; `owners` lists the links, then the objects."""
 
     scene: PlanningScene
     spec: mujoco.MjSpec
@@ -56,18 +62,18 @@ class BuiltModel:
     qpos: Ints  # (dof,) actuated joints in the model's order
     dofs: Ints  # (dof,)
     pos_ctrl: Ints  # (dof,) control index of the position (or torque) input, -1 for a gripper's joint
-    vel_ctrl: Ints  # (dof,) of the velocity input, -1 where there is none
+    vel_ctrl: Ints  # (dof,) control index of the velocity input, -1 for joints without one
     grippers: dict[str, GripperIndex]
     object_qpos: dict[str, int]  # movable objects: start of x, y, z, qw, qx, qy, qz
     belts: tuple[tuple[int, int, float], ...]  # index in qpos, in qvel, speed [m/s]
-    threaded: dict[str, tuple[int, int]]  # objects screwed into others: slide and turn
+    threaded: dict[str, tuple[int, int]]  # screwed-in objects: qpos index of the slide and of the rotation
     object_dof: dict[str, int]
-    objects: dict[str, CollisionObject]  # attached ones included, at their initial poses
-    welds: dict[tuple[str, str], int]  # equality by (object, gripper)
+    objects: dict[str, CollisionObject]  # including attached objects, at their initial poses
+    welds: dict[tuple[str, str], int]  # equality constraint id by (object, gripper)
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Objects whose pose changes."""
+        """Names of the objects whose poses can change: free objects and screwed-in objects."""
         return (*self.object_qpos, *self.threaded)
 
 
@@ -89,7 +95,7 @@ def indexed(
     joint_qpos = {name: int(j.qposadr[0]) for name, j in joints.items()}
     joint_dof = {name: int(j.dofadr[0]) for name, j in joints.items()}
     driven = {g.joint_name for g in model.grippers.values()}
-    # pid actuators have two controls each, so the actuator's number is not the control's
+    # each pid actuator has two controls, so an actuator's id differs from its control index
     first = {n: int(mj.actuator_ctrladr[mj.actuator(n).id]) for n in model.joint_names if n not in driven}
     free = {
         n: mj.joint(f"{n}:free")
@@ -150,7 +156,7 @@ def _gripper_index(
         upper=limits.upper,
         max_speed=min(limits.velocity, settings.finger_speed),
         max_force=servo_force(gripper, settings) / abs(gripper.width_per_joint),
-        finger_owners=tuple(owners[n] for n in gripper.finger_links),
+        finger_owners=np.array([owners[n] for n in gripper.finger_links], np.int64),
         hand=np.array([name in gripper.hand_links for name in owners]),
         tcp_body=mj.body(gripper.tcp_link).id,
     )

@@ -1,4 +1,4 @@
-"""The camera model: where it is, how its pixels look out, how often, and how well it measures depth."""
+"""The camera model: pose, intrinsics, frame rate, and depth noise."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from armcell.core.checks import checked, float_array
 @dataclass(frozen=True)
 @checked()
 class DepthNoise:
-    """What a real depth camera does to the truth. All zero: a perfect one.
+    """Noise model of a depth camera; with all parameters zero, the camera is perfect.
 
-    Stereo and structured light measure disparity, so that noise and steps grow with distance squared
-    (Khoshelham and Elberink, Sensors 12(2), 2012); `for_stereo` is about an Intel D435 at 640 x 480.
+    Stereo and structured-light cameras measure disparity, so their noise and depth resolution grow with the
+    square of the distance (Khoshelham and Elberink, Sensors 12(2), 2012). `for_stereo` approximates an Intel
+    D435 at 640 x 480 px.
     """
 
     floor: float = 0.0  # [m] standard deviation at any distance
     growth: float = 0.0  # [1/m] standard deviation per distance squared
-    step: float = 0.0  # [m] between the depths that can be told apart
-    step_growth: float = 0.0  # [1/m] the same, per distance squared
-    dropout: float = 0.0  # share of pixels without a depth
-    edge_dropout: float = 0.0  # share of the pixels beside a jump in depth without one
-    nearest: float = 0.0  # [m] nothing nearer is measured
-    farthest: float = np.inf  # [m] and nothing farther
+    step: float = 0.0  # [m] depth resolution at any distance
+    step_growth: float = 0.0  # [1/m] depth resolution per distance squared
+    dropout: float = 0.0  # fraction of pixels without a depth value
+    edge_dropout: float = 0.0  # fraction of pixels without a depth value next to a depth discontinuity
+    nearest: float = 0.0  # [m] smallest distance that the camera measures
+    farthest: float = np.inf  # [m] largest distance that the camera measures
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -48,7 +49,7 @@ class DepthNoise:
         return self == DepthNoise()
 
     def applied(self, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-        """Depth (h, w) [m] as the camera would measure it; 0 where it sees nothing."""
+        """Return the depth image (h, w) [m] with noise; pixels without a measurement are 0."""
         z = depth.astype(float)
         seen = (z > 0) & (z >= self.nearest) & (z <= self.farthest)
         noisy = z + rng.standard_normal(z.shape) * (self.floor + self.growth * z**2)
@@ -64,7 +65,7 @@ class DepthNoise:
 
 
 def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Pixels beside a jump of depth, by more than a slope could explain (3 %, at least 1 cm)."""
+    """Return a mask of pixels next to a depth discontinuity: more than 3 % and more than 1 cm."""
     jump = np.zeros(z.shape, bool)
     for axis in (0, 1):
         near, far = (slice(None), slice(1, None)), (slice(None), slice(None, -1))
@@ -79,10 +80,10 @@ def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Camera:
-    """A pinhole camera. Its frame is optical: z forward, x right, y down.
+    """A pinhole camera with an optical frame: z forward, x right, y down.
 
-    Pixels are square and centred by the field of view, unless `pinhole` says otherwise. A camera on a link
-    has its pose in that link's frame in `T_link_camera`; `T_world_camera` is where that is at the start.
+    Without `pinhole`, pixels are square and the principal point is the image center. For a camera on a link,
+    `T_link_camera` is its pose in the link's frame, and `T_world_camera` is its pose at the start.
     """
 
     name: str
@@ -90,7 +91,7 @@ class Camera:
     width: int = 640  # [px]
     height: int = 480  # [px]
     fovy_deg: float = 45.0  # vertical field of view
-    pinhole: Pinhole | None = None  # instead of width, height and fovy_deg
+    pinhole: Pinhole | None = None  # intrinsics that replace width, height and fovy_deg
     link: str | None = None
     T_link_camera: SE3 | None = None
     rate: float = 30.0  # [Hz]
@@ -118,7 +119,10 @@ class Camera:
 
     @staticmethod
     def looking_at(name: str, eye: ArrayLike, target: ArrayLike, **properties) -> Camera:
-        """A camera at `eye` (3,) that looks at `target` (3,) [m, world frame], world z up in the picture."""
+        """Create a camera at `eye` (3,) that looks at `target` (3,) [m, world frame].
+
+        World z points up in the image.
+        """
         return Camera(name, look_at(eye, target), **properties)
 
     def at(self, T_world_camera: SE3) -> Camera:
@@ -129,12 +133,18 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """K (3, 3) [px] of pixels with whole numbers at their centres."""
+        """Camera matrix K (3, 3) [px]; pixel centers have integer coordinates."""
         return self.model.matrix
 
 
 def look_at(eye: ArrayLike, target: ArrayLike) -> SE3:
-    """The optical frame at `eye` (3,) that looks at `target` (3,), the frame's z axis up in the picture."""
+    """Return the pose of the optical frame at `eye` (3,) that looks at `target` (3,).
+
+    The z axis of the frame in which both points are given points up in the image.
+
+    Raises:
+        InputError: both points are the same.
+    """
     eye, target = float_array(eye, (3,), "eye"), float_array(target, (3,), "target")
     away = np.linalg.norm(target - eye)
     if not away > 1e-9:

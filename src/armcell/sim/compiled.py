@@ -1,4 +1,4 @@
-"""Steps in compiled code for worlds that need no Python at every step."""
+"""Compiled physics stepping for worlds that need no Python code at every step."""
 
 from __future__ import annotations
 
@@ -11,48 +11,59 @@ from numpy.typing import NDArray
 
 from armcell.sim.apart import Apart
 from armcell.sim.built import BuiltModel
+from armcell.sim.by_address import addresses_of
 from armcell.sim.contacts import ContactMonitor
 from armcell.sim.grip import Fingers
 from armcell.sim.servo import Controls
-from armcell.sim.stepping import LIBRARY, take_steps
+from armcell.sim.stepping import FIXED, LIBRARY, take_steps
 
 Array = NDArray[np.float64]
 
-# Else the engine reads the clock 32 times a step, for its timers. (Its `set_mjcb_time(None)` sets its own.)
+# Without this, MuJoCo reads the clock 32 times per step for its timers: `set_mjcb_time(None)` installs
+# MuJoCo's default clock, so only this pointer can disable the timers.
 ctypes.c_void_p.in_dll(ctypes.CDLL(str(LIBRARY)), "mjcb_time").value = None
 _NONE, _NO_ROWS, _NO_COLUMNS = np.zeros(0), np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 
 
 class CompiledSteps:
-    """Steps of one `MjData`, with its grippers driven and its contacts looked at after every one."""
+    """Compiled steps of one `MjData` with gripper control and a contact check after each step."""
 
     def __init__(self, built: BuiltModel, data: mujoco.MjData, fingers: Fingers, count: NDArray[np.int32]):
         self._data, self._apart = data, Apart(built)
         self._engine = built.mj._address, data._address
         self.forget = self._apart.forget
-        self._fingers, self._count = (fingers.law, fingers.joints, fingers.weights), count
-        self._qpos, self._ctrl, self._places = data.qpos, data.ctrl, data.geom_xpos
+        self._arrays = (
+            count, data.qpos, data.ctrl, data.geom_xpos, fingers.law, fingers.joints, fingers.weights,
+            *self._apart.arrays,
+        )  # fmt: skip
+        self._fixed = addresses_of(self._arrays, FIXED)
 
     @property
     def possible(self) -> bool:
-        """Not where the engine's memory gets scarce: without Python around it, an error ends the process."""
+        """Whether MuJoCo has enough memory for compiled steps.
+
+        In compiled code a MuJoCo error ends the process, so compiled steps are unavailable once the peak use
+        of the arena has reached half its size.
+        """
         return self._data.maxuse_arena * 2 < self._data.narena
 
     def take(self, n: int, monitor: ContactMonitor) -> None:
-        """Take n steps."""
+        """Take n physics steps and record unwanted contacts in the monitor."""
         self._run(n, monitor, n, _NO_ROWS, _NO_COLUMNS, _NO_COLUMNS, np.inf, _NONE)
 
     def follow(
         self, targets: Array, steps: int, tolerance: float, controls: Controls,
         columns: NDArray[np.int64], monitor: ContactMonitor,
     ) -> tuple[int, Array]:  # fmt: skip
-        """New targets (k, 2j) every `steps` steps, until a joint is off by more than a tolerance.
+        """Track joint targets until the targets end or a joint leaves the tolerance.
 
         Args:
-            targets: positions and velocities side by side.
-            controls: of the joints; columns (j,) in qpos.
+            targets: (k, 2j) positions, then velocities, of j joints; one row for every `steps` physics steps.
+            tolerance: largest tracking error [rad or m].
+            controls: control indices of the joints.
+            columns: (j,) indices of the joints in qpos.
         Returns:
-            How many of the targets were used; how far the joints were off at most (j,).
+            The number of targets used, and the largest tracking error of each joint (j,) [rad or m].
         """
         _, at, speeds = controls
         where = np.concatenate((at, speeds)) if speeds.item(0) >= 0 else at
@@ -65,13 +76,12 @@ class CompiledSteps:
         self, n: int, monitor: ContactMonitor, period: int, targets: Array, where: NDArray[np.int64],
         columns: NDArray[np.int64], limit: float, worst: Array,
     ) -> int:  # fmt: skip
-        """Returns how many steps were taken."""
+        """Take up to n steps; return the number of steps taken until a joint left the limit."""
         taken, off = 0, False
         model, data = self._engine
         while taken < n and not off:
-            taken, touches, off = take_steps(
-                model, data, taken, n, self._count, monitor.pairs, monitor.readable, monitor.unwanted_geoms,
-                self._fingers, self._apart.arrays, self._qpos, self._ctrl, self._places,
+            taken, touches, off = take_steps(  # pyright: ignore[reportGeneralTypeIssues]
+                model, data, taken, n, self._fixed, monitor.pairs, monitor.readable, monitor.unwanted_geoms,
                 period, targets, where, columns, limit, worst,
             )  # fmt: skip
             if touches:
@@ -80,12 +90,16 @@ class CompiledSteps:
 
 
 def compiled_steps(built: BuiltModel, data: mujoco.MjData, fingers: Fingers) -> CompiledSteps | None:
-    """None where MuJoCo's number of contacts is not found, as it might be with another version."""
+    """Return the compiled stepper, or None if this MuJoCo version has an unknown memory layout.
+
+    The stepper reads MuJoCo's number of contacts at a fixed offset in mjData; `_count_is_found` checks this
+    offset.
+    """
     return CompiledSteps(built, data, fingers, _count(data)) if _count_is_found() else None
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """MuJoCo's number of contacts (1,), to be read in place: what comes after the timers in mjData."""
+    """Return a live view (1,) of MuJoCo's contact count, which follows the timers in mjData."""
     timers = data.timer.duration
     address = timers.__array_interface__["data"][0] + timers.shape[0] * timers.strides[0]
     return np.ctypeslib.as_array((ctypes.c_int32 * 1).from_address(address))
@@ -93,7 +107,10 @@ def _count(data: mujoco.MjData) -> NDArray[np.int32]:
 
 @cache
 def _count_is_found() -> bool:
-    """Tried with three boxes on a floor, in the air, and on the floor again."""
+    """Check the offset of the contact count on a test model.
+
+    The test places three boxes on a floor, in the air, and on the floor again.
+    """
     box = '<body><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{box * 3}</worldbody></mujoco>'

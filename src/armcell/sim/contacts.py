@@ -1,4 +1,4 @@
-"""Contacts by name, and a monitor that sees every physics step."""
+"""Contacts by body name, and a monitor that checks the contacts of every physics step."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from armcell.sim.built import BuiltModel
 Array = NDArray[np.float64]
 
 _FEW, _KEPT = 30, 10_000
-"""Lists of so many contacts come again and again, and so many of them are remembered."""
+"""The monitor caches up to `_KEPT` contact lists of at most `_FEW` contacts: such lists recur often."""
 _NO_END = 1 << 20
 
 
 @dataclass(frozen=True)
 class PhysicsContact:
-    """One contact point of the last step. Bodies are link or object names."""
+    """One contact point of the last step; the bodies are link or object names."""
 
     body_a: str
     body_b: str
     position: tuple[float, float, float]  # world frame [m]
-    depth: float  # [m], how far the bodies overlap
-    force: float  # [N], normal
+    depth: float  # [m] penetration depth
+    force: float  # [N] normal force
 
 
 @dataclass(frozen=True)
 class UnwantedContact:
-    """A pair that touched and should not have."""
+    """A pair of bodies that touched although the monitor does not allow it."""
 
     body_a: str
     body_b: str
-    time: float  # [s] when it was first seen
-    depth: float  # [m], deepest so far
+    time: float  # [s] simulation time of the first contact
+    depth: float  # [m] largest penetration depth so far
     count: int  # physics steps in which the pair touched
 
 
 def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact]:
-    """All contacts of the last step, deepest first."""
+    """Return all contacts of the last step, deepest first."""
     found = []
     wrench = np.zeros(6)
     for i in range(data.ncon):
@@ -64,15 +64,16 @@ def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact
 
 
 class ContactMonitor:
-    """Collects unwanted contacts at every physics step.
+    """Records unwanted contacts at every physics step.
 
-    Unwanted is: a robot link touching anything it is not allowed to touch, and a watched (held) object
-    touching any object it is not allowed to rest on. MuJoCo finds contacts at the beginning of a step, so
-    the state after the very last step has not been looked at yet.
+    A contact is unwanted if a robot link touches a body that it must not touch, or if a watched (held) object
+    touches an object other than its supports. MuJoCo detects contacts at the beginning of a step, so the
+    monitor has not yet checked the state after the last step.
 
     Attributes:
-        unwanted_geoms: (ngeom, ngeom) whether two geoms are not to touch.
-        pairs: (n, 2) geoms of each contact, read in place; the first `readable` can be.
+        unwanted_geoms: (ngeom, ngeom) True where two geoms must not touch.
+        pairs: (n, 2) geoms of each contact, a live view of MuJoCo's memory.
+        readable: number of rows of `pairs` that may be read.
     """
 
     def __init__(self, built: BuiltModel):
@@ -80,7 +81,7 @@ class ContactMonitor:
         self._allowed: set[frozenset[str]] = set()
         self._watched: set[str] = set()
         self._found: dict[frozenset[str], UnwantedContact] = {}
-        self._data: mujoco.MjData | None = None  # whose list of contacts `pairs` is
+        self._data: mujoco.MjData | None = None  # owner of the contact list that `pairs` shows
         self.pairs, self.readable = np.zeros((2, 4), np.int32)[:, :2], 0
         self.pairs.flags.writeable = False
         scene = built.scene
@@ -89,13 +90,13 @@ class ContactMonitor:
                 self._allowed.add(pair)
         for name, body in scene.attached.items():
             self._allowed |= {frozenset((name, link)) for link in body.touch_links}
-        for gripper in scene.model.grippers.values():  # an empty gripper closes on itself
+        for gripper in scene.model.grippers.values():  # the fingers of an empty gripper touch each other
             self._allowed.add(frozenset(gripper.finger_links))
         self._rule()
 
     @property
     def unwanted(self) -> tuple[UnwantedContact, ...]:
-        """What has been seen so far, in order of first sight."""
+        """Unwanted contacts recorded so far, in order of first contact."""
         return tuple(self._found.values())
 
     @property
@@ -103,17 +104,17 @@ class ContactMonitor:
         return frozenset(self._allowed)
 
     def allow(self, a: str, b: str | Iterable[str]) -> None:
-        """Let two bodies (links or objects) touch."""
+        """Allow contact between a body and one or more other bodies (links or objects)."""
         self._change(a, b, True)
 
     def forbid(self, a: str, b: str | Iterable[str]) -> None:
-        """Take back `allow`."""
+        """Forbid contact between a body and one or more other bodies; reverses `allow`."""
         self._change(a, b, False)
 
     def watch(self, item: str, supports: Iterable[str] = ()) -> None:
-        """From now on a contact of an object with other objects is unwanted, but for its supports.
+        """Treat contacts of an object with other objects as unwanted, except for its supports.
 
-        Supports are allowed until `unwatch` or `forbid`.
+        Contact with the supports stays allowed until `forbid` revokes it.
         """
         self._check(item)
         self._watched.add(item)
@@ -125,11 +126,11 @@ class ContactMonitor:
         self._rule()
 
     def clear(self) -> None:
-        """Forget what has been seen; the rule stays."""
+        """Delete the recorded contacts and keep the contact rules."""
         self._found = {}
 
     def update(self, data: mujoco.MjData) -> None:
-        """Look at the contacts of the step just taken."""
+        """Check the contacts of the last step and record unwanted ones."""
         count = data.ncon
         if count == 0:
             return
@@ -148,12 +149,12 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Look at the list of contacts in place: it begins where MuJoCo's arena does, whatever its length."""
+        """Map MuJoCo's contact list as a live view; it starts at the arena's base for any length."""
         self._data, geoms = data, data.contact.geom
         self.pairs = as_strided(geoms, (_NO_END, 2), geoms.strides, writeable=False)
         self.readable = _NO_END
 
-    # --- inside ---
+    # --- private ---
     def _check(self, *names: str) -> None:
         for name in names:
             if name not in self._built.owner_index:
@@ -167,7 +168,7 @@ class ContactMonitor:
         self._rule()
 
     def _rule(self) -> None:
-        """Make the table (ngeom, ngeom) of unwanted geom pairs, so that a step needs one look-up."""
+        """Rebuild the table of unwanted geom pairs (ngeom, ngeom), so that a step needs one lookup."""
         built = self._built
         n = len(built.owners)
         bad = np.zeros((n, n), dtype=bool)
@@ -184,7 +185,7 @@ class ContactMonitor:
         self.unwanted_geoms = (
             bad[owner[:, None], owner[None, :]] & (owner[:, None] >= 0) & (owner[None, :] >= 0)
         )
-        self._fine: set[bytes] = set()  # lists of contacts, as bytes, with none that is unwanted
+        self._fine: set[bytes] = set()  # contact lists, as bytes, that contain no unwanted contact
 
     def _record(self, data: mujoco.MjData, geoms: NDArray[np.int32], distances: Array) -> None:
         deepest: dict[frozenset[str], tuple[str, str, float]] = {}

@@ -1,4 +1,4 @@
-"""Pictures stuck onto links, objects or the world: what cameras see and physics does not."""
+"""Images on links, objects, or the world that cameras see and physics ignores."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from armcell.core import SE3, InputError, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene import WORLD
 
-LIFT = 0.0005  # [m] off the surface it is stuck to, so that the two do not flicker
+LIFT = 0.0005  # [m] distance from the surface below, so that the two surfaces do not flicker
 VISUAL_GROUP = 2
-_REPEAT = 16  # each cell becomes so many texels: drivers blur between texels
+_REPEAT = 16  # texels per image pixel and axis: graphics drivers blur between texels
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Decal:
-    """A square picture (n, n) uint8 of grey on a frame. It is seen from the side its z axis points to.
+    """A square grayscale image (n, n) uint8 on a frame.
 
-    x of its frame is right, y up in the picture; `size` [m] is the whole picture's edge.
+    The decal is visible from the side that its z axis points to. Its x axis points right and its y axis up in
+    the image. `size` [m] is the edge length of the image.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Decal:
             raise InputError(f"decal {self.name!r} needs a square picture of grey")
 
     def brightness(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Of the picture (m,), 0 to 1, at points (m, 2+) [m] of its frame."""
+        """Return the brightness (m,) from 0 to 1 of the image at points (m, 2+) [m, decal frame]."""
         n = len(self.picture)
         column = np.clip(np.floor((points[:, 0] / self.size + 0.5) * n), 0, n - 1).astype(int)
         row = np.clip(np.floor((0.5 - points[:, 1] / self.size) * n), 0, n - 1).astype(int)
@@ -52,10 +53,10 @@ def geom_name(decal: Decal) -> str:
 
 
 def add_decals(spec: mujoco.MjSpec, bodies: dict[str, Any], decals: Iterable[Decal]) -> None:
-    """Draw decals in a spec whose bodies are given by name.
+    """Add decals as textured meshes to the bodies of a MuJoCo spec.
 
     Raises:
-        UnknownNameError: a decal on a frame that does not exist.
+        UnknownNameError: a decal's frame does not exist.
     """
     for decal in decals:
         body = spec.worldbody if decal.frame == WORLD else bodies.get(decal.frame)
@@ -76,7 +77,7 @@ def add_decals(spec: mujoco.MjSpec, bodies: dict[str, Any], decals: Iterable[Dec
             name=geom_name(decal),
             uservert=[-h, -h, 0, h, -h, 0, h, h, 0, -h, h, 0],
             userface=[0, 1, 2, 0, 2, 3],
-            usertexcoord=[0, 1, 1, 1, 1, 0, 0, 0],  # MuJoCo counts rows from above,
+            usertexcoord=[0, 1, 1, 1, 1, 0, 0, 0],  # MuJoCo counts texture rows from the top
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
         T = decal.T_frame_decal @ SE3.from_xyz(0, 0, LIFT)

@@ -1,7 +1,8 @@
-"""OpenGL without a display, if it works here. Knows MuJoCo models only.
+"""Offscreen OpenGL rendering of MuJoCo models without a display, where OpenGL works.
 
-MuJoCo's own renderer fixes its backend when `mujoco` is first imported; here a context is made directly, so
-nothing has to be set before. Run as a script, this file tries one backend and says so by its exit status.
+MuJoCo's own renderer fixes its OpenGL backend when `mujoco` is first imported. `GLRenderer` creates the
+OpenGL context directly, so no environment variable must be set beforehand. Run as a script, this module tests
+one backend and reports the result as its exit status.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import sys
 from functools import lru_cache
 from typing import Any
 
-if __name__ == "__main__":  # the trial process: it ends with its parent, even one that is killed
+if __name__ == "__main__":  # the test process must end with its parent, even if the parent is killed
     import ctypes
     import signal
 
@@ -31,9 +32,10 @@ Sides = tuple[float, float, float, float]
 
 @lru_cache(maxsize=1)
 def gl_backend() -> str | None:
-    """The backend that draws here, or None. Environment variable MUJOCO_GL chooses one, or "off".
+    """Return the OpenGL backend that works on this machine ("egl" or "osmesa"), or None.
 
-    Tried in another process, because a broken driver may end the process that tries it.
+    The environment variable MUJOCO_GL selects a backend, or disables OpenGL with "off". The test runs in a
+    separate process, because a broken driver may end the process.
     """
     chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
     if chosen in _OFF or not sys.platform.startswith("linux"):
@@ -53,12 +55,13 @@ def gl_backend() -> str | None:
 
 
 class GLRenderer:
-    """Draws one model into pictures (height, width, 3) of one size. Shadows and reflections are off:
-    without a graphics card they cost ten times the rest.
+    """Offscreen renderer of one MuJoCo model at a fixed image size (height, width, 3).
+
+    Shadows and reflections are off: without a graphics card they take ten times as long as the rest.
 
     Args:
-        smooth: edges drawn from four samples a pixel. For depth that would be wrong: it would come from one
-            of the four, a quarter of a pixel beside the middle.
+        smooth: antialias edges with four samples per pixel. Use False for depth: an antialiased depth value
+            comes from one of the four samples, a quarter of a pixel away from the pixel center.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, backend: str, smooth: bool = True):
@@ -70,7 +73,7 @@ class GLRenderer:
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.offsamples = 4 if smooth else 0
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # finer far off
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # better resolution far away
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._scene = mujoco.MjvScene(model, 2000)
         self._option = mujoco.MjvOption()
@@ -79,21 +82,25 @@ class GLRenderer:
         self._open = True
 
     def render(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.uint8]:
-        """A picture by one of the model's cameras.
+        """Render an RGB image (height, width, 3) with one of the model's cameras.
 
         Args:
-            sides: tangents of the angles to the left, right, lower and upper side of the picture, for a
-                camera whose field of view is not the model's.
+            camera: id of the camera in the model.
+            sides: tangents of the angles to the left, right, bottom and top edge of the image, for a camera
+                whose field of view differs from the model's.
         """
         self._draw(data, camera, sides)
         width, height = self.size
         picture = np.empty((height, width, 3), dtype=np.uint8)
-        self._gl.make_current()  # another renderer may have been freed meanwhile
+        self._gl.make_current()  # garbage collection may have freed another renderer in the meantime
         mujoco.mjr_readPixels(picture, None, mujoco.MjrRect(0, 0, width, height), self._context)
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
     def depth(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.float32]:
-        """Depth (height, width) [m] along the camera's axis."""
+        """Render a depth image (height, width) [m] along the camera's optical axis.
+
+        Pixels beyond the far plane are 0.
+        """
         self._draw(data, camera, sides)
         width, height = self.size
         buffer = np.empty((height, width), dtype=np.float32)
@@ -115,15 +122,18 @@ class GLRenderer:
         mujoco.mjr_render(mujoco.MjrRect(0, 0, *self.size), self._scene, self._context)
 
     def _metres(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """From the depth buffer (1 at the near plane, 0 at the far one) to metres."""
+        """Convert the depth buffer (1 at the near plane, 0 at the far plane) to meters."""
         extent, clip = self._model.stat.extent, self._model.vis.map
         near, far = clip.znear * extent, clip.zfar * extent
         b = buffer.astype(np.float64)
         return np.where(b > 0, near * far / (near + b * (far - near)), 0.0).astype(np.float32)
 
     def close(self) -> None:
-        """Free what it holds. With its own context current: names of buffers are numbers, and another's with
-        the same number would go instead."""
+        """Free the OpenGL context and buffers.
+
+        The renderer makes its context current first: buffer ids are numbers, so freeing them in another
+        context would free the buffers of another renderer.
+        """
         if self._open:
             self._open = False
             self._gl.make_current()
@@ -131,7 +141,7 @@ class GLRenderer:
             self._gl.free()
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # at the interpreter's end modules are gone
+        with contextlib.suppress(Exception):  # at interpreter shutdown, modules may already be gone
             self.close()
 
 

@@ -1,4 +1,4 @@
-"""Grippers: the servo that closes them, what they hold, and the welds of the modes that are not friction."""
+"""Gripper servos, detection of held objects, and the weld-based grip modes."""
 
 from __future__ import annotations
 
@@ -23,18 +23,22 @@ from armcell.sim.stepping import (
     TARGET,
     add_finger_forces,
     drive_fingers,
+    grip_between,
 )
 
 Array = NDArray[np.float64]
 
-_CHECK_EVERY = 5  # steps between two looks of the weld modes
-_SETTLING = 0.2  # [s] both fingers press before "weld" fixes the object or "hybrid" measures its slip
+_CHECK_EVERY = 5  # steps between two checks of the weld modes
+_SETTLING = 0.2  # [s] time both fingers press before "weld" fixes the object or "hybrid" measures its slip
 _WIDTH_TOLERANCE = 1e-4  # [m]
 
 
 @dataclass(frozen=True)
 class GripperState:
-    """`held` is the object that both fingers touch, or None. Force [N] along the closing axis, per finger."""
+    """Width, finger force, and held object of a gripper.
+
+    `force_per_finger` [N] acts along the closing axis. `held` is the object that both fingers touch, or None.
+    """
 
     width: float  # [m]
     force_per_finger: float
@@ -43,7 +47,10 @@ class GripperState:
 
 @dataclass(frozen=True)
 class WeldEvent:
-    """An object was fixed to a gripper by a weld, which is not friction: always to be reported."""
+    """Record of a weld that fixed an object to a gripper.
+
+    A weld replaces friction, so every report must list it.
+    """
 
     time: float  # [s]
     object: str
@@ -54,21 +61,21 @@ class WeldEvent:
 
 
 class GripperDrive:
-    """Drives one gripper's servo: to a width, at a bounded finger speed, with a bounded force per finger.
+    """Position servo of one gripper with limited finger speed and limited force per finger.
 
-    The servo's set point runs ahead of the fingers by no more than what gives the wanted force, so blocked
-    fingers press with exactly that force and free ones move at `max_speed`.
+    The set point leads the fingers by at most the distance that yields the commanded force. Blocked fingers
+    therefore press with exactly this force, and free fingers move at `max_speed`.
     """
 
     def __init__(self, index: GripperIndex, settings: PhysicsSettings, law: Array):
-        """The law (7,) is what `stepping.drive_fingers` works with, kept up to date here."""
+        """Write the servo's constants into `law` (7,), the row that `stepping.drive_fingers` reads."""
         self.index, self._law = index, law
         self._kp = settings.gripper_kp
         self._ratio = abs(index.gripper.width_per_joint)
         dt = settings.timestep
         lag = (settings.gripper_kv + 2 * settings.joint_damping) * index.max_speed / settings.gripper_kp
         law[CONTROL] = index.ctrl
-        law[BLOCKED_LEAD] = 3 * lag + 0.001  # [m] more than free fingers ever lag behind
+        law[BLOCKED_LEAD] = 3 * lag + 0.001  # [m] larger than the lag of free fingers
         law[STEP] = index.max_speed * dt
         law[PUSH_STEP] = max(law[STEP], settings.grip_force_rate * self._ratio / settings.gripper_kp * dt)
         law[LEAD] = self._force_lead(index.max_force)
@@ -77,13 +84,16 @@ class GripperDrive:
         return min(force, self.index.max_force) * self._ratio / self._kp
 
     def hold(self, data: mujoco.MjData, joint_position: float) -> None:
-        """Stay at a joint position, at full force."""
+        """Hold the gripper's driven joint at a position [m] with full force."""
         self._law[[SET_POINT, TARGET]] = joint_position
         data.ctrl[self.index.ctrl] = joint_position
         self._law[LEAD] = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
-        """Drive to a width [m]. The closed end means: press with that force [N] on what is between."""
+        """Drive the gripper to a width [m].
+
+        At the closed end, the fingers press on the object between them with `force_per_finger` [N].
+        """
         gripper = self.index.gripper
         lead = self._force_lead(force_per_finger)
         ends = self.index.lower, self.index.upper
@@ -94,7 +104,7 @@ class GripperDrive:
         self._law[TARGET], self._law[LEAD] = target, lead
 
     def closing(self, data: mujoco.MjData) -> bool:
-        """Whether the fingers are told to be closer together than they are."""
+        """Return True if the gripper's target width is smaller than its current width."""
         width = self.index.gripper.width
         return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
 
@@ -106,11 +116,12 @@ class GripperDrive:
 
 
 class Fingers:
-    """The servos of every gripper.
+    """Servos of all grippers, with the arrays that the compiled stepper uses.
 
     Attributes:
-        law: (g, 7) a row per gripper, for `stepping.drive_fingers`.
-        joints, weights: (g, k) index in qpos and share in the servo's length.
+        law: (g, 7) one row per gripper for `stepping.drive_fingers`.
+        joints: (g, k) indices of the finger joints in qpos.
+        weights: (g, k) weights of the finger joints in the tendon length.
     """
 
     def __init__(self, built: BuiltModel, settings: PhysicsSettings):
@@ -125,16 +136,19 @@ class Fingers:
                 self.joints[row, k], self.weights[row, k] = joint, weight
 
     def update(self, data: mujoco.MjData) -> None:
-        """Set the servos' inputs for the next step."""
+        """Write the set points of all gripper servos for the next step to `data.ctrl`."""
         drive_fingers(self.law, self.joints, self.weights, data.qpos, data.ctrl)
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Force [N] along the closing axis (the tcp's y) on each finger, by the owner index that it touches."""
+    """Return the force on each finger [N] along the closing axis (the tcp's y axis).
+
+    Returns:
+        Forces (fingers,) by the owner index of the body that the fingers touch.
+    """
     if data.ncon == 0:
         return {}
-    contact, y_axis = data.contact, data.xmat[index.tcp_body][1::3]
-    fingers = np.array(index.finger_owners, np.int64)
+    contact, fingers, y_axis = data.contact, index.finger_owners, data.xmat[index.tcp_body][1::3]
     forces = np.zeros((len(built.owners), len(fingers)))
     add_finger_forces(
         built.mj._address,
@@ -151,40 +165,49 @@ def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -
 
 def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperState:
     index = built.grippers[name]
-    forces = finger_forces(built, data, index)
-    held = [
-        (min(row), owner) for owner, row in forces.items() if min(row) > 0.0 and owner >= built.link_count
-    ]
+    total, held = 0.0, -1
+    if data.ncon:
+        contact, fingers, y_axis = data.contact, index.finger_owners, data.xmat[index.tcp_body][1::3]
+        total, held = grip_between(
+            built.mj._address, data._address, contact.geom, contact.frame, built.geom_owner, fingers, y_axis,
+            len(built.owners), built.link_count,
+        )  # fmt: skip
     position = data.qpos.item(built.joint_qpos[index.gripper.joint_name])
     return GripperState(
         width=index.gripper.width(position),
-        force_per_finger=sum(map(sum, forces.values())) / len(index.finger_owners),
-        held=built.owners[max(held)[1]] if held else None,
+        force_per_finger=total / len(index.finger_owners),
+        held=built.owners[held] if held >= 0 else None,
     )
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """T_a_b from the kinematics of the last step (both from the same instant)."""
+    """Return the pose T_a_b of body b in the frame of body a, as of the last step.
+
+    Both poses come from the same instant.
+    """
     return body_pose(data, body_a).inv() @ body_pose(data, body_b)
 
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """T_world_body."""
+    """Return the pose T_world_body of a MuJoCo body, as of the last step."""
     return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 
 @dataclass(frozen=True)
 class _Grip:
-    """What a weld mode knows of one gripper."""
+    """State of the weld modes for one gripper."""
 
     item: str | None = None
-    since: float = 0.0  # [s] both fingers press it
-    T_tcp_item: SE3 | None = None  # "hybrid" measures slip from here
+    since: float = 0.0  # [s] simulation time since which both fingers press the object
+    T_tcp_item: SE3 | None = None  # reference pose from which "hybrid" measures the slip
     event: int | None = None  # index of the active weld
 
 
 class Welder:
-    """The grip modes "weld" and "hybrid". Each weld and its release is an event."""
+    """Grip modes "weld" and "hybrid", which fix held objects by weld constraints.
+
+    `events` records every weld and its release.
+    """
 
     def __init__(self, built: BuiltModel, settings: PhysicsSettings, drives: Mapping[str, GripperDrive]):
         self._built = built
@@ -195,7 +218,7 @@ class Welder:
         self.events: list[WeldEvent] = []
 
     def update(self, data: mujoco.MjData) -> None:
-        """After a step: weld what is held, if the mode says so."""
+        """Weld held objects to their grippers after a step, where the grip mode requires it."""
         self._steps += 1
         if self._steps % _CHECK_EVERY:
             return
@@ -204,11 +227,11 @@ class Welder:
                 self._grips[name] = self._look(data, name, grip)
 
     def fix(self, data: mujoco.MjData, gripper: str, item: str, reason: str) -> None:
-        """Weld an object to a hand as it is now, whatever the mode is."""
+        """Weld an object to a gripper at its current relative pose, in any grip mode."""
         self._grips[gripper] = self._weld(data, gripper, _Grip(item, float(data.time)), reason)
 
     def release(self, data: mujoco.MjData, gripper: str) -> None:
-        """The gripper opens: undo its weld."""
+        """Release the weld constraint of a gripper that opens."""
         grip = self._grips[gripper]
         if grip.event is not None:
             event = self.events[grip.event]
@@ -226,7 +249,7 @@ class Welder:
         }
         if grip.item not in pressed:
             if not pressed:
-                # a grip that was being watched may lose contact because it slips: keep watching it
+                # a monitored object may lose finger contact because it slips: keep measuring its slip
                 return self._slipped(data, name, grip) if grip.T_tcp_item is not None else _Grip()
             grip = _Grip(max(sorted(pressed), key=pressed.__getitem__), now)
         if now - grip.since < _SETTLING:
@@ -259,7 +282,7 @@ class Welder:
         built.mj.eq_data[weld, 3:6] = T.translation
         built.mj.eq_data[weld, 6:10] = T.quat_wxyz
         built.mj.eq_data[weld, 10] = 1.0  # torque scale
-        built.mj.eq_data[weld, 11] = 0.0  # the pose is given, not that of the model's reference state
+        built.mj.eq_data[weld, 11] = 0.0  # use the pose above, not the pose of the model's reference state
         built.mj.eq_solref[weld] = (
             settings.weld_solref if settings.grip_mode == "weld" else settings.hybrid_solref
         )

@@ -1,8 +1,8 @@
-"""Many short worlds of a hand alone: it closes on an object, the support is taken away, it is shaken.
+"""Grasp trials of a gripper without its arm: close on an object, lift it, and shake it.
 
-The hand stands still and its surroundings move: taking the support away and pulling at the object's centre
-of mass is the same to the contacts as lifting and shaking the hand. So one compiled model serves all trials
-of an object, and they run side by side in MuJoCo's own threads without Python in between.
+The hand stays fixed and its surroundings move: for the contacts, removing the support and pulling at the
+object's center of mass is equivalent to lifting and shaking the hand. One compiled model therefore serves all
+trials of an object, and MuJoCo's own threads run the trials in parallel without Python in between.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 SUPPORT, OBJECT = "trial support", "trial object"
 SUPPORT_THICK = 0.02  # [m]
-FREE_GAP = 2e-4  # [m] the object begins above its support
+FREE_GAP = 2e-4  # [m] initial gap between the object and its support
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = sum(
     int(getattr(mujoco.mjtState, f"mjSTATE_{n}")) for n in ("CTRL", "XFRC_APPLIED", "MOCAP_POS", "MOCAP_QUAT")
@@ -42,41 +42,41 @@ CONTROL = sum(
 @dataclass(frozen=True)
 @checked()
 class TrialSettings:
-    """One trial: close, settle, lift, shake, hold."""
+    """Durations and motions of a grasp trial: close, settle, lift, shake, hold."""
 
     timestep: float = 0.004  # [s]
-    settle: float = 0.15  # [s] pressed, before the support goes
+    settle: float = 0.15  # [s] time the fingers press before the support is removed
     lift: float = 0.15  # [s]
     shake: float = 0.7  # [s]
     hold: float = 0.15  # [s]
-    acceleration: float = 4.0  # [m/s^2] of the shaking, along the closing direction, across, and up
-    frequency: float = 4.0  # [Hz]
-    extra_weight: float = 0.2  # share more than the weight while lifting
-    force_rate: float = 200.0  # [N/s]
+    acceleration: float = 4.0  # [m/s^2] amplitude of the shaking: along the closing axis, across it, then up
+    frequency: float = 4.0  # [Hz] of the shaking
+    extra_weight: float = 0.2  # additional load during the lift, as a fraction of the weight
+    force_rate: float = 200.0  # [N/s] rate at which the finger force rises
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """One closing of the hand."""
+    """One grasp to test: hand pose, opening, force, and object properties."""
 
     T_object_tcp: SE3
-    opening: float  # [m]
-    width: float  # [m] at which the pads are expected to meet the object
+    opening: float  # [m] gripper width at the start
+    width: float  # [m] gripper width at which the pads are expected to touch the object
     force: float  # [N] per finger
-    up: tuple[float, float, float]  # away from the support, in the object's frame
+    up: tuple[float, float, float]  # direction away from the support, object frame
     friction: float
     mass: float  # [kg]
 
 
 @dataclass(frozen=True)
 class TrialResult:
-    """How the object moved in the hand."""
+    """Motion of the object in the hand during a grasp trial."""
 
-    closing: float  # [m] of the centre of mass while the hand closed
-    slip: float  # [m] from there to the end, of the object's point between the pads
-    turn: float  # [rad]
-    lost: bool  # no longer between the fingers, or physics gave up
+    closing: float  # [m] displacement of the center of mass while the hand closed
+    slip: float  # [m] displacement of the object's point between the pads, from the closed hand to the end
+    turn: float  # [rad] rotation of the object, from the closed hand to the end
+    lost: bool  # the object left the fingers, or the physics diverged
 
 
 def run_trials(
@@ -87,12 +87,12 @@ def run_trials(
     settings: TrialSettings = TrialSettings(),
     threads: int | None = None,
 ) -> list[TrialResult]:
-    """Run trials side by side.
+    """Run grasp trials in parallel and return one result per trial.
 
     Args:
-        threads: at most this many; by default one per processor.
+        threads: largest number of threads; by default one per processor.
     Raises:
-        InputError: MuJoCo refuses the hand or the object.
+        InputError: MuJoCo rejects the hand or the object.
     """
     if not trials:
         return []
@@ -114,7 +114,7 @@ def run_trials(
 class _Plan:
     initial: Array  # (state,)
     control: Array  # (steps, ctrl, 6 per body, position and quaternion of the support)
-    closed: int  # step at which the hand presses and nothing has been moved yet
+    closed: int  # step at which the hand presses, just before the support is removed
     end: int
 
 
@@ -125,7 +125,7 @@ class _World:
     gripper: Gripper
     settings: TrialSettings
     T_root_tcp: SE3
-    centre: Array  # (3,) of mass, in the object's frame
+    centre: Array  # (3,) center of mass [m, object frame]
     shapes: tuple[tuple[Shape, SE3], ...]
     body: int
 
@@ -144,7 +144,7 @@ class _World:
         return _World(built, mj, gripper, settings, T_root_tcp, centre, item.shapes, mj.body(OBJECT).id)
 
     def variant(self, trial: Trial) -> mujoco.MjModel:
-        """The model with a trial's friction, mass and force."""
+        """Return a copy of the model with a trial's friction, mass, and finger force."""
         mj = copy.copy(self.mj)
         scale = trial.mass / float(self.mj.body_mass[self.body])
         mj.body_mass[self.body] *= scale
@@ -158,7 +158,7 @@ class _World:
 
     def plan(self, trial: Trial) -> _Plan:
         s, mj, index = self.settings, self.mj, self.built.grippers[self.gripper.name]
-        T = self.T_root_tcp @ trial.T_object_tcp.inv()  # of the object, in the hand's world
+        T = self.T_root_tcp @ trial.T_object_tcp.inv()  # object pose in the hand's root frame
         up_here = np.asarray(trial.up) / np.linalg.norm(trial.up)
         up = T.rotation.matrix @ up_here
         lowest = min(
@@ -168,7 +168,7 @@ class _World:
         centre = T.apply(self.centre)
         foot = (
             centre + (lowest - float(self.centre @ up_here)) * up
-        )  # on the support, below the centre of mass
+        )  # on the support, below the center of mass
         # --- the start
         data = mujoco.MjData(mj)
         q = self.gripper.joint_position(trial.opening)
@@ -178,7 +178,7 @@ class _World:
         data.qpos[start : start + 3], data.qpos[start + 3 : start + 7] = T.translation, T.quat_wxyz
         initial = np.empty(mujoco.mj_stateSize(mj, STATE))
         mujoco.mj_getState(mj, data, initial, STATE)
-        # --- the fingers: at finger speed to where they should meet it, then pressing
+        # --- the fingers: finger speed up to the expected contact, then rising force
         dt = s.timestep
         ways = np.sign(self.gripper.width_per_joint)
         meet = abs(q - self.gripper.joint_position(trial.width))
@@ -189,7 +189,7 @@ class _World:
         total = close + s.settle + s.lift + s.shake + s.hold
         time = dt * np.arange(int(np.ceil(total / dt)))
         travel = np.minimum(time, meeting) * index.max_speed + np.clip((time - meeting) * rate, 0.0, press)
-        # --- the support goes away, the weight pulls, the shaking pulls
+        # --- the support moves away; weight and shaking act as forces on the object
         lifting = np.clip(time - close - s.settle, 0.0, None)
         away = np.minimum(0.5 * 6.0 * lifting**2, 0.5)
         shaking = lifting - s.lift
@@ -210,7 +210,7 @@ class _World:
     def result(self, plan: _Plan, state: Array) -> TrialResult:
         if not np.isfinite(state).all():
             return TrialResult(np.inf, np.inf, np.inf, True)
-        at = 1 + self.built.object_qpos[OBJECT]  # time comes first
+        at = 1 + self.built.object_qpos[OBJECT]  # the state vector starts with the time
         before, closed, end = (
             SE3.from_quat_wxyz(row[at : at + 3], row[at + 3 : at + 7])
             for row in (plan.initial, state[plan.closed], state[plan.end])

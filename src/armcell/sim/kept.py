@@ -1,8 +1,9 @@
-"""Compiled models used again, for scenes that differ in poses, mass and friction of free objects only.
+"""A pool of compiled MuJoCo models for scenes that differ only in their free objects.
 
-To compile takes milliseconds; the next trial of a campaign draws just these. What comes out is what `build`
-gives, bit for bit. A kept model and its data are lent to one world at a time: new ones for each would leave
-holes in the process's memory that the next do not fit in, so that it grows from trial to trial.
+Compilation takes milliseconds, and the next trial of a campaign usually changes only the poses, mass, and
+friction of free objects. A model from the pool equals the result of `build` bit for bit. The pool leases each
+model with its data to one world at a time: allocating new ones for each world would fragment the heap, so
+that the memory of the process would grow from trial to trial.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.lru_cache import LruCache
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.build import build, scene_objects, set_options
 from armcell.sim.built import BuiltModel
@@ -25,12 +26,12 @@ from armcell.sim.objects import add_free_body, sliding
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.stepping import LIBRARY
 
-_copy_model = ctypes.CDLL(str(LIBRARY)).mj_copyModel  # into one that is there, which Python's does not offer
+_copy_model = ctypes.CDLL(str(LIBRARY)).mj_copyModel  # copies into an existing model; the bindings cannot
 _copy_model.argtypes, _copy_model.restype = (ctypes.c_void_p, ctypes.c_void_p), ctypes.c_void_p
 
 
 class _Lender:
-    """A compiled model as it was compiled, and a copy of it with data to be lent."""
+    """A compiled MuJoCo model in its original state, with one copy that worlds can lease."""
 
     def __init__(self, built: BuiltModel):
         self._built, self._mj = built, copy.copy(built.mj)
@@ -43,14 +44,17 @@ class _Lender:
 
     @property
     def free(self) -> bool:
-        """Nobody has the model, its data or an array of them: their world is gone, and its snapshots."""
+        """Whether the pooled model is free: no world holds the model, its data, or their arrays.
+
+        The test compares reference counts, so snapshots of a world count as well.
+        """
         return self._references() == self._alone
 
     def lend(
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
     ) -> tuple[BuiltModel, mujoco.MjData]:  # fmt: skip
-        """With everything that the last world wrote put back."""
+        """Return the pooled copy with its data, reset to the original model and adapted to a scene."""
         _copy_model(self._mj._address, self._built.mj._address)
         mujoco.mj_resetData(self._mj, self._data)
         built = replace(self._built, scene=scene, objects=objects, mj=self._mj)
@@ -64,17 +68,17 @@ def _arrays(of: object) -> list[np.ndarray]:
     return [value for value in values if isinstance(value, np.ndarray)]
 
 
-_models: Kept[_Lender] = Kept(4)
-"""By all that `build` reads but what `_put_in` writes."""
-_lock = threading.Lock()  # between a look whether a model is free and its being lent
+_models: LruCache[_Lender] = LruCache(4)
+"""Pool of models; the key holds all inputs of `build` except the values that `_put_in` writes."""
+_lock = threading.Lock()  # makes the test whether a model is free and its lease atomic
 
 
 def kept_build(scene: PlanningScene, settings: PhysicsSettings) -> tuple[BuiltModel, mujoco.MjData]:
-    """`build(scene, settings)` with data, of a model that was compiled before where one is free."""
+    """Return the model of `build(scene, settings)` with data, from the model pool if possible."""
     objects = scene_objects(scene)
     loose = [o for n, o in objects.items() if o.thread is None and (o.movable or n in scene.attached)]
     if any(item.thread is not None for item in objects.values()):
-        return _new(build(scene, settings))  # what is screwed in hangs on where the other is
+        return _new(build(scene, settings))  # the joint of a screwed-in object depends on both objects' poses
     names = {item.name for item in loose}
     key = (
         scene.model,
@@ -95,7 +99,10 @@ def _new(built: BuiltModel) -> tuple[BuiltModel, mujoco.MjData]:
 
 
 def _seen(item: CollisionObject, loose: bool) -> Hashable:
-    """What `build` reads of an object; of a loose one without what `_put_in` writes."""
+    """Return the properties of an object that `build` reads, as part of the model pool's key.
+
+    For a free object, the result leaves out the values that `_put_in` writes.
+    """
     shapes = tuple((shape, T.matrix.tobytes()) for shape, T in item.shapes)
     rest = () if loose else (item.T_world_object.matrix.tobytes(), item.mass, item.material)
     return item.name, loose, item.movable, tuple(item.color), item.belt and tuple(item.belt), shapes, rest
@@ -104,14 +111,17 @@ def _seen(item: CollisionObject, loose: bool) -> Hashable:
 def _put_in(
     built: BuiltModel, loose: list[CollisionObject], settings: PhysicsSettings, scratch: mujoco.MjData
 ) -> None:
-    """Write the loose objects' poses, inertias and friction, and what the engine derives from them."""
+    """Write the poses, inertias, and friction of free objects into a model.
+
+    The function also updates the quantities that MuJoCo derives from them at compilation.
+    """
     model, spec = built.mj, mujoco.MjSpec()
     set_options(spec, settings)
-    # [bytes] compiling needs a quarter; by default it takes 14 MB, which leave such a hole each time
+    # [bytes] four times what compilation needs; the default of 14 MB would fragment the heap every time
     spec.memory = 4096 * (1 + len(loose))
     for item in loose:
         add_free_body(spec.worldbody, item, item.T_world_object)
-    alone = spec.compile()  # without geoms that takes no time
+    alone = spec.compile()  # fast, because the spec has no geoms
     for item in loose:
         body, there = alone.body(item.name).id, built.body[item.name]
         for field in ("body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia"):
@@ -122,6 +132,6 @@ def _put_in(
         geoms = int(model.body_geomadr[there])
         model.geom_friction[geoms : geoms + int(model.body_geomnum[there])] = sliding(item)
     mujoco.mj_setConst(model, scratch)
-    # only a compilation works these out, so in its order
+    # MuJoCo computes these only at compilation; summing in the same order gives the same bits
     model.stat.meaninertia = sum(model.dof_M0.tolist()) / max(model.nv, 1)
     model.stat.meanmass = sum(model.body_mass.tolist()[1:]) / (model.nbody - 1)

@@ -1,4 +1,4 @@
-"""Objects in a MuJoCo model: fixed, free, on a belt, screwed into others."""
+"""Scene objects in a MuJoCo model: fixed, free, on a conveyor belt, or screwed into others."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from armcell.scene import CollisionObject, Thread, solid_inertia
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import OBJECT_GROUP, GeomAdder, full_inertia
 
-_BELT_MASS = 1e5  # [kg] what lies on a belt does not slow it down
+_BELT_MASS = 1e5  # [kg] so heavy that the objects on a belt do not slow it down
 
 
 def add_object(
@@ -52,7 +52,7 @@ def add_object(
 
 
 def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> Any:
-    """A body that can move and turn freely, with the object's inertia and no geoms yet."""
+    """Add a body with a free joint and the object's inertia, but without geoms."""
     body = parent.add_body(name=item.name, pos=T_parent_object.translation, quat=T_parent_object.quat_wxyz)
     body.add_freejoint(name=f"{item.name}:free")
     _set_inertia(body, item)
@@ -66,13 +66,16 @@ def _set_inertia(body: Any, item: CollisionObject) -> None:
 
 
 def sliding(item: CollisionObject) -> list[float]:
-    """MuJoCo's three frictions of an object's geoms."""
+    """Return MuJoCo's friction of an object's geoms: sliding, torsional, and rolling."""
     return [item.material.friction, item.material.torsional_friction, item.material.rolling_friction]
 
 
 def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
-    """A joint along the belt's way. Before every step it is put back and given the belt's speed, so that the
-    body stays where it is and what touches it feels a surface that moves."""
+    """Add a slide joint along the belt's direction of motion.
+
+    Before every step, the world resets the joint's position to zero and its velocity to the belt speed. The
+    belt therefore does not move, but the objects in contact with it see a moving surface.
+    """
     speed = float(np.linalg.norm(velocity))
     body.add_joint(name=belt_name(name), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.asarray(velocity) / speed)
     body.explicitinertial = True
@@ -81,10 +84,10 @@ def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> Non
 
 
 def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
-    """A turn and a slide about the body's z axis, coupled by the pitch."""
+    """Add a slide and a hinge joint about the body's z axis, coupled by the thread's pitch."""
     per_radian = thread.pitch / (2 * np.pi)
     turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
-    # The engine makes a coupling as soft as both joints are light, so both get some inertia of their own.
+    # In MuJoCo, a coupling of light joints is soft, so both joints get additional armature.
     for kind, joint, low, loss, armature in (
         (mujoco.mjtJoint.mjJNT_SLIDE, slide_name(name), -thread.travel, 0.0, 1.0),
         (mujoco.mjtJoint.mjJNT_HINGE, turn_name(name), -turns, thread.torque, 0.02),

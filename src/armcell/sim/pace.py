@@ -1,4 +1,4 @@
-"""Whether the simulation's clock waits for the wall's."""
+"""Synchronization of simulation time with the wall clock."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from armcell.core import InputError
 
 
 class Pacer:
-    """Lock-step (`time_scale` None: never waits) or wall clock times a scale (2.0 is twice real time).
+    """Paces a simulation in lock-step or at a multiple of real time.
 
-    The clock starts at the first `wait_until`. A simulation that cannot keep up is not rushed afterwards:
-    the clock is set back by what was missed beyond `MAX_LAG_S`.
+    With `time_scale` None the simulation runs in lock-step and never waits; a scale of 2.0 is twice real
+    time. The clock starts at the first `wait_until`. If the simulation falls more than `MAX_LAG_S` behind,
+    the pacer shifts its clock by the excess lag, so the simulation does not catch up in a rush.
     """
 
     MAX_LAG_S = 0.1
@@ -27,11 +28,11 @@ class Pacer:
         self._zero: float | None = None  # wall time of simulation time 0
 
     def reset(self) -> None:
-        """Start the clock anew at the next `wait_until`."""
+        """Restart the wall clock of the pacer at the next `wait_until`."""
         self._zero = None
 
     def wait_until(self, sim_time: float) -> float:
-        """Sleep until the wall clock has reached a simulation time [s]; returns the seconds slept."""
+        """Sleep until the wall clock reaches a simulation time [s]; return the time slept [s]."""
         if self.time_scale is None:
             return 0.0
         now = self._clock()

@@ -1,4 +1,4 @@
-"""Where objects are in MuJoCo: free ones in the state, fixed ones in the model."""
+"""Poses of objects in MuJoCo: free objects in the state, fixed objects in the model."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from armcell.core import SE3
 
 Array = NDArray[np.float64]
 Poses = tuple[Array, Array]
-"""Of all bodies in their parents: positions (body, 3) and quaternions (body, 4), wxyz."""
+"""Poses of all bodies in their parents' frames: positions (body, 3) [m] and quaternions (body, 4), wxyz."""
 
 
 def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
-    """The pose of a free object whose joint begins at `start` in qpos."""
+    """Write the pose of a free object whose joint starts at index `start` of qpos."""
     data.qpos[start : start + 3] = T_world_object.translation
     data.qpos[start + 3 : start + 7] = T_world_object.quat_wxyz
 
 
 class FixedPlaces:
-    """Where a compiled model has its fixed bodies. Another one may be put there until a reset."""
+    """Poses of the fixed bodies of a compiled model, which may be changed until a reset."""
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -31,7 +31,7 @@ class FixedPlaces:
         self._model.body_quat[body] = T_world_body.quat_wxyz
 
     def elsewhere(self, body: int) -> bool:
-        """Whether it is not where it was compiled."""
+        """Return True if a body's pose differs from its pose at compilation."""
         position, quaternion = self._first
         moved = (self._model.body_pos[body] != position[body]).any()
         return bool(moved or (self._model.body_quat[body] != quaternion[body]).any())

@@ -1,4 +1,4 @@
-"""Pictures and depth of a world, with OpenGL where it works and by casting rays where not."""
+"""Rendering of RGB and depth images of a world with OpenGL or, as a fallback, ray casting."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ from armcell.sim.grip import body_pose
 from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
 from armcell.sim.world import SimWorld
 
-_MAX_DEPTH = 50.0  # [m], nothing further is seen
+_MAX_DEPTH = 50.0  # [m] largest depth in an image
 _SKY_TOP, _SKY_LOW = np.array([[0.62, 0.74, 0.88], [0.93, 0.95, 0.98]], dtype=np.float32)
-_SUN = (np.array([0.3, -0.45, 0.85]) / np.linalg.norm([0.3, -0.45, 0.85])).astype(np.float32)  # towards it
+_SUN = (np.array([0.3, -0.45, 0.85]) / np.linalg.norm([0.3, -0.45, 0.85])).astype(np.float32)  # to the sun
 _AMBIENT, _HEAD, _SUNLIGHT = 0.38, 0.32, 0.38
 _TILE = 160  # [px]
 _MAX_RENDERERS = 4
-_CHECKER = 0.5  # [m] squares on an infinite plane
+_CHECKER = 0.5  # [m] edge length of the checkerboard squares on an infinite plane
 
 
 def has_gl() -> bool:
-    """Whether pictures can be drawn with OpenGL here, without a display (found out once)."""
+    """Return True if OpenGL rendering works on this machine without a display (cached)."""
     return gl_backend() is not None
 
 
 def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
-    """Depth (height, width) [m] along the optical axis, 0 where there is nothing. Never needs OpenGL.
+    """Render a depth image (height, width) [m] along the optical axis by ray casting.
 
-    Links are their collision shapes, which hold the visual ones.
+    Pixels where the rays hit nothing are 0. Links appear as their collision shapes, which enclose the visual
+    meshes. The function never needs OpenGL.
     """
     rays = _rays(camera)
     distance, _, _ = _cast(world.mj_model, world.mj_data, camera, rays, (OBJECT_GROUP, COLLISION_GROUP))
@@ -49,13 +50,15 @@ def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
 def take_image(
     world: SimWorld, camera: Camera, gl: bool | None = None, rgb: bool = True, depth: bool | None = None
 ) -> CameraImage:
-    """What a camera gives: picture and depth of the visual meshes, with its noise, where it now is.
+    """Render the image that a camera takes at its current pose: RGB, depth, and depth noise.
 
-    The noise is drawn from the world's seed, the camera's name and the time: the same moment looks the same.
+    The image shows the visual meshes. The noise depends only on the world's seed, the camera's name, and the
+    time, so two images of the same instant are identical.
 
     Args:
-        gl: True uses OpenGL, False casts rays; by default OpenGL if it works here.
-        depth: whether with depth; by default if the camera has it.
+        gl: True uses OpenGL, False casts rays; by default OpenGL if it works on this machine.
+        rgb: whether to render the RGB image.
+        depth: whether to render the depth image; by default if the camera has depth.
     """
     placed = camera if camera.link is None else camera.at(world.link_pose(camera.link) @ _mount(camera))
     with_depth = camera.has_depth if depth is None else depth
@@ -77,10 +80,10 @@ def _mount(camera: Camera) -> SE3:
 
 
 def render_rgb(world: SimWorld, camera: Camera, gl: bool | None = None) -> NDArray[np.uint8]:
-    """A picture (height, width, 3).
+    """Render an RGB image (height, width, 3).
 
     Args:
-        gl: True uses OpenGL, False casts rays; by default OpenGL if it works here.
+        gl: True uses OpenGL, False casts rays; by default OpenGL if it works on this machine.
     """
     scene = _drawn(world)
     if has_gl() if gl is None else gl:
@@ -89,17 +92,20 @@ def render_rgb(world: SimWorld, camera: Camera, gl: bool | None = None) -> NDArr
 
 
 Drawing = tuple[NDArray[np.uint8], NDArray[np.float32]]
-"""A picture and depth; empty is what was not asked for."""
+"""RGB and depth image; an image that was not requested is an empty array."""
 
 
-# --- the drawn twin of a world ---
+# --- copy of a world for rendering ---
 class _DrawnScene:
-    """The same scene with its visual meshes. Apart from the physics, so that looking changes nothing."""
+    """Copy of a world with visual meshes for rendering.
+
+    The copy is separate from the physics, so rendering has no effect on the simulation.
+    """
 
     def __init__(self, world: SimWorld):
         self.source = world.built.mj
         self.decals = world.decals
-        awake = replace(world.settings, sleep=False)  # asleep, cameras would not be moved either
+        awake = replace(world.settings, sleep=False)  # with sleeping, MuJoCo would not update cameras either
         self.built: BuiltModel = build(world.built.scene, awake, visuals=True, decals=self.decals)
         self.data = mujoco.MjData(self.built.mj)
         model, names = self.built.mj, world.built.objects
@@ -108,7 +114,7 @@ class _DrawnScene:
         self._renderers: dict[tuple[int, int, bool], GLRenderer] = {}  # by size and kind
 
     def follow(self, world: SimWorld) -> None:
-        own, theirs = self._bodies  # fixed ones may have been put elsewhere
+        own, theirs = self._bodies  # fixed bodies may have new poses, too
         self.built.mj.body_pos[own] = world.mj_model.body_pos[theirs]
         self.built.mj.body_quat[own] = world.mj_model.body_quat[theirs]
         self.data.qpos[:] = world.mj_data.qpos
@@ -120,7 +126,7 @@ class _DrawnScene:
         model, backend = self.built.mj, gl_backend()
         if backend is None:
             raise InputError("OpenGL does not work here", cure="leave gl to its default, or cast rays")
-        # MuJoCo's camera looks along its -z with y up
+        # MuJoCo's camera looks along its -z axis with y up
         T = camera.T_world_camera @ SE3(SO3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
         model.cam_pos[self._camera], model.cam_quat[self._camera] = T.translation, T.quat_wxyz
         model.cam_fovy[self._camera] = camera.fovy_deg
@@ -161,7 +167,7 @@ class _DrawnScene:
         seen, n = rays.astype(np.float32) @ R.T, normal.astype(np.float32)
         facing = seen[:, 0] * n[:, 0] + seen[:, 1] * n[:, 1] + seen[:, 2] * n[:, 2]
         sun = n @ _SUN
-        sun = np.where(facing > 0, -sun, sun)  # open visual meshes are seen from inside too
+        sun = np.where(facing > 0, -sun, sun)  # open visual meshes are visible from the inside, too
         light = _AMBIENT + _HEAD * np.abs(facing) + _SUNLIGHT * np.maximum(sun, 0.0)
         for plane in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
             rows = np.flatnonzero(geom == plane)
@@ -170,7 +176,7 @@ class _DrawnScene:
             number = model.geom(geom_name(decal)).id
             rows = np.flatnonzero(geom == number)
             points = camera.T_world_camera.translation + distance[rows, None] * seen[rows]
-            # not the geom's own frame: MuJoCo turns that to a mesh's principal axes
+            # not the geom's own frame: MuJoCo aligns this frame with the mesh's principal axes
             T = self._frame(decal.frame) @ decal.T_frame_decal
             light[rows] *= decal.brightness(T.inv().apply(points))
         palette = np.vstack([model.geom_rgba[:, :3], [0.0, 0.0, 0.0]]).astype(np.float32)
@@ -185,7 +191,10 @@ class _DrawnScene:
         return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
-        """Brightness of points on an infinite plane: squares that fade out in the distance."""
+        """Return the brightness (n,) of points on an infinite plane with a checkerboard.
+
+        The checkerboard fades with the distance from the camera.
+        """
         axes = self.data.geom_xmat[plane].reshape(3, 3)[:, :2].astype(np.float32)
         start = ((camera.T_world_camera.translation - self.data.geom_xpos[plane]) @ axes).astype(np.float32)
         distance = distance.astype(np.float32)
@@ -204,7 +213,7 @@ def _drawn(world: SimWorld) -> _DrawnScene:
 
 # --- rays ---
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """Unit directions (height * width, 3) through the pixel centres, camera frame."""
+    """Return unit directions (height * width, 3) through the pixel centers, camera frame."""
     m = camera.model
     x = (np.arange(camera.width) - m.cx) / m.fx
     y = (np.arange(camera.height) - m.cy) / m.fy
@@ -216,7 +225,11 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _tiles(width: int, height: int) -> tuple[NDArray[np.int64], ...]:
-    """Pixel numbers by tile. Most geoms are out of a tile's sight, which halves the work of one big cast."""
+    """Return the pixel indices of each image tile.
+
+    Casting rays tile by tile takes half the time of one big cast, because most geoms are outside a tile's
+    view.
+    """
     pixels = np.arange(width * height).reshape(height, width)
     return tuple(
         pixels[y : y + _TILE, x : x + _TILE].ravel()
@@ -232,7 +245,12 @@ def _cast(
     rays: NDArray[np.float64],
     groups: tuple[int, ...],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Distance (n,) [m] along each ray (-1: nothing), geom (n,) or -1, surface normal (n, 3) in the world."""
+    """Cast rays from a camera at the geoms of some geom groups.
+
+    Returns:
+        Distance (n,) [m] along each ray, -1 where a ray hits nothing; geom id (n,), or -1; surface normal (n,
+        3), world frame.
+    """
     T = camera.T_world_camera
     n = len(rays)
     directions = np.ascontiguousarray(rays @ T.rotation.matrix.T)
@@ -248,6 +266,6 @@ def _cast(
         toward = directions[tile].reshape(-1, 1)
         mujoco.mj_multiRay(model, data, eye, toward, shown, True, -1, g, d, m, k, _MAX_DEPTH)
         geom[tile], distance[tile], normal[tile] = g, d, m.reshape(k, 3)
-    beyond = distance > _MAX_DEPTH  # infinite planes are cut off by nobody else
+    beyond = distance > _MAX_DEPTH  # MuJoCo's ray cutoff does not apply to infinite planes
     distance[beyond], geom[beyond] = -1.0, -1
     return distance, geom, normal

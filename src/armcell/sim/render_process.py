@@ -1,9 +1,9 @@
-"""Rendering in another process: the thread that steps physics never waits for a picture.
+"""Rendering in a separate process, so that the physics thread never waits for an image.
 
-OpenGL in software takes 10 to 100 ms for a picture, casting rays half a second, and building the model with
-its visual meshes holds the interpreter for a second. The other process (`render_worker.py`) has a world of
-its own, which it puts into each state that it gets, so its pictures are those of `take_image`, bit for bit.
-It runs at a lower priority, ignores the terminal's signals and ends when its socket does.
+Software OpenGL takes 10 to 100 ms per image, ray casting takes half a second, and building a model with
+visual meshes blocks the Python interpreter for a second. The render process (`render_worker.py`) has a copy
+of the world and sets it to each state that it receives, so its images equal those of `take_image` bit for
+bit. The process runs at a lower priority, ignores the terminal's signals, and exits when its socket closes.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from armcell.sim.decals import Decal
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.world import SimWorld
 
-ENDS_WITHIN = 1.0  # [s] from the socket's end to the process's; then it is killed
+ENDS_WITHIN = 1.0  # [s] time the process has to exit after its socket closes, before it is killed
 WORKER = "armcell.sim.render_worker"
 
 
 @dataclass(frozen=True, eq=False)
 class PhysicsState:
-    """Where everything in a world is at one instant; a copy."""
+    """A copy of the state of a simulated world at one instant, for rendering."""
 
     time: float  # [s]
-    qpos: NDArray[np.float64]  # (nq,) MuJoCo's
-    bodies: tuple[NDArray[np.float64], NDArray[np.float64]]  # (nbody, 3) [m], (nbody, 4) wxyz; in parents
+    qpos: NDArray[np.float64]  # (nq,) MuJoCo's generalized positions
+    bodies: tuple[NDArray[np.float64], NDArray[np.float64]]  # (nbody, 3) [m], (nbody, 4) wxyz; parent frames
 
     @staticmethod
     def of(world: SimWorld) -> PhysicsState:
@@ -51,7 +51,7 @@ class PhysicsState:
             return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
 
     def put_into(self, world: SimWorld) -> None:
-        """Put a world of the same scene and settings into this state, to be looked at."""
+        """Set a world of the same scene and settings to this state, for rendering only."""
         model, data = world.mj_model, world.mj_data
         data.time, data.qpos[:] = self.time, self.qpos
         model.body_pos[:], model.body_quat[:] = self.bodies
@@ -60,13 +60,14 @@ class PhysicsState:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """Where a robot without physics and its objects are said to be."""
+    """Measured or reported joint positions and object poses of a robot that is not simulated."""
 
     positions: NDArray[np.float64]  # (dof,) [rad or m] in the model's order
     object_poses: dict[str, SE3]  # T_world_object
 
     def put_into(self, world: SimWorld) -> None:
-        world.set_positions(np.clip(self.positions, world.robot.lower, world.robot.upper))  # as measured
+        # measured positions may exceed the joint limits
+        world.set_positions(np.clip(self.positions, world.robot.lower, world.robot.upper))
         for name, pose in self.object_poses.items():
             world.set_object_pose(name, pose)
 
@@ -75,7 +76,10 @@ State = PhysicsState | MeasuredState
 
 
 class Setup:
-    """What a render process builds its world of. Pickled at once: the scene is then nobody else's."""
+    """Inputs from which a render process builds its copy of a world.
+
+    The constructor pickles them at once, so later changes of the scene have no effect.
+    """
 
     def __init__(
         self, scene: PlanningScene, settings: PhysicsSettings | None = None, seed: int = 0,
@@ -90,7 +94,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """One picture to be drawn."""
+    """A request to render one image."""
 
     setup: Setup
     state: State
@@ -100,8 +104,10 @@ class Order:
 
 
 class RenderProcess:
-    """A process that draws; started by the first `begin`, and again after one that has died. One thread uses
-    it: `begin`, then `finish`.
+    """A process that renders images on request.
+
+    The first `begin` starts the process; `begin` also restarts it after it has died. Only one thread may use
+    the object: it calls `begin`, then `finish`.
     """
 
     def __init__(self) -> None:
@@ -112,11 +118,11 @@ class RenderProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that runs."""
+        """Process id of the running render process, or None."""
         return None if self._process is None else self._process.pid
 
     def begin(self, order: Order) -> None:
-        """Have a picture drawn; returns at once. What goes wrong is raised by `finish`."""
+        """Request an image and return immediately; `finish` raises any error."""
         try:
             link = self._link or self._start()
             if order.setup is not self._setup:
@@ -127,10 +133,10 @@ class RenderProcess:
             self._trouble = error.strerror or str(error)
 
     def finish(self) -> CameraImage:
-        """The picture that was begun, as soon as it is there.
+        """Wait for the requested image and return it.
 
         Raises:
-            ArmcellError: it could not be drawn, or the process has died.
+            ArmcellError: rendering failed, or the process has died.
         """
         answer: Any
         try:
@@ -144,12 +150,12 @@ class RenderProcess:
         raise ArmcellError(str(answer))
 
     def kill(self) -> None:
-        """End the process at once, from any thread: a `finish` that waits fails."""
+        """Kill the process at once, from any thread; a waiting `finish` raises an error."""
         if self._process is not None:
             self._process.kill()
 
     def close(self) -> None:
-        """End the process; returns when it is gone."""
+        """End the process and return when it has exited."""
         link, self._link, self._setup = self._link, None, None
         if link is not None:
             link.close()
@@ -164,7 +170,7 @@ class RenderProcess:
 
     def _start(self) -> Connection:
         ours, its = socket.socketpair()
-        # -P: a file called numpy.py in the folder that one works in is not the worker's business
+        # -P: the worker must not import a file such as numpy.py from the current folder
         places = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in places if p)}
         try:

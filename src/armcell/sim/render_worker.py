@@ -1,7 +1,8 @@
-"""The process of `render_process.py`: `python -m armcell.sim.render_worker FD`, a socket that it obeys.
+"""The render process: `python -m armcell.sim.render_worker FD` serves requests on a socket.
 
-To it: pickled setups (bytes) and orders (state, camera, rgb, depth). From it: a `CameraImage` for each order,
-or what went wrong, in words. Both ends are armcell's own; nobody else can reach the socket.
+`render_process.py` sends pickled setups (bytes) and orders (state, camera, rgb, depth) over the socket. The
+process replies to each order with a `CameraImage`, or with an error message as a string. Both ends belong to
+armcell, and no other process can reach the socket.
 """
 
 from __future__ import annotations
@@ -15,10 +16,8 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-NICENESS = 10  # physics comes first: of a core that both want it gets nine tenths
-HANGS_AFTER = (
-    60  # [s] that a picture may take, a model built before it included; then the process ends itself
-)
+NICENESS = 10  # physics comes first: it gets nine tenths of a core that both processes want
+HANGS_AFTER = 60  # [s] time limit of an image, including the build of the model; then the process ends itself
 
 
 def _draw(world: Any, order: tuple) -> Any:
@@ -56,7 +55,10 @@ def _obey(link: Connection) -> None:
 
 
 def main(descriptor: int) -> None:
-    """Draw until the other side is gone. Ctrl-C and SIGTERM are meant for that."""
+    """Serve render requests until the parent closes the socket.
+
+    The process ignores Ctrl-C and SIGTERM, which are meant for the parent.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     os.nice(NICENESS)

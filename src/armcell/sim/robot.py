@@ -1,4 +1,4 @@
-"""The robot in a MuJoCo model: bodies, joints, what its links look like, its servos."""
+"""The robot in a MuJoCo model: bodies, joints, geoms, and actuators."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
 from armcell.scene import WORLD, PlanningScene
+from armcell.sim.joint_gains import arm_joints, check_joint_gains, joint_drive
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP, GeomAdder, full_inertia
 from armcell.sim.visuals import visual_parts
@@ -21,7 +22,7 @@ _TINY_MASS, _TINY_INERTIA = 1e-4, 1e-7
 def add_robot(
     spec: mujoco.MjSpec, adder: GeomAdder, model: RobotModel, settings: PhysicsSettings, visuals: bool
 ) -> dict[str, Any]:
-    # several robots composed have a root of their own, which is MuJoCo's: the world
+    # a composed model of several robots has the root link "world", which is MuJoCo's world body
     root = spec.worldbody if model.root_link == WORLD else spec.worldbody.add_body(name=model.root_link)
     bodies = {model.root_link: root}
     for joint in model.joints.values():
@@ -63,14 +64,17 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
         armature=settings.armature,
         damping=[max(settings.joint_damping, joint.damping), 0.0, 0.0],  # linear, then higher powers of speed
         frictionloss=joint.friction,
-        # the engine's soft stops would let a closing finger sink millimetres into its limit
+        # MuJoCo's default soft limits would let a closing finger overshoot its limit by millimeters
         solref_limit=settings.object_solref,
         solimp_limit=settings.object_solimp,
     )
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Links moved by a joint which, with all that is fixed to them, weigh nothing (MuJoCo forbids that)."""
+    """Return the links on movable joints that have no mass, even with all links fixed to them.
+
+    MuJoCo rejects moving bodies without mass.
+    """
     found = set()
     for group in model.rigid_groups:
         heavy = any((i := model.links[n].inertial) is not None and i.mass > 0 for n in group)
@@ -90,7 +94,7 @@ def _set_inertia(body: Any, link: Link, carrier: bool) -> None:
         return
     R = inertial.T_link_com.rotation.matrix
     inertia = R @ inertial.inertia @ R.T
-    if np.linalg.eigvalsh(inertia)[0] <= 0:  # some URDFs give a mass and no inertia
+    if np.linalg.eigvalsh(inertia)[0] <= 0:  # some URDFs specify a mass but no inertia
         inertia = inertia + np.eye(3) * _TINY_INERTIA
     body.mass = inertial.mass
     body.ipos = inertial.T_link_com.translation
@@ -117,9 +121,10 @@ def _add_link_geoms(adder: GeomAdder, body: Any, link: Link, visuals: bool) -> N
 
 
 def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
-    """Link pairs that may touch: the model's, the scene's, and always links joined by one joint.
+    """Exclude contacts of link pairs that may touch and of links joined by one joint.
 
-    Neighbours' hulls overlap at their joint, so there a contact would mean nothing.
+    The allowed pairs come from the scene and its model. The hulls of neighboring links overlap at their
+    joint, so a contact there would be meaningless.
     """
     model = scene.model
     group_of = {name: i for i, group in enumerate(model.rigid_groups) for name in group}
@@ -132,21 +137,15 @@ def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
 
 
 def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsSettings) -> None:
-    driven = {g.joint_name for g in model.grippers.values()}
-    for name in model.joint_names:
-        if name in driven:
-            continue
+    check_joint_gains(settings, model)
+    for name in arm_joints(model):
         joint = model.joints[name]
-        slide = joint.type == "prismatic"
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        # A weak joint with a strong joint's gains would saturate at every small error and chatter.
-        weak = min(1.0, joint.limits.effort / settings.full_gain_effort)
-        kp = weak * (settings.slide_kp if slide else settings.arm_kp)
-        kv = weak * (settings.slide_kv if slide else settings.arm_kv)
+        drive = joint_drive(joint, settings)
         if settings.arm_control == "pid":
-            actuator.set_to_pid(kp=kp, kv=kv)
+            actuator.set_to_pid(kp=drive.kp, kv=drive.kv)
         elif settings.arm_control == "position":
-            actuator.set_to_position(kp=kp, kv=kv)
+            actuator.set_to_position(kp=drive.kp, kv=drive.kv)
         else:
             actuator.set_to_motor()
         if np.isfinite(joint.limits.effort) and joint.limits.effort > 0:
@@ -168,7 +167,10 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """The driven joint and those that mimic it, weighted so that their sum is the mean finger position."""
+    """Return the driven finger joint and its mimic joints with weights.
+
+    The weighted sum of their positions is the mean finger position.
+    """
     found = [(driven, 1.0)]
     for joint in model.joints.values():
         if joint.mimic is not None and joint.mimic.joint == driven and joint.mimic.multiplier != 0:
@@ -177,7 +179,10 @@ def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
 
 
 def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
-    """Largest force of the servo [N]: a servo force f gives each finger f / |width_per_joint|."""
+    """Return the largest servo force [N] of a gripper.
+
+    A servo force f presses each finger with f / |width_per_joint|.
+    """
     return min(settings.gripper_force, gripper.max_force * abs(gripper.width_per_joint))
 
 

@@ -1,4 +1,4 @@
-"""How arm joints are driven to their targets: by the engine's servos, or by a torque PID of our own."""
+"""Position control of the arm joints, by MuJoCo's servos or by armcell's torque PID."""
 
 from __future__ import annotations
 
@@ -7,23 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.sim.built import BuiltModel
+from armcell.sim.joint_gains import joint_drive
 from armcell.sim.settings import PhysicsSettings
 
 Array = NDArray[np.float64]
 Controls = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-"""Index of some joints' targets here, of their positions and of their velocities in MuJoCo's controls."""
-
-INTEGRAL_SHARE = 0.2  # of the effort limit that the integral may give: a blocked arm does not wind up
+"""Indices (n,) of joints in `ArmServo.target`, and of their position and velocity inputs in MuJoCo's ctrl."""
 
 
 class ArmServo:
-    """Targets of the arm joints, written to the engine's controls.
+    """Holds the targets of the arm joints and writes them to MuJoCo's controls.
 
-    With "torque" control the controls are torques [Nm or N], worked out by `update` before every step.
+    With arm control "torque", the controls are torques [Nm or N], which `update` computes before every step.
     """
 
     def __init__(self, built: BuiltModel, settings: PhysicsSettings):
-        arm = np.flatnonzero(built.pos_ctrl >= 0)  # columns of the model's order
+        arm = np.flatnonzero(built.pos_ctrl >= 0)  # columns in the model's joint order
         self._at = {int(c): i for i, c in enumerate(arm)}
         self.columns = tuple(self._at)
         self._qpos, self._dofs = built.qpos[arm], built.dofs[arm]
@@ -34,21 +33,25 @@ class ArmServo:
         self._dt = settings.timestep
         model = built.scene.model
         joints = [model.joints[model.joint_names[c]] for c in arm]
-        effort = np.array([j.limits.effort for j in joints])
-        self._most = INTEGRAL_SHARE * np.where(np.isfinite(effort), effort, np.inf)
-        weak = np.minimum(1.0, effort / settings.full_gain_effort)
-        slide = np.array([j.type == "prismatic" for j in joints], dtype=bool)
-        self._kp = weak * np.where(slide, settings.slide_kp, settings.arm_kp)
-        self._kv = weak * np.where(slide, settings.slide_kv, settings.arm_kv)
-        self._ki = weak * settings.arm_ki
+        drives = [joint_drive(joint, settings) for joint in joints]
+        self._kp, self._ki, self._kv, self._low, self._high = (
+            np.array([drive[:5] for drive in drives], dtype=np.float64).reshape(-1, 5).T
+        )
+        self._winds_up = np.array([drive.winds_up for drive in drives], dtype=bool)
+        self._feedforward = np.array([drive.feedforward for drive in drives])
 
     def controls(self, columns: list[int]) -> Controls:
-        """Where the targets of some joints, by column of the model's order, belong."""
+        """Return the control indices of arm joints, given by columns of the model's joint order."""
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]
 
     def command(self, data: mujoco.MjData, controls: Controls, q: Array, v: Array) -> None:
-        """Targets of the joints that `controls` was made for."""
+        """Set target positions and velocities of the arm joints that `controls` refers to.
+
+        Args:
+            q: (n,) positions [rad or m].
+            v: (n,) velocities [rad/s or m/s].
+        """
         at, position, velocity = controls
         self.target[at], self.speed[at] = q, v
         if not self.computed:
@@ -57,17 +60,19 @@ class ArmServo:
                 data.ctrl[velocity] = v
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
-        """All joints stay at positions q (dof,) of the model's order; the integral is forgotten."""
+        """Hold all arm joints at positions q (dof,) in the model's joint order; reset the integral."""
         columns = list(self._at)
         self.integral[:] = 0.0
         self.command(data, self.controls(columns), q[columns], np.zeros(len(columns)))
 
     def update(self, data: mujoco.MjData) -> None:
-        """The torques of the step to come."""
+        """Compute the joint torques for the next step and write them to MuJoCo's controls."""
         error = self.target - data.qpos[self._qpos]
-        self.integral = np.clip(self.integral + self._ki * error * self._dt, -self._most, self._most)
+        self.integral += self._ki * error * self._dt
+        clamped = np.clip(self.integral, self._low, self._high)
+        self.integral = np.where(self._winds_up, self.integral, clamped)
         damping = self._kv * (self.speed - data.qvel[self._dofs])
-        data.ctrl[self._pos] = self._kp * error + damping + self.integral
+        data.ctrl[self._pos] = self._kp * error + damping + clamped + self._feedforward * self.speed
 
     def get_state(self) -> tuple[Array, Array, Array]:
         return self.target.copy(), self.speed.copy(), self.integral.copy()

@@ -1,7 +1,7 @@
-"""`PhysicsSettings`: every number of the physics in one place.
+"""`PhysicsSettings`: all parameters of the physics simulation.
 
-The defaults are a recipe measured on MuJoCo 4.0 (2 ms, discrete, elliptic cones, impratio 10, stiff contacts
-of the grasped object): the engine's own defaults let a 0.1 kg cube slide 4.4 mm out of a Panda's hand in 5 s.
+The defaults were tuned on MuJoCo 4.0 (2 ms, discrete, elliptic cones, impratio 10, stiff contacts of the
+grasped object). With MuJoCo's own defaults, a 0.1 kg cube slides 4.4 mm out of a Panda's hand in 5 s.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from armcell.core import InputError, UnknownNameError
 from armcell.core.checks import checked, float_array
+from armcell.sim.joint_gains import GainTable
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 CONES = ("pyramidal", "elliptic")
@@ -22,60 +23,62 @@ ARM_CONTROLS = ("pid", "position", "torque")
 @dataclass(frozen=True)
 @checked()
 class PhysicsSettings:
-    """How the physics is solved and how joints, fingers and grips are driven. SI units.
+    """Parameters of the physics solver, the joints, the grippers, and the grip modes (SI units).
 
     Raises:
-        UnknownNameError: integrator, cone or grip_mode that does not exist.
-        InputError: a number out of its range.
+        UnknownNameError: the integrator, cone, grip mode or arm control does not exist.
+        InputError: a number is out of range.
     """
 
     timestep: float = 0.002  # [s]
     # "discrete" solves contacts and servos together. "implicitfast" solves contacts first and then adds the
-    # servos' damping, which pulls the fingers from under a held object: measured, at 0.5 m/s it is 2.6 mm and
-    # 14 mrad out of place (back when the arm stops) against 0.4 mm and 0.0 mrad. It also holds at 5 ms.
+    # servos' damping, which pulls the fingers from under a held object. At an arm speed of 0.5 m/s, a held
+    # object is displaced by 2.6 mm and 14 mrad with "implicitfast" (until the arm stops), but by 0.4 mm and
+    # 0.0 mrad with "discrete". "discrete" also works at a time step of 5 ms.
     integrator: str = "discrete"
     cone: str = "elliptic"
-    impratio: float = 10.0  # friction over normal impedance: what keeps a held object from creeping
+    impratio: float = 10.0  # ratio of friction to normal impedance; keeps a held object from creeping
     iterations: int = 100
-    noslip_iterations: int = 0  # 2 lowers the creep of a held object six times, at 2/3 of the speed
+    noslip_iterations: int = 0  # 2 reduces the creep of a held object sixfold, at 2/3 of the speed
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # [m/s^2]
-    # Objects that lie still are not worked out until something touches them: for cells with many objects.
+    # Resting objects sleep until another body touches them; useful in cells with many objects.
     sleep: bool = False
 
-    # Arm joints, within JointLimits.effort. "pid": the engine's, force = kp (u_pos - q) + kv (u_vel - qd).
-    # "position": kp (u_pos - q) - kv qd, which lags by kv/kp times the speed. "torque": the pid law and
-    # ki times the integral of (u_pos - q), worked out here at every step and sent as a torque.
+    # Arm joints, within JointLimits.effort. "pid": MuJoCo's servo, force = kp (u_pos - q) + kv (u_vel - qd).
+    # "position": kp (u_pos - q) - kv qd, which lags by kv/kp times the speed. "torque": the pid law plus
+    # ki times the integral of (u_pos - q), computed by armcell at every step and commanded as a torque.
     arm_control: str = "pid"
     arm_kp: float = 5000.0  # [Nm/rad]
-    arm_ki: float = 0.0  # [Nm/(rad s)], of "torque"; the integral gives at most a fifth of the effort limit
+    arm_ki: float = 0.0  # [Nm/(rad s)], only for "torque"; the integral effort is at most 1/5 of the limit
     arm_kv: float = 250.0  # [Nm s/rad]; with 500 a UR10's wrist chatters once its torque has saturated
-    gravity_compensation: float = 1.0  # share of the links' weight that the arms take off themselves
-    full_gain_effort: float = 50.0  # [Nm or N] joints with a lower effort limit get gains in proportion to it
-    slide_kp: float = 50000.0  # [N/m], of sliding joints that are no fingers
+    joint_gains: GainTable = GainTable()  # gains of individual joints; override the gains above and below
+    gravity_compensation: float = 1.0  # fraction of the links' weight that the arms compensate
+    full_gain_effort: float = 50.0  # [Nm or N] joints with a lower limit get proportionally lower gains
+    slide_kp: float = 50000.0  # [N/m], prismatic joints except gripper fingers
     slide_kv: float = 5000.0  # [N s/m]
     armature: float = 0.1  # [kg m^2 or kg] rotor inertia: keeps a joint stable when its force saturates
-    joint_damping: float = 1.0  # [Nm s/rad or N s/m], at least
+    joint_damping: float = 1.0  # [Nm s/rad or N s/m] lower bound of every joint's damping
 
-    # Fingers: one position servo per gripper on the mean of its finger joints.
+    # Fingers: each gripper has one position servo, which controls the mean position of its finger joints.
     gripper_kp: float = 1000.0  # [N/m]
     gripper_kv: float = 20.0  # [N s/m]
-    gripper_force: float = 140.0  # [N] of the servo at most; a gripper's own max_force binds too
-    finger_speed: float = 0.05  # [m/s] of each finger at most; the joint's velocity limit binds too
-    grip_force_rate: float = 200.0  # [N/s] how fast the force per finger rises once the fingers are blocked
+    gripper_force: float = 140.0  # [N] upper limit of the servo force; the gripper's max_force also applies
+    finger_speed: float = 0.05  # [m/s] upper limit per finger; the joint's velocity limit also applies
+    grip_force_rate: float = 200.0  # [N/s] rate at which the force of a blocked finger rises
 
-    # Contacts of movable objects. Their geoms have priority 1: THEIR friction, solref, solimp and condim
-    # decide against links and fixed things, which keep the engine's defaults.
+    # Contacts of movable objects. Their geoms have priority 1, so their friction, solref, solimp and condim
+    # apply in contacts with links and fixed objects, which keep MuJoCo's defaults.
     object_solref: tuple[float, float] = (0.004, 1.0)  # time constant [s], damping ratio
     object_solimp: tuple[float, float, float, float, float] = (0.95, 0.99, 0.001, 0.5, 2.0)
-    object_condim: int = 4  # 3: sliding friction, 4: and torsional, 6: and rolling
+    object_condim: int = 4  # 3: sliding friction, 4: also torsional friction, 6: also rolling friction
 
-    # Grip modes. Only "friction" is plain physics; each weld of the others is recorded in `SimWorld.welds`.
+    # Grip modes. Only "friction" is pure physics; `SimWorld.welds` records each weld of the other modes.
     grip_mode: str = "friction"
-    weld_force: float = 2.0  # [N] on each finger before "weld" fixes the object or "hybrid" watches it
+    weld_force: float = 2.0  # [N] per finger from which "weld" fixes the object or "hybrid" monitors its slip
     weld_solref: tuple[float, float] = (0.004, 1.0)
-    hybrid_solref: tuple[float, float] = (0.04, 1.0)  # weak: ten times slower than the contacts
-    hybrid_slip: float = 0.002  # [m] of slip before "hybrid" fixes the object
-    hybrid_turn: float = 0.05  # [rad] of slip before "hybrid" fixes the object
+    hybrid_solref: tuple[float, float] = (0.04, 1.0)  # soft weld: ten times slower than the contacts
+    hybrid_slip: float = 0.002  # [m] slip above which "hybrid" fixes the object
+    hybrid_turn: float = 0.05  # [rad] rotation in the hand above which "hybrid" fixes the object
 
     def __post_init__(self) -> None:
         for kind, value, known in (
@@ -90,16 +93,28 @@ class PhysicsSettings:
             raise InputError(f"object_condim is {self.object_condim}", cure="use 3, 4 or 6")
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, str) or field.name == "gravity":
+            if isinstance(value, str) or field.name in ("gravity", "joint_gains"):
                 continue
             if np.any(float_array(value, None, f"physics setting {field.name}") < 0):
                 raise InputError(f"physics setting {field.name} is {value}, it must be a number >= 0")
         for name in ("timestep", "gripper_kp", "finger_speed", "grip_force_rate", "impratio"):
             if getattr(self, name) <= 0:
                 raise InputError(f"physics setting {name} is {getattr(self, name)}, it must be above 0")
-        if self.arm_ki > 0 and self.arm_control != "torque":
+        if self.arm_control != "torque":
+            self._check_servo()
+        if len(self.gravity) != 3 or not np.all(np.isfinite(self.gravity)):
+            raise InputError("physics setting gravity must be three finite numbers [m/s^2]")
+
+    def _check_servo(self) -> None:
+        """Reject integral and feedforward gains, which MuJoCo's own servos do not support."""
+        if self.arm_ki > 0:
             raise InputError(
                 f"physics setting arm_ki is for arm_control 'torque', this is {self.arm_control!r}"
             )
-        if len(self.gravity) != 3 or not np.all(np.isfinite(self.gravity)):
-            raise InputError("physics setting gravity must be three finite numbers [m/s^2]")
+        for joint, gains in self.joint_gains.items():
+            if gains.i > 0 or gains.ff_velocity_scale > 0:
+                raise InputError(
+                    f"joint_gains/{joint} has i or ff_velocity_scale, which arm_control "
+                    f"{self.arm_control!r} does not have",
+                    cure="set arm_control: torque",
+                )

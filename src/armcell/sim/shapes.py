@@ -1,4 +1,4 @@
-"""Shapes as MuJoCo geoms."""
+"""Conversion of collision and visual shapes to MuJoCo geoms."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 _CONE_EDGES = 48
 
 OBJECT_GROUP, VISUAL_GROUP, COLLISION_GROUP = 0, 2, 3
-"""MuJoCo's geom groups; viewers draw 0 to 2."""
+"""MuJoCo geom groups; viewers show groups 0 to 2 by default."""
 
 _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
     Box: (GEOM.mjGEOM_BOX, lambda s: [s.x / 2, s.y / 2, s.z / 2]),
     Sphere: (GEOM.mjGEOM_SPHERE, lambda s: [s.radius, 0, 0]),
     Cylinder: (GEOM.mjGEOM_CYLINDER, lambda s: [s.radius, s.length / 2, 0]),
     Capsule: (GEOM.mjGEOM_CAPSULE, lambda s: [s.radius, s.length / 2, 0]),
-    Plane: (GEOM.mjGEOM_PLANE, lambda s: [0, 0, 1]),  # zero: infinite
+    Plane: (GEOM.mjGEOM_PLANE, lambda s: [0, 0, 1]),  # size 0 means infinite
 }
 
 
 class GeomAdder:
-    """Adds shapes to bodies of one spec; each mesh piece becomes an asset once."""
+    """Adds shapes as geoms to the bodies of one MuJoCo spec; each mesh becomes one shared asset."""
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec
         self._assets: dict[int, str] = {}
-        self._kept: list[Mesh] = []  # ids stay valid while the meshes live
+        self._kept: list[Mesh] = []  # keeps the meshes alive, so that their id() stays unique
 
     def add_solid(
         self,
@@ -48,9 +48,10 @@ class GeomAdder:
         split: Splitter = convex_pieces,
         **values: Any,
     ) -> list[Any]:
-        """Colliding geoms of one shape: a primitive stays one, a mesh becomes its convex pieces by `split`.
+        """Add the colliding geoms of one shape to a body and return them.
 
-        Point clouds and octrees have none: physics takes no part in them.
+        A primitive becomes one geom; `split` divides a mesh into convex pieces. Point clouds and octrees get
+        no geoms, because physics ignores them.
         """
         if isinstance(shape, PointCloud | Octree):
             logger.warning("%s is a %s: physics does not see it", name, type(shape).__name__)
@@ -68,7 +69,7 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """One mesh geom. A mesh that is not `convex` is for drawing only."""
+        """Add one mesh geom to a body; a mesh that is not `convex` is for rendering only."""
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -78,7 +79,7 @@ class GeomAdder:
                 name=asset,
                 uservert=mesh.vertices.ravel(),
                 userface=mesh.faces.ravel(),
-                # a visual mesh may be open or flat, so its volume means nothing
+                # a visual mesh may be open or flat, so its volume is meaningless
                 inertia=inertia.mjMESH_INERTIA_CONVEX if convex else inertia.mjMESH_INERTIA_SHELL,
             )
         return self._geom(body, T_body_mesh, name, type=GEOM.mjGEOM_MESH, meshname=asset, **values)
@@ -89,7 +90,7 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """A cone as a closed convex mesh, base corners on the circle."""
+    """Return a cone as a closed convex mesh; the base's vertices are on the cone's base circle."""
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1
@@ -102,5 +103,5 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
 
 
 def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
-    """MuJoCo's order of a symmetric matrix (3, 3)."""
+    """Return the elements xx, yy, zz, xy, xz, yz of a symmetric matrix (3, 3), MuJoCo's order."""
     return [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]

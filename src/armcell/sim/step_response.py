@@ -1,70 +1,44 @@
-"""Step responses of a robot's joints in physics: how a set of gains follows a jump of the target."""
+"""Step responses of the arm joints in physics, to evaluate a set of gains."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import InputError, UnknownNameError
-from armcell.core.checks import settings_from
-from armcell.model.files import read_yaml
+from armcell.core import InputError
 from armcell.scene import PlanningScene
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.world import SimWorld
 
 Array = NDArray[np.float64]
 
-GAINS = Path(__file__).parent / "gains"
-BAND = 0.02  # of the step: within it the joint counts as settled
-
-
-def gains_names() -> list[str]:
-    """Sets of gains that come along."""
-    return sorted(p.stem for p in GAINS.glob("*.yaml"))
-
-
-def with_gains(settings: PhysicsSettings, gains: str | Path) -> PhysicsSettings:
-    """Settings with the arm's control and gains from a YAML file, or from a set by name.
-
-    Raises:
-        InputError: no such file, or a key or value that is not a gain.
-    """
-    name = str(gains)
-    if "/" not in name and "." not in name:
-        if name not in gains_names():
-            raise UnknownNameError("set of gains", name, gains_names())
-        gains = GAINS / f"{name}.yaml"
-    values, known = read_yaml(Path(gains)), ["arm_control", "arm_kp", "arm_ki", "arm_kv"]
-    known += ["slide_kp", "slide_kv", "gravity_compensation", "full_gain_effort"]
-    for key in values:
-        if key not in known:
-            raise UnknownNameError("gain", key, known, file=Path(gains))
-    mine = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    try:
-        return settings_from(PhysicsSettings, {**mine, **values}, "gains")
-    except InputError as error:
-        raise InputError(error.reason, file=Path(gains), cure=error.cure) from None
+BAND = 0.02  # tolerance as a fraction of the step size within which the joint counts as settled
 
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
-    """One joint's answer to a jump of its target at time 0, from rest. Times in s, angles in rad or m."""
+    """Response of one joint to a step of its target at time 0, from rest.
+
+    Times are in s, positions in rad or m.
+    """
 
     joint: str
     size: float
     times: Array  # (k,)
-    positions: Array  # (k,), from where the joint was
-    rise_time: float  # from 10 to 90 % of the step; inf if it never gets there
-    overshoot: float  # beyond the target, share of the step
-    settling_time: float  # after which it stays within 2 % of the step; inf if it does not
-    final_error: float  # at the end
+    positions: Array  # (k,), relative to the joint's initial position
+    rise_time: float  # from 10 to 90 % of the step; inf if the joint never reaches 90 %
+    overshoot: float  # beyond the target, as a fraction of the step size
+    settling_time: float  # time from which the joint stays within 2 % of the step; inf if it does not settle
+    final_error: float  # distance from the target at the end
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """How far each actuated joint leaves the scene's positions while it is told to stay [rad or m]."""
+    """Return the largest deviation [rad or m] of each actuated joint that holds its position.
+
+    The joints hold the scene's positions under gravity for `duration` [s].
+    """
     world = SimWorld(scene, settings)
     worst = np.zeros(scene.model.dof)
     for _ in range(max(round(duration / settings.timestep), 1)):
@@ -77,12 +51,13 @@ def step_responses(
     scene: PlanningScene, joints: tuple[str, ...], settings: PhysicsSettings, size: float = 0.1,
     duration: float = 2.0,
 ) -> list[StepResponse]:  # fmt: skip
-    """Each joint in turn, from the scene's state at rest.
+    """Measure the step response of each joint, one at a time, from the scene's state at rest.
 
     Args:
-        size: of the step [rad or m]; downwards for a joint that stands too near its upper limit.
+        size: step size [rad or m]; the step is negative for a joint too close to its upper limit.
+        duration: simulated time per joint [s].
     Raises:
-        InputError: a size or duration that is not positive, or a joint without room for the step.
+        InputError: `size` or `duration` is not positive, or a joint's range is too small for the step.
     """
     for what, value in (("size", size), ("duration", duration)):
         if not (np.isfinite(value) and value > 0):

@@ -13,6 +13,8 @@ import mujoco
 import numpy as np
 from numba import njit, types
 
+from armcell.sim.by_address import matrix, vector
+
 SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)
 LAW_SIZE = 7
 """Columns of the fingers' law, of which there is one row per gripper; see `grip.GripperDrive`."""
@@ -27,6 +29,13 @@ _geom_distance = types.ExternalFunction(
 _contact_force = types.ExternalFunction(
     "mj_contactForce", types.void(types.intp, types.intp, types.int32, types.intp)
 )
+
+_I4, _I8, _F8, _B = np.int32, np.int64, np.float64, np.bool_
+FIXED = (
+    _I4, _F8, _F8, _F8, _F8, _I8, _F8,
+    _I8, _F8, _F8, _I8, _F8, _F8, _B, _B, _F8, _F8, _I8, _I8, _I8, _I4, _I4, _I8, _I4, _I4, _F8,
+)  # fmt: skip
+"""Types of the arrays that `take_steps` takes by address."""
 
 FAR = 0.5  # [m] how far distances are looked for
 WORTH = 0.005  # [m] bodies nearer than this are left to the engine
@@ -132,21 +141,33 @@ def _after(model, data, places, apart):
                 body_type[body] = body_affinity[body] = 0
 
 
+@njit(cache=True)
+def _apart(fixed, k):
+    """`Apart.arrays` from row k of a table of addresses on."""
+    return (
+        vector(fixed, k, _I8), vector(fixed, k + 1, _F8), vector(fixed, k + 2, _F8),
+        vector(fixed, k + 3, _I8),
+        vector(fixed, k + 4, _F8), vector(fixed, k + 5, _F8), vector(fixed, k + 6, _B),
+        vector(fixed, k + 7, _B), vector(fixed, k + 8, _F8), vector(fixed, k + 9, _F8),
+        matrix(fixed, k + 10, _I8), matrix(fixed, k + 11, _I8), vector(fixed, k + 12, _I8),
+        vector(fixed, k + 13, _I4), vector(fixed, k + 14, _I4), vector(fixed, k + 15, _I8),
+        vector(fixed, k + 16, _I4), vector(fixed, k + 17, _I4), vector(fixed, k + 18, _F8),
+    )  # fmt: skip
+
+
 @njit(cache=True, nogil=True)
 def take_steps(
-    model, data, begin, end, count, pairs, readable, unwanted, fingers, apart, qpos, ctrl, places,
-    period, targets, controls, columns, limit, worst,
+    model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
+    worst,
 ):  # fmt: skip
     """Steps number begin to end - 1, until after one with an unwanted contact or with a joint off its target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
-        count: (1,) number of contacts, read in place.
+        fixed: `addresses_of` the number of contacts (1,), read in place; MuJoCo's qpos and ctrl; the geoms'
+            middles (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`.
         pairs: (c, 2) geoms of each contact, read in place, of which the first `readable` can be.
         unwanted: (geom, geom) whether they are not to touch.
-        fingers: law, joints and weights of `drive_fingers`.
-        apart: `Apart.arrays`.
-        places: (geom, 3) of the geoms' middles.
         period: steps between new targets, which come before steps 0, period, 2 period and so on.
         targets: (n / period, m) of which the first k columns are for the controls (k,).
         columns: (j,) of qpos, where the first j columns of `targets` shall be after `period` steps.
@@ -155,7 +176,10 @@ def take_steps(
     Returns:
         The number of the next step; whether there is a contact to be looked at; whether a joint is off.
     """
-    law, joints, weights = fingers
+    count, qpos, ctrl = vector(fixed, 0, _I4), vector(fixed, 1, _F8), vector(fixed, 2, _F8)
+    places, law = matrix(fixed, 3, _F8), matrix(fixed, 4, _F8)
+    joints, weights = matrix(fixed, 5, _I8), matrix(fixed, 6, _F8)
+    apart = _apart(fixed, 7)
     for step in range(begin, end):
         row = step // period
         if step % period == 0:
@@ -214,6 +238,34 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
             for c in range(3):
                 along += frames[i, 3 * r + c] * axis[c]
             forces[other, finger] += sign * wrench[r] * along
+
+
+@njit(
+    types.Tuple((types.float64, types.int64))(
+        types.intp, types.intp, types.int32[:, :], types.float64[:, :], types.int64[:], types.int64[:],
+        types.float64[:], types.int64, types.int64,
+    ),
+    cache=True,
+)  # fmt: skip
+def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
+    """Sum of the forces [N] along an axis on all fingers, and the object that all of them press, or -1.
+
+    Args:
+        geoms, frames, owner, fingers, axis: see `add_finger_forces`.
+        owners: how many links and objects there are; the objects come last, from `first_object` on.
+    """
+    forces = np.zeros((owners, len(fingers)))
+    add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces)
+    total, held, most = 0.0, -1, 0.0
+    for other in range(owners):
+        both, least = 0.0, np.inf
+        for f in range(len(fingers)):
+            both += abs(forces[other, f])
+            least = min(least, abs(forces[other, f]))
+        total += both
+        if other >= first_object and least > 0.0 and least >= most:
+            held, most = other, least
+    return total, held
 
 
 @njit(

@@ -1,4 +1,4 @@
-"""What joints shall do at every tick of a motion, worked out for many ticks at once."""
+"""Joint targets for every tick of a motion, sampled in batches ahead of time."""
 
 from __future__ import annotations
 
@@ -10,29 +10,34 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AHEAD = 2.0  # [s]
+AHEAD = 2.0  # [s] length of a batch
 
 
 class Targets:
-    """Targets for `SimWorld.follow`.
+    """Joint targets for `SimWorld.follow`, sampled from a motion in batches.
 
     Attributes:
-        steps: physics steps of a tick.
+        steps: physics steps per tick.
     """
 
     def __init__(self, wanted: Callable[[Array], tuple[Array, Array]], timestep: float, steps: int):
-        """
+        """Store the function that yields the joint targets of a motion.
+
         Args:
-            wanted: positions and velocities (k, n), finite, for the ticks that begin at times (k,) [s].
-            timestep: of physics [s].
+            wanted: function from times (k,) [s], at which ticks begin, to finite positions and velocities (k,
+                n).
+            timestep: physics time step [s].
+            steps: physics steps per tick.
         """
         self._wanted, self._dt, self.steps = wanted, timestep, steps
         self._times: list[float] = []
         self._rows = np.zeros((0, 0))
 
     def between(self, now: float, until: float) -> Array:
-        """Positions and velocities side by side (k, 2n) of the ticks from now on that begin before a time
-        [s]; at least of one."""
+        """Return the targets (k, 2n) of all ticks that begin in the interval [`now`, `until`) [s].
+
+        Each row holds the positions, then the velocities. The result has at least one row.
+        """
         times = self._times
         first = bisect_left(times, now)
         if first == len(times) or times[first] != now or times[-1] < until:
@@ -45,6 +50,6 @@ class Targets:
         count = int((end - now) / (self._dt * self.steps)) + 2
         steps = np.full(count * self.steps, self._dt)
         steps[0] = now
-        times = np.cumsum(steps)[:: self.steps]  # one by one, as the engine adds them up
+        times = np.cumsum(steps)[:: self.steps]  # adds step by step like MuJoCo, so the rounding is the same
         self._times = times.tolist()
         self._rows = np.concatenate(self._wanted(times), axis=1)

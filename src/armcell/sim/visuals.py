@@ -1,4 +1,4 @@
-"""Visual meshes, one per colour."""
+"""Loading of a link's visual meshes, one mesh per color."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ log = logging.getLogger(__name__)
 
 
 def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
-    """The meshes [m, visual frame] and RGBA colours of a visual mesh file; none if it cannot be read.
+    """Load the meshes [m, visual frame] of a visual element with their RGBA colors.
 
-    A picture without one link is better than no run at all, so a broken file is logged, not raised.
+    A mesh file that cannot be read is logged and yields no meshes: an image without one link is better than
+    no run.
     """
     if visual.file is None:
         return ()

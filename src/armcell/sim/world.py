@@ -1,4 +1,4 @@
-"""`SimWorld`: a planning scene as real physics, stepped only when told."""
+"""`SimWorld`: MuJoCo physics of a planning scene, advanced only by explicit calls."""
 
 from __future__ import annotations
 
@@ -38,12 +38,13 @@ from armcell.sim.kept import kept_build
 from armcell.sim.places import Array, FixedPlaces, Poses, write_free
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.slipping import SlidingFriction
 from armcell.sim.targets import Targets
 from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
 
-BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it by 0.2 degrees a second
+BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it at 0.2 deg/s
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _DIVERGED = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")
@@ -52,7 +53,10 @@ _DIVERGED = tuple(
 
 @dataclass(frozen=True, eq=False)
 class WorldSnapshot:
-    """Everything the next step depends on, and what the world has recorded. Only for the world it is of."""
+    """Full state and records of a `SimWorld`; only the same world can restore it.
+
+    It contains all data that the next step depends on, and all that the world has recorded.
+    """
 
     built: BuiltModel
     physics: Array
@@ -60,24 +64,27 @@ class WorldSnapshot:
     fixed: Poses
     drives: tuple
     servo: tuple
+    slip: tuple
     welder: tuple
     monitor: tuple
     watches: dict
 
 
 class SimWorld:
-    """Physics of one scene. All poses are in the world frame, which is the frame of the robot's root link.
+    """MuJoCo physics of one scene; all poses are in the world frame.
 
-    Nothing is random in it and nothing moves but by `step`: the same calls give the same bits.
+    The world frame is the frame of the robot's root link. The simulation is deterministic and advances only
+    by `step` and `follow`: the same calls give the same bits.
 
     Attributes:
         robot: the scene's `RobotModel`.
-        monitor: unwanted contacts, looked for at every physics step. A reset makes a new one.
-        lock: held while steps are taken. Who looks from another thread than the one that steps holds it, too.
-        cameras: by name.
-        decals: pictures on links and objects, seen by cameras only.
-        rng: for whatever wants seeded noise on this world's sensors; physics itself has none.
-        mj_model, mj_data: MuJoCo's own, for viewers; do not step them.
+        monitor: records unwanted contacts at every physics step; `reset` replaces it.
+        lock: held while the world takes steps; a thread that reads the state while another thread steps must
+            hold it.
+        cameras: cameras by name.
+        decals: images on links and objects that only cameras see.
+        rng: seeded random generator for the noise of this world's sensors; physics does not use it.
+        mj_model, mj_data: MuJoCo's model and data, for viewers; do not step them.
     """
 
     def __init__(
@@ -97,28 +104,35 @@ class SimWorld:
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
-        # else MuJoCo prints, and writes a file where it stands
+        # by default MuJoCo prints warnings and writes a log file to the current folder
         mujoco.set_mju_user_warning(partial(log.warning, "MuJoCo: %s"))
         self.built, self._data = kept_build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
         self._fixed = FixedPlaces(self.mj_model)
-        self._behind = False  # whether the poses in it are those of where the last step began
-        self._warned = self._data.warning.number.item  # reads the counts as they are then
+        self._behind = False  # whether the body poses in `_data` are those before the last step
+        self._warned = self._data.warning.number.item  # reads the current warning counts when called
         self._tree = kinematic_tree(scene.model)
         self._fingers = Fingers(self.built, self.settings)
         self._drives = self._fingers.drives
         self._servo = ArmServo(self.built, self.settings)
-        python = self._servo.computed or self.built.belts or self.settings.grip_mode != "friction"
+        self._slip = SlidingFriction(self.built)
+        python = (
+            self._servo.computed or self.built.belts or self._slip or self.settings.grip_mode != "friction"
+        )
         self._steps = None if python else compiled_steps(self.built, self._data, self._fingers)
         self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
         self._columns: dict[tuple[str, ...], Any] = {}
-        self.render_cache: Any = None  # of camera.py: the same scene with its visual meshes
+        self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
 
     def reset(self, scene: PlanningScene | None = None) -> None:
-        """Back to a scene (by default the last one given): time 0, at rest, records cleared.
+        """Reset the simulation to a scene: time 0, at rest, records cleared.
 
-        A scene that differs only in joint positions and poses of movable objects is not compiled anew.
+        A scene that differs from the last one only in joint positions and poses of movable objects is not
+        recompiled.
+
+        Args:
+            scene: the initial state; by default the last scene.
         """
         if scene is not None:
             if same_build(self.built.scene, scene):
@@ -127,6 +141,7 @@ class SimWorld:
                 self._build(scene)
         built, data = self.built, self.mj_data
         self._fixed.reset()
+        self._slip.reset()
         mujoco.mj_resetData(self.mj_model, data)
         self.rng = np.random.default_rng(self.seed)
         self.monitor = ContactMonitor(built)
@@ -147,7 +162,7 @@ class SimWorld:
     # --- time ---
     @property
     def time(self) -> float:
-        """Simulated seconds since the last reset."""
+        """Simulation time since the last reset [s]."""
         return self._data.time
 
     @property
@@ -158,7 +173,8 @@ class SimWorld:
         """Take n physics steps.
 
         Raises:
-            ArmcellError: the state is no longer finite.
+            InputError: `n` is not an integer below 2^31.
+            ArmcellError: the simulation diverged (the state is not finite).
         """
         if not (isinstance(n, int | np.integer) and n < 2**31):
             raise InputError(f"the number of steps is {n!r}, it must be a whole number below 2^31")
@@ -174,18 +190,20 @@ class SimWorld:
                         call(data)
                     mujoco.mj_step(self.mj_model, data)
                     look(data)
+                    if self._slip:
+                        self._slip.update(data)
                     if self.settings.grip_mode != "friction":
                         weld(data)
             self._behind = True
         self.check()
 
     def _look_at_all(self) -> None:
-        """The engine is to look at all pairs of links again, before it is used without compiled steps."""
+        """Make MuJoCo test all body pairs again, before it runs without compiled steps."""
         if self._steps is not None:
             self._steps.forget()
 
     def _before(self) -> list[Callable[[mujoco.MjData], None]]:
-        """What is done before a step."""
+        """Return the functions to call before each step."""
         before = [self._fingers.update]
         if self._servo.computed:
             before.append(self._servo.update)
@@ -194,7 +212,7 @@ class SimWorld:
         return before
 
     def check(self) -> None:
-        """Raise an ArmcellError if the state is no longer finite."""
+        """Raise an ArmcellError if the simulation diverged (the state is not finite)."""
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
@@ -202,12 +220,18 @@ class SimWorld:
     def follow(
         self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """New targets every tick: `set_arm_target` and `step` in turn, with less between.
+        """Track joint targets until a time or until a joint leaves the tolerance.
 
-        At least once, and until a time [s] or until a joint is off by more than a tolerance [rad or m].
+        Equivalent to calling `set_arm_target` and `step` alternately, with less overhead. The world advances
+        by at least one tick.
 
+        Args:
+            joint_names: joints of the targets.
+            targets: source of the positions and velocities.
+            until: time [s] at which to stop.
+            tolerance: largest tracking error [rad or m].
         Returns:
-            The largest error, and the index of its joint.
+            The largest tracking error [rad or m], and the index of its joint in `joint_names`.
         """
         names, data = tuple(joint_names), self._data
         _, controls, fingers, at = self._split(names)
@@ -231,13 +255,16 @@ class SimWorld:
         return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """A belt has its speed and stays where it is."""
+        """Set the belts' joints to position zero and to their belt speed."""
         for position, velocity, speed in self.built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 
     # --- robot ---
     def joint_state(self) -> JointState:
-        """Actuated joints in the model's order. Efforts include the gravity that the arm compensates."""
+        """Return the state of the actuated joints in the model's order.
+
+        Efforts include the gravity compensation of the arm.
+        """
         data, built = self._data, self.built
         return JointState.trusted(
             self.robot.joint_names,
@@ -250,13 +277,13 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Where the joints shall be now [rad or m] and how fast they shall be moving [rad/s or m/s].
+        """Set target positions [rad or m] and velocities [rad/s or m/s] of some joints.
 
-        A gripper's driven joint among them is driven to that position at the gripper's full force.
+        A gripper's driven joint moves to its target at the gripper's full force.
 
         Raises:
-            UnknownNameError: not an actuated joint.
-            InputError: wrong length, or a value that is not finite.
+            UnknownNameError: a name is not an actuated joint.
+            InputError: an array has the wrong length or a value that is not finite.
         """
         names = tuple(joint_names)
         arm, controls, fingers, _ = self._split(names)
@@ -274,7 +301,7 @@ class SimWorld:
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def arm_target(self) -> JointState:
-        """Where the arm joints were last told to be; a gripper's joint is not among them."""
+        """Return the last target positions and velocities of the arm joints, without gripper joints."""
         names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
         return JointState(names, self._servo.target, self._servo.speed, time=self.time)
 
@@ -288,10 +315,18 @@ class SimWorld:
         return self._columns[names]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
-        """Drive a gripper to a width [m] with at most a force per finger [N], by default its largest.
+        """Drive a gripper to a width with limited finger force.
 
-        Width 0 grasps: the fingers close until blocked and then press with that force. A width above the
-        present one opens, which releases a weld.
+        Width 0 grasps: the fingers close until an object blocks them, then press with the given force. A
+        width above the current one opens the gripper and releases a weld.
+
+        Args:
+            gripper: name of the gripper.
+            width: target width [m].
+            force_per_finger: largest force per finger [N]; by default the gripper's maximum.
+        Raises:
+            UnknownNameError: the gripper does not exist.
+            InputError: the width is not finite, or the force is not a positive finite number.
         """
         index = self._gripper(gripper)
         force = index.max_force if force_per_finger is None else float(force_per_finger)
@@ -303,12 +338,15 @@ class SimWorld:
         self._drives[gripper].command(float(width), force)
 
     def gripper_state(self, gripper: str) -> GripperState:
-        """Width, contact force per finger and the object between the fingers, as of the last step."""
+        """Return a gripper's width, finger force, and held object as of the last step."""
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
 
     def wrench(self, gripper: str) -> Array:
-        """Force [N] over torque [Nm] (6,) on a hand by what touches it, about its tcp, in world axes."""
+        """Return the contact wrench (6,) on a gripper: force [N], then torque [Nm] about the tcp.
+
+        The wrench has world axes and includes all contacts of the gripper's links.
+        """
         self._gripper(gripper)
         return hand_wrench(self.built, self.mj_data, gripper)
 
@@ -318,12 +356,15 @@ class SimWorld:
         return self.built.grippers[name]
 
     def link_pose(self, link: str) -> SE3:
-        """T_world_link."""
+        """Return the pose T_world_link of a link."""
         self.robot.link(link)
         return body_pose(self.mj_data, self.built.body[link])
 
     def set_positions(self, q: ArrayLike) -> None:
-        """Put the robot at positions (dof,), at rest, with its targets there. For set-up, not simulated."""
+        """Place the robot at positions q (dof,), at rest, with the joint targets there.
+
+        For setup only: the physics does not simulate this motion.
+        """
         q = self.robot.check_positions(q, margin=1e-3)
         data, built = self.mj_data, self.built
         for name, value in self._tree.full_positions(q).items():
@@ -340,16 +381,19 @@ class SimWorld:
 
     # --- objects ---
     def object_pose(self, name: str) -> SE3:
-        """T_world_object."""
+        """Return the pose T_world_object of an object."""
         self._object(name)
         return body_pose(self.mj_data, self.built.body[name])
 
     def object_poses(self) -> dict[str, SE3]:
-        """T_world_object of every movable object."""
+        """Return the pose T_world_object of every movable object by name."""
         return {name: self.object_pose(name) for name in self.built.moving}
 
     def object_twist(self, name: str) -> Array:
-        """Velocity (6,) of an object's origin [m/s] over its angular velocity [rad/s], world frame."""
+        """Return an object's linear [m/s] and angular velocity [rad/s] as (6,), world frame.
+
+        The linear velocity is that of the object's origin.
+        """
         self._object(name)
         start = self.built.object_dof.get(name)
         if start is None:
@@ -359,10 +403,12 @@ class SimWorld:
         return velocity
 
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:
-        """Put an object somewhere, at rest; a fixed one until a reset. For set-up: nothing is simulated.
+        """Place an object at a pose, at rest; a fixed object stays there until a reset.
+
+        For setup only: the physics does not simulate this motion.
 
         Raises:
-            UnknownNameError: no object of that name, or one that is screwed into another.
+            UnknownNameError: the object does not exist or is screwed into another object.
         """
         built = self.built
         if name not in built.objects or name in built.threaded:
@@ -383,8 +429,10 @@ class SimWorld:
 
     # --- the whole ---
     def scene(self) -> PlanningScene:
-        """The present state as a planning scene. Positions are clipped to the limits, which physics treats
-        as soft; bodies attached in the scene given are plain objects here.
+        """Return the current state as a planning scene.
+
+        The scene's positions are clipped to the joint limits, which physics treats as soft. Objects that were
+        attached in the initial scene are ordinary objects in the returned scene.
         """
         scene, moving, body, fixed = self.built.scene, self.built.moving, self.built.body, self._fixed
         q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
@@ -395,7 +443,7 @@ class SimWorld:
         return replace(scene, positions=q, objects=objects, attached={})
 
     def sample(self) -> StateSample:
-        """The present state for watchers."""
+        """Return the current state of joints, objects, and grippers for observers."""
         grippers = {name: self.gripper_state(name) for name in self.built.grippers}
         return StateSample(
             time=self.time,
@@ -406,13 +454,14 @@ class SimWorld:
         )
 
     def contacts(self) -> list[PhysicsContact]:
-        """Contacts of the last step by name, deepest first."""
+        """Return the contacts of the last step with body names, deepest first."""
         return read_contacts(self.built, self.mj_data)
 
-    # --- what is wrong with a robot, and what another one is known to do ---
+    # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
-        """Hang a mass [kg] at a link's centre of mass, which the arm does not compensate. A reset of the same
-        scene keeps it.
+        """Add a mass [kg] at a link's center of mass without gravity compensation.
+
+        The mass stays after a reset to the same scene.
         """
         self.robot.link(link)
         model, body = self.mj_model, self.built.body[link]
@@ -422,16 +471,19 @@ class SimWorld:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def block(self, joint: str) -> None:
-        """A joint that hardly moves any more, whatever its motor does. A reset of the same scene keeps it."""
+        """Block a joint by strong damping, so that it hardly moves at any motor torque.
+
+        The joint stays blocked after a reset to the same scene.
+        """
         if joint not in self.built.joint_dof:
             raise UnknownNameError("joint", joint, self.built.joint_dof)
         self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
 
     def fix_in_hand(self, item: str, gripper: str) -> None:
-        """Weld an object to a gripper's hand where it is now; the weld is recorded as any other.
+        """Weld an object to a gripper at its current relative pose; `welds` records the weld.
 
         Raises:
-            UnknownNameError: no such gripper, or no such movable object.
+            UnknownNameError: the gripper or the movable object does not exist.
         """
         self._gripper(gripper)
         if item not in self.built.object_qpos:
@@ -441,20 +493,25 @@ class SimWorld:
     # --- grip ---
     @property
     def welds(self) -> tuple[WeldEvent, ...]:
-        """Every weld made since the reset. Always empty in mode "friction"."""
+        """All welds since the last reset.
+
+        In grip mode "friction", only `fix_in_hand` adds welds.
+        """
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Remember where an object now is in a gripper's tcp frame; `slip` measures from there."""
+        """Store an object's current pose in a gripper's tcp frame as the reference for `slip`."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
 
     def slip(self, gripper: str | None = None) -> tuple[float, float]:
-        """How far the watched object has moved in the gripper [m] and turned [rad].
+        """Return how far the watched object has moved [m] and rotated [rad] in the gripper.
 
         Args:
-            gripper: needed only when more than one is watched.
+            gripper: name of the gripper; required only if more than one gripper is watched.
+        Raises:
+            UnknownNameError: no object is watched in the gripper.
         """
         if gripper is None and len(self._watches) == 1:
             gripper = next(iter(self._watches))
@@ -466,7 +523,7 @@ class SimWorld:
 
     # --- time travel ---
     def snapshot(self) -> WorldSnapshot:
-        """The full state, targets and records included."""
+        """Return the full state of the world, including targets and records."""
         physics = np.empty(mujoco.mj_stateSize(self.mj_model, _STATE))
         mujoco.mj_getState(self.mj_model, self.mj_data, physics, _STATE)
         return WorldSnapshot(
@@ -476,26 +533,29 @@ class SimWorld:
             fixed=self._fixed.get_state(),
             drives=tuple(drive.get_state() for drive in self._drives.values()),
             servo=self._servo.get_state(),
+            slip=self._slip.get_state(),
             welder=self._welder.get_state(),
             monitor=self.monitor._get_state(),
             watches=dict(self._watches),
         )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
-        """Back to a snapshot of this world: from there on the same calls give the same bits.
+        """Restore a snapshot of this world; afterwards the same calls give the same bits.
 
         Raises:
-            InputError: the snapshot is of another world, or of before a reset that built another model.
+            InputError: the snapshot belongs to another world, or was taken before a reset that compiled
+                another model.
         """
         if snapshot.built.mj is not self.mj_model:
             raise InputError("the snapshot is of another world")
         self.built = snapshot.built
         self.mj_model.eq_data[:], self.mj_model.eq_solref[:] = snapshot.equalities
         self._fixed.set_state(snapshot.fixed)
+        self._slip.set_state(snapshot.slip)
         mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)
         self._look_at_all()
-        mujoco.mj_forward(self.mj_model, self.mj_data)  # poses, contacts and forces, to be read
-        mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)  # that spoils a warm start
+        mujoco.mj_forward(self.mj_model, self.mj_data)  # updates poses, contacts and forces for readers
+        mujoco.mj_setState(self.mj_model, self.mj_data, snapshot.physics, _STATE)  # restores the warm start
         for drive, state in zip(self._drives.values(), snapshot.drives, strict=True):
             drive.set_state(state)
         self._servo.set_state(snapshot.servo)

@@ -1,4 +1,4 @@
-"""What a hand feels: the forces of all contacts on a gripper's links, as a six-axis sensor at its tcp."""
+"""Contact wrench on a gripper, as measured by a six-axis force-torque sensor at its tcp."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ Array = NDArray[np.float64]
 
 
 def hand_wrench(built: BuiltModel, data: mujoco.MjData, gripper: str) -> Array:
-    """Force [N] over torque [Nm] (6,) on a gripper by what touches it, about its tcp, in world axes.
+    """Return the contact wrench (6,) on a gripper: force [N], then torque [Nm] about the tcp.
 
-    As of the last step. The hand's own weight is not in it, as in a sensor that was told its tool.
+    The wrench has world axes and includes all contacts of the last step. It excludes the hand's own weight,
+    like a sensor that compensates the tool's weight.
     """
     count, index, total = data.ncon, built.grippers[gripper], np.zeros(6)
     if count == 0:
@@ -26,7 +27,7 @@ def hand_wrench(built: BuiltModel, data: mujoco.MjData, gripper: str) -> Array:
         built.mj._address, data._address, contact.geom, built.geom_owner, index.hand, which, signs, wrenches
     )
     which = which[:found]
-    axes = contact.frame[which].reshape(-1, 3, 3)  # rows; the first points from one geom to the other
+    axes = contact.frame[which].reshape(-1, 3, 3)  # axes as rows; the first points from geom 1 to geom 2
     felt = signs[:found, None, None] * (wrenches[:found].reshape(-1, 2, 3) @ axes)
     add_about(which, contact.pos, data.xpos[index.tcp_body], felt, total)
     return total

@@ -1,4 +1,4 @@
-"""In which order, and what if it fails? Stages, search, recipes."""
+"""Task planning and execution: stages, search, recipes, and recovery from failures."""
 
 from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.checked import TaskFailed, checked
@@ -8,10 +8,10 @@ from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.costs import Cost, clearance, costs, duration, path_length, weighted
 from armcell.tasks.failures import stage_table
 from armcell.tasks.interfaces import TaskError, check_task, holding
-from armcell.tasks.interleaved import AheadSettings, Part, perform_parts, picking, placing
-from armcell.tasks.laying import LayDown, PickAndPlace, lay_down
+from armcell.tasks.intermediate_placement import IntermediatePlacement, PickAndPlace, place_intermediate
 from armcell.tasks.merger import Merger
 from armcell.tasks.moving import MovingSettings, pick_moving
+from armcell.tasks.pipelined import PipelinedTask, PipelineSettings, perform_pipelined, picking, placing
 from armcell.tasks.proof import NOISE, Proof, as_it_may_be, prove, varied
 from armcell.tasks.recipes import (
     grasp,
@@ -25,7 +25,7 @@ from armcell.tasks.recipes import (
     release,
 )
 from armcell.tasks.recovery import RecoverySettings, transfer
-from armcell.tasks.search import Draft, Foresee, Planning, Stage, search, solutions
+from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, search, solutions
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.sorting import SortSettings, sort
 from armcell.tasks.stages import Connect, MoveGripper, Straight
@@ -34,24 +34,24 @@ from armcell.tasks.task import Task, TaskPlan
 
 __all__ = [
     "NOISE",
-    "AheadSettings",
     "Alternatives",
     "CarrySettings",
     "Carrying",
     "ClearSettings",
     "Connect",
     "Cost",
-    "Draft",
     "Fallbacks",
-    "Foresee",
     "Holding",
-    "LayDown",
+    "IntermediatePlacement",
+    "Lookahead",
     "Merger",
     "Motion",
     "MoveGripper",
     "MovingSettings",
-    "Part",
+    "PartialSolution",
     "PickAndPlace",
+    "PipelineSettings",
+    "PipelinedTask",
     "Planning",
     "Proof",
     "RecoverySettings",
@@ -77,17 +77,17 @@ __all__ = [
     "grasp",
     "hold",
     "holding",
-    "lay_down",
     "let_go",
     "move_to",
     "path_length",
     "perform_all",
-    "perform_parts",
+    "perform_pipelined",
     "pick",
     "pick_moving",
     "pick_stages",
     "picking",
     "place",
+    "place_intermediate",
     "place_stages",
     "placing",
     "prove",

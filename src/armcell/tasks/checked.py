@@ -1,4 +1,4 @@
-"""Scripts that read top to bottom: an outcome that failed ends them, with its reason."""
+"""Linear task scripts: `checked` turns a failed outcome into an exception with its reason."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Some = TypeVar("Some", bound=Outcome)
 
 
 class TaskFailed(ArmcellError):
-    """A step failed; `outcome` has code, message and evidence."""
+    """Failed step of a task script; `outcome` has the code, message and evidence."""
 
     def __init__(self, outcome: Outcome):
         super().__init__(outcome.message or outcome.code.name)
@@ -18,10 +18,10 @@ class TaskFailed(ArmcellError):
 
 
 def checked(outcome: Some) -> Some:
-    """The outcome, if it succeeded.
+    """Return the outcome if it is a success.
 
     Raises:
-        TaskFailed: it did not.
+        TaskFailed: the outcome is a failure.
     """
     if not outcome.ok:
         raise TaskFailed(outcome)

@@ -1,4 +1,4 @@
-"""Stages made of stages, after MoveIt Task Constructor's: one after another, side by side, or as a reserve.
+"""Containers of stages, as in MoveIt Task Constructor: serial, alternatives, fallbacks.
 
 Görner, Haschke, Ritter, Zhang, MoveIt! Task Constructor for Task-Level Motion Planning (ICRA 2019).
 """
@@ -13,53 +13,53 @@ from armcell.core import InputError
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.costs import Cost, duration
-from armcell.tasks.interfaces import Checked, serial, single
-from armcell.tasks.search import Draft, Planning, Stage, Way, in_order, solutions
+from armcell.tasks.interfaces import InterfaceCheck, serial, single
+from armcell.tasks.search import Branch, PartialSolution, Planning, Stage, in_order, solutions
 
 
 @dataclass(frozen=True, eq=False)
 class Serial:
-    """Stages one after another under one name: a part of a task, as picking is."""
+    """Stages in sequence under one name, for example picking as a part of a task."""
 
     name: str
     stages: tuple[Stage, ...]
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        yield from solutions(self.stages, draft, planning)
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        yield from solutions(self.stages, solution, planning)
 
-    def checked(self, have: frozenset[str], scene: PlanningScene | None) -> Checked:
+    def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
         return serial(self.stages, have, scene)
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Alternatives:
-    """Several ways to the same: all are planned, the cheapest comes first."""
+    """Container that plans all of several alternatives and proposes the cheapest first."""
 
     name: str
     stages: tuple[Stage, ...]
     cost: Cost = duration
-    most: int = 1  # solutions of each way that are compared
+    most: int = 1  # solutions per alternative that are compared
 
     def __post_init__(self) -> None:
         _need_some(self.name, self.stages)
         if self.most < 1:
             raise InputError(f"most is {self.most}, it must be at least 1", element=self.name)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        found = in_order((self._way(stage, draft) for stage in self.stages), planning)
-        yield from sorted(found, key=lambda way: self.cost(way.since(draft)))
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        found = in_order((self._branch(stage, solution) for stage in self.stages), planning)
+        yield from sorted(found, key=lambda each: self.cost(each.since(solution)))
 
-    def _way(self, stage: Stage, draft: Draft) -> Way:
-        return lambda planning: islice(planning.drafts(stage, draft), self.most)
+    def _branch(self, stage: Stage, solution: PartialSolution) -> Branch:
+        return lambda planning: islice(planning.propose(stage, solution), self.most)
 
-    def checked(self, have: frozenset[str], scene: PlanningScene | None) -> Checked:
+    def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
         return _either(self.stages, have, scene)
 
 
 @dataclass(frozen=True, eq=False)
 class Fallbacks:
-    """Several ways, the preferred one first: another is asked only where those before it found none."""
+    """Container of alternatives that are tried in order until one has a solution."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -67,27 +67,28 @@ class Fallbacks:
     def __post_init__(self) -> None:
         _need_some(self.name, self.stages)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
         for stage in self.stages:
             found = False
-            for way in planning.drafts(stage, draft):
+            for proposal in planning.propose(stage, solution):
                 found = True
-                yield way
+                yield proposal
             if found or planning.hopeless:
                 return
 
-    def checked(self, have: frozenset[str], scene: PlanningScene | None) -> Checked:
+    def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
         return _either(self.stages, have, scene)
 
 
 def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
     if not stages:
-        raise InputError("a container without stages leads nowhere", element=name)
+        raise InputError("a container needs at least one stage", element=name)
 
 
-def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> Checked:
-    """What is there afterwards whichever way is taken."""
-    ways = [single(stage, have, scene) for stage in stages]
-    return Checked(
-        frozenset.intersection(*(way.have for way in ways)), tuple(p for way in ways for p in way.problems)
+def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
+    """Return the names available after any of the stages, and all problems."""
+    results = [single(stage, have, scene) for stage in stages]
+    return InterfaceCheck(
+        frozenset.intersection(*(each.have for each in results)),
+        tuple(p for each in results for p in each.problems),
     )

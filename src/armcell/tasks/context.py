@@ -1,4 +1,4 @@
-"""What a running task knows: the driver, the true scene, who watches, what has been done."""
+"""State of a running task: driver, measured scene, observers and stage reports."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from armcell.tasks.settings import TaskSettings
 from armcell.tasks.world import World, without_measured
 
 OBSERVER_PERIOD = 0.01  # [s] of the driver's clock between samples given to observers
-UNWATCHED = 0.02  # [s] that pass at once where nobody watches
+UNWATCHED = 0.02  # [s] step size without observers
 
 
 @dataclass
 class StageReport:
-    """One line of the stage table."""
+    """One row of the stage table."""
 
     name: str
     planner: str = ""
     planning_time_s: float = 0.0  # wall clock
     motion_time_s: float = 0.0  # driver's clock
     clearance_m: float | None = None
-    slip_m: float | None = None  # of the held object in the gripper during the stage
+    slip_m: float | None = None  # [m] slip of the held object during the stage
     error: str = ""
     ok: bool = True
     started_s: float = 0.0  # driver's clock
@@ -44,15 +44,15 @@ class StageReport:
 
 @dataclass
 class Holding:
-    """An object in a gripper, as the task believes and the scene shows it."""
+    """Object in a gripper, as the task and the planning scene assume."""
 
     object: str
     gripper: Gripper
-    T_tcp_object: SE3  # when it was grasped
+    T_tcp_object: SE3  # pose at the time of the grasp
 
 
 class TaskContext:
-    """The live side of a task. `scene()` is always made from what the driver measures."""
+    """Runtime state of a task; `scene()` is always built from the driver's measurements."""
 
     def __init__(
         self,
@@ -66,33 +66,46 @@ class TaskContext:
         self.driver, self.settings, self.observers, self.seed = driver, settings, list(observers), seed
         self.cancel = cancel or threading.Event()
         self.world = World(scene)
-        # Not kept alive by its gate: physics behind it is used again as soon as nobody holds it.
+        # The gate must not keep the context alive: unreferenced physics models are reused.
         self.gate = MotionGate(weakref.proxy(self))
-        self.expected: set[frozenset[str]] = set()  # pairs whose contact is part of the task now
-        self.holding: dict[str, Holding] = {}  # by object
-        self.lost: dict[str, str] = {}  # by object that fell out of a hand and was not grasped again: how
-        self.at_work: tuple[TaskContext, ...] = ()  # of arms side by side, that know now what they hold
+        self.expected: set[frozenset[str]] = set()  # pairs whose contact is currently part of the task
+        self.holding: dict[str, Holding] = {}  # object -> holding
+        self.lost: dict[str, str] = {}  # lost object -> cause, until it is grasped again
+        # contexts of two arms side by side, with their held objects
+        self.at_work: tuple[TaskContext, ...] = ()
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
         self._next_sample = 0.0
-        self._stops_told = 0  # of the safety supervisor's events
-        self._told = (0, 0)  # welds and unwanted contacts that were reported
+        self._stops_told = 0  # number of reported safety events
+        self._told = (0, 0)  # numbers of reported welds and unwanted contacts
 
-    # --- truth ---
+    # --- measured state ---
     def scene(self) -> PlanningScene:
-        """The planning scene as it is now: measured joints, object poses, held objects attached.
+        """Return the current planning scene: measured joints and object poses, objects attached.
 
-        From any thread, as `whole_scene` and `change_scene`.
+        Safe to call from any thread, like `whole_scene` and `change_scene`.
         """
         return self.whole_scene()
 
+    def belief(self, name: str) -> str:
+        """Describe the assumed pose of an object; for real arms also how to correct it."""
+        x, y, z = self.scene().object(name).T_world_object.translation
+        text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
+        if self.driver.is_simulated:
+            return text
+        return (
+            f"{text} m, as the cell file says or a camera last saw it. If it is elsewhere: let the task look "
+            f"(cell.look()), or give its pose (--set objects.{name}.pose=[x, y, z]); an emulated world goes "
+            'back to its start with: armcell ur-dashboard ADDRESS "armcell reset"'
+        )
+
     def whole_scene(self) -> PlanningScene:
-        """The same with every arm, where `scene` is that of one of two."""
+        """Return the current scene with all arms; with two arms, `scene` contains only one."""
         return self._measured(self.base)
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
         model, driver = scene.model, self.driver
-        with getattr(driver, "lock", nullcontext()):  # joints and objects of one moment
+        with getattr(driver, "lock", nullcontext()):  # joints and objects at the same time
             q, poses = driver.joint_state().positions, driver.object_poses()
         scene = replace(scene, positions=np.clip(q, model.lower, model.upper))
         for name, pose in poses.items():
@@ -104,34 +117,36 @@ class TaskContext:
         return scene
 
     def hands(self) -> Iterable[Holding]:
-        """What every hand holds."""
+        """Return the objects in all hands."""
         contexts = self.at_work or (self,)
         return [held for ctx in contexts for held in list(ctx.holding.values())]
 
     @property
     def base(self) -> PlanningScene:
-        """The world the task plans in, with nothing of it measured."""
+        """Planning scene without measurements."""
         return self.world.scene
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change the world the task plans in: objects added, changed, moved, removed, at once or not at all.
+        """Change the planning scene atomically: add, change, move or remove objects.
 
-        At any time and from any thread, also while the arm moves: what is planned afterwards keeps to it, and
-        a motion across whose rest something has come is stopped (`MotionGate`). Joints, what hands hold and
-        the poses of bodies that the driver knows stay as they are measured.
+        Safe to call at any time from any thread, also during a motion. Later plans respect the change, and a
+        running motion is stopped if an object blocks its remaining part (`MotionGate`). Joints, held objects
+        and the poses of objects that the driver measures keep their measured values.
 
         Args:
-            make: makes another scene of the present one. Others' changes wait for it, so it should be quick.
+            make: returns a new scene for the current one. It should be fast, because other changes wait for
+                it.
         Returns:
-            The scene as it is then.
+            The scene after the change.
         Raises:
-            InputError: something that is held would be gone; or what `make` raises. Nothing is changed then.
+            InputError: a held object would be removed, or `make` raises; the scene stays unchanged.
         """
         with self.world.editing:
             before, now = self.base, self.whole_scene()
             after = without_measured(before, now, make(now), [held.object for held in self.hands()])
             for name in new_obstacles(before, after):
-                object_part(after.objects[name])  # not on the time of who moves the arm
+                # build its collision geometry here, not in the thread that moves the arm
+                object_part(after.objects[name])
             self.world.scene = after
             if self.observers and (changes := scene_changes(before, after)):
                 self.world.news.append(changes)
@@ -139,7 +154,7 @@ class TaskContext:
         return self.scene()
 
     def _tell_changes(self) -> None:
-        """Changes in their order, by one thread at a time."""
+        """Report scene changes in their order, from one thread at a time."""
         while self.world.news and self.world.telling.acquire(blocking=False):
             try:
                 while self.world.news:
@@ -156,59 +171,68 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Contacts that are part of the task from now on (or no longer), for physics and the motion gate."""
+        """Allow (or forbid again) contacts of a body with others, for physics and the motion gate."""
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
         self.expected = self.expected | pairs if expected else self.expected - pairs
         self.driver.expect_contact(body, others, expected)
 
     def object_poses(self) -> dict[str, SE3]:
-        """T_world_object of the objects that the driver measures."""
+        """Return T_world_object of the objects that the driver measures."""
         return self.driver.object_poses()
 
     def expected_contacts(self) -> Set[frozenset[str]]:
-        """Pairs of bodies whose contact is part of the task now."""
+        """Return the pairs of bodies whose contact is currently part of the task."""
         return self.expected
 
     def clock(self) -> float:
-        """The driver's [s]."""
+        """Return the driver's time [s]."""
         return self.driver.now
 
     @property
     def keeps_time(self) -> bool:
-        """Whether motions are always as far along as the clock says: real arms may be slowed."""
+        """True if motions follow their timing exactly; real arms may be slowed down."""
         return self.driver.is_simulated
 
     def slip_of(self, held: Holding) -> float:
-        """How far the held object has moved in the gripper since `T_tcp_object` was taken [m]."""
+        """Return the displacement [m] of a held object in the gripper since it was grasped."""
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
         scene = replace(self.base, positions=self.driver.joint_state().positions)
         return scene.frame_pose(gripper.tcp_link).inv() @ self.driver.object_poses()[item]
 
-    # --- the way ---
+    # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
-        """The motion (a `steps.Motion`) as it may begin now, or why it may not. Alone, an arm just may."""
+        """Return a motion's trajectory if it may start, else the reason.
+
+        A single arm may always start.
+
+        Args:
+            motion: a `steps.Motion`.
+        """
         return motion.trajectory
 
     def rested(self) -> None:
-        """The arm has come to rest after a motion."""
+        """Called when the arm has come to rest after a motion."""
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """A zone for one arm at a time. Alone, an arm just has it."""
+        """Reserve a zone that one arm at a time may hold; a single arm gets it at once."""
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """The item to do next, so that the other arm is not in the way. Alone, the first."""
+        """Return the next item whose zone the other arm does not use; for a single arm, the first."""
         return items[0]
 
-    def meet(self, name: str) -> None:
-        """Wait for the other arm at a point of both programs. Alone, an arm does not wait."""
+    def rendezvous(self, name: str) -> None:
+        """Wait until the other arm's program reaches the same named point.
+
+        A single arm does not wait.
+        """
 
     # --- time ---
     def advance(self, duration: float) -> None:
-        """Let time pass [s], with observers served and cancel obeyed."""
+        """Let time [s] pass while observers are updated; ends early on cancellation."""
         driver, end = self.driver, self.driver.now + duration
         alone = driver.is_simulated and not self.observers
         at_once = max(round(UNWATCHED / driver.period), 1) * driver.period if alone else driver.period
@@ -218,11 +242,11 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """For `execute`: what is to be done after each command, if anything."""
+        """Callback for `execute` after each command, or None without observers."""
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
-        """Give the observers a sample if one is due, and tell what physics did unasked."""
+        """Send a sample to the observers if one is due, and report new physics events."""
         if not self.observers or self.driver.now < self._next_sample:
             return
         self.report_news()
@@ -241,32 +265,32 @@ class TaskContext:
             observer.on_state(sample)
 
     def report_news(self) -> None:
-        """Events for welds, unwanted contacts and stops of real arms that are new."""
+        """Emit events for new welds, unwanted contacts and safety stops of real arms."""
         welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
         for weld in welds[self._told[0] :]:
             self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
         for contact in contacts[self._told[1] :]:
             self.emit("contact", f"{contact.body_a} touches {contact.body_b}", depth_m=contact.depth)
         self._told = (len(welds), len(contacts))
-        safety = getattr(self.driver, "safety_events", ())  # of real arms
+        safety = getattr(self.driver, "safety_events", ())  # real arms only
         for event in safety[self._stops_told :]:
             self._stops_told += 1
             kind = "note" if event.kind == "twin" else "stop"
             self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)
 
-    # --- what hands hold ---
+    # --- held objects ---
     def take(self, held: Holding) -> None:
-        """An object is in a hand now."""
+        """Record that a hand holds an object."""
         self.holding[held.object] = held
         self.lost.pop(held.object, None)
 
     def lose(self, item: str, text: str) -> None:
-        """An object has fallen out of a hand: it belongs to the world again."""
+        """Record that an object has fallen out of a hand."""
         self.holding.pop(item, None)
         self.lost[item] = text
         self.emit("lost", text, object=item)
 
-    # --- telling ---
+    # --- reporting ---
     def emit(self, kind: str, text: str, **data: Any) -> None:
         event = Event(self.driver.now, kind, text, data)
         self.events.append(event)
@@ -274,10 +298,10 @@ class TaskContext:
             observer.on_event(event)
 
     def announce(self, trajectory: JointTrajectory, plan: str = "", **evidence: Any) -> None:
-        """Tell of a motion that begins.
+        """Notify the observers that a motion begins.
 
         Args:
-            plan: what it is; where given, its plan is told with this evidence.
+            plan: name of the plan; if given, a "plan" event with the evidence is emitted.
         """
         for observer in self.observers:
             observer.on_trajectory(self.driver.now, trajectory)
@@ -288,7 +312,7 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """Why candidates were not used: counts by stage and reason, and the text of the first of each."""
+    """Reasons for rejected candidates: counts by stage and reason, with the first text of each."""
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     details: list[tuple[str, str, str]] = field(default_factory=list)  # stage, candidate, reason

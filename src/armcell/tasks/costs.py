@@ -1,4 +1,7 @@
-"""What a plan costs: terms to rank solutions by, lower is better. Any function of a draft is one too."""
+"""Cost terms for ranking solutions; lower is better.
+
+Any function of a solution can be a cost term.
+"""
 
 from __future__ import annotations
 
@@ -7,32 +10,32 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from armcell.core import Registry
-from armcell.tasks.search import Draft
+from armcell.tasks.search import PartialSolution
 from armcell.tasks.steps import Dwell, Grip, Motion, Together
 
-Cost = Callable[[Draft], float]
-"""Of a draft's steps; lower is better."""
+Cost = Callable[[PartialSolution], float]
+"""Cost of a solution; lower is better."""
 
 costs: Registry[Cost] = Registry("cost term")
-"""By name, for settings."""
+"""Cost terms by name, for `TaskSettings.cost`."""
 
-GRIP = 0.5  # [s] that a gripper is taken to drive
-NEAR = 1e-3  # [m] nearer than this costs no more
+GRIP = 0.5  # [s] assumed duration of a gripper motion
+NEAR = 1e-3  # [m] smaller clearances cost the same
 
 
-def motions(draft: Draft) -> Iterator[Motion]:
-    """The arm motions of a draft."""
-    for step in draft.steps:
+def motions(solution: PartialSolution) -> Iterator[Motion]:
+    """Yield the arm motions of a solution."""
+    for step in solution.steps:
         motion = step.motion if isinstance(step, Together) else step
         if isinstance(motion, Motion):
             yield motion
 
 
 @costs.register("duration")
-def duration(draft: Draft) -> float:
-    """Time [s] that performing it takes, about."""
+def duration(solution: PartialSolution) -> float:
+    """Return the estimated execution time [s] of a solution."""
     seconds = 0.0
-    for step in draft.steps:
+    for step in solution.steps:
         if isinstance(step, Motion | Together):
             seconds += step.duration
         elif isinstance(step, Grip):
@@ -43,29 +46,29 @@ def duration(draft: Draft) -> float:
 
 
 @costs.register("path_length")
-def path_length(draft: Draft) -> float:
-    """Way [rad] of the joints together, as their path is long."""
+def path_length(solution: PartialSolution) -> float:
+    """Return the total length [rad] of a solution's joint-space paths."""
     return float(
         sum(
             np.linalg.norm(np.diff(motion.trajectory.positions, axis=0), axis=1).sum()
-            for motion in motions(draft)
+            for motion in motions(solution)
         )
     )
 
 
 @costs.register("clearance")
-def clearance(draft: Draft) -> float:
-    """One over the least distance [1/m] that a motion keeps; 0 where nothing is near."""
-    kept = [motion.clearance for motion in motions(draft) if motion.clearance is not None]
+def clearance(solution: PartialSolution) -> float:
+    """Return the inverse of the smallest clearance [1/m] of the motions; 0 without near bodies."""
+    kept = [motion.clearance for motion in motions(solution) if motion.clearance is not None]
     return 1.0 / max(min(kept), NEAR) if kept else 0.0
 
 
 @costs.register("planning_time")
-def planning_time(draft: Draft) -> float:
-    """Time [s, wall clock] that its motions took to plan."""
-    return sum(motion.planning_time for motion in motions(draft))
+def planning_time(solution: PartialSolution) -> float:
+    """Return the total planning time [s, wall clock] of a solution's motions."""
+    return sum(motion.planning_time for motion in motions(solution))
 
 
 def weighted(*terms: tuple[float, Cost]) -> Cost:
-    """A sum of terms: `weighted((1.0, duration), (0.1, clearance))`."""
-    return lambda draft: sum(weight * term(draft) for weight, term in terms)
+    """Return a weighted sum of cost terms: `weighted((1.0, duration), (0.1, clearance))`."""
+    return lambda solution: sum(weight * term(solution) for weight, term in terms)

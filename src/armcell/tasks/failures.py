@@ -1,4 +1,4 @@
-"""What became of each stage of a task: how often tried, what failed, what came nearest, and why."""
+"""Statistics of a task's stages: attempts, failures with reasons, and nearest misses."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from typing import Any
 
 @dataclass
 class Tally:
-    """One stage's candidates in one search."""
+    """Statistics of one stage's candidates in one search."""
 
-    path: tuple[str, ...]  # its name, after those of the containers it is in
-    asked: int = 0  # drafts that it was to extend
-    passed: int = 0  # drafts that it gave
-    seconds: float = 0.0  # wall clock, with the stages in it
-    reasons: dict[str, int] = field(default_factory=dict)  # counts, by the part that refused and why
-    near_miss: tuple[str, str] | None = None  # candidate and reason; stages look at the best first
+    path: tuple[str, ...]  # names of the containers, then of the stage
+    asked: int = 0  # number of solutions to extend
+    passed: int = 0  # number of proposed solutions
+    seconds: float = 0.0  # wall clock, including contained stages
+    reasons: dict[str, int] = field(default_factory=dict)  # counts by rejecting part and reason
+    near_miss: tuple[str, str] | None = None  # first rejected (candidate, reason); stages try the best first
 
     @property
     def failed(self) -> int:
         return sum(self.reasons.values())
 
     def rejected(self, part: str, candidate: str, reason: str) -> None:
-        """One candidate less; `part` is the stage, or a motion that it plans for a candidate."""
+        """Count a rejected candidate; `part` is the stage, or a motion planned for the candidate."""
         short = reason_in_short(reason)
         key = short if part == self.path[-1] else f"{part}: {short}"
         self.reasons[key] = self.reasons.get(key, 0) + 1
         self.near_miss = self.near_miss or (candidate, reason)
 
     def add(self, other: Tally) -> None:
-        """What became of more candidates, after these."""
+        """Add the statistics of later candidates."""
         self.asked += other.asked
         self.passed += other.passed
         self.seconds += other.seconds
@@ -39,7 +39,7 @@ class Tally:
         self.near_miss = self.near_miss or other.near_miss
 
     def why(self, most: int = 2) -> str:
-        """The commonest reasons, counted."""
+        """Return the most frequent reasons with their counts."""
         order = sorted(self.reasons.items(), key=lambda kv: -kv[1])
         more = f", {len(order) - most} others" if len(order) > most else ""
         return ", ".join(f"{n} x {reason}" for reason, n in order[:most]) + more
@@ -53,17 +53,17 @@ class Tally:
 
 
 def reason_in_short(reason: str) -> str:
-    """A reason without its particulars, to count by."""
+    """Return a reason without details, for counting."""
     return reason.split(":")[0].split(" (")[0]
 
 
 def stage_rows(tallies: Mapping[tuple[str, ...], Tally]) -> list[dict[str, Any]]:
-    """Of every stage that was asked, in the order in which they came to be; for JSON."""
+    """Return JSON-ready rows of all evaluated stages, in the order of their first evaluation."""
     return [tally.as_dict() for tally in tallies.values()]
 
 
 def stage_table(rows: Iterable[Mapping[str, Any]]) -> str:
-    """The rows as text: a line per stage, those in a container below it."""
+    """Format the rows as a text table, with the stages of a container indented below it."""
     lines = [("stage", "tried", "gave", "failed", "time", "best near miss")]
     for row in rows:
         *outer, name = row["stage"].split("/")

@@ -1,8 +1,8 @@
-"""Is a task whole? Every stage's needs against what the stages before it give, before anything is planned.
+"""Checks before planning that every stage finds its inputs.
 
-Stages say in `needs`, `gives` and `takes` which of a draft's data they read, add and end. That something is
-in a hand is one of these names too: `holding("cube")`. Fields called `object`, `support`, `group` or `link`
-are names in the scene.
+Stages declare in `requires`, `provides` and `consumes` which data of a solution they read, add and remove.
+`holding("cube")` is the name for "a hand holds the cube". The fields `object`, `support`, `group` and `link`
+of a stage must exist in the scene.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Protocol, cast
 
 from armcell.core import InputError
 from armcell.scene import PlanningScene
-from armcell.tasks.search import Draft, Stage
+from armcell.tasks.search import PartialSolution, Stage
 
 
 def holding(item: str) -> str:
-    """The name in a stage's interface of an object's being in a hand."""
+    """Return the interface name for "a hand holds the object"."""
     return f"{item} in a hand"
 
 
 class TaskError(InputError):
-    """A task whose stages do not fit together; `problems` has all of them, a line each."""
+    """Error for stages that do not fit together; `problems` lists all faults."""
 
     def __init__(self, problems: Sequence[str], task: str = ""):
         self.problems = tuple(problems)
@@ -31,74 +31,75 @@ class TaskError(InputError):
 
 
 class Container(Stage, Protocol):
-    """A stage that has stages, and says what they may use and what it then gives."""
+    """Stage that contains other stages and checks their interfaces."""
 
     stages: tuple[Stage, ...]
 
-    def checked(self, have: frozenset[str], scene: PlanningScene | None) -> Checked: ...
+    def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck: ...
 
 
 @dataclass(frozen=True)
-class Checked:
-    """What is there after a stage, and what was missing on the way."""
+class InterfaceCheck:
+    """Names available after a stage, and the problems found."""
 
     have: frozenset[str]
     problems: tuple[str, ...] = ()
 
 
-def check_task(stages: Sequence[Stage], start: Draft, name: str = "") -> None:
-    """Check that every stage finds what it needs.
+def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") -> None:
+    """Check that every stage finds its required inputs.
 
     Raises:
-        TaskError: some do not; it lists all of them.
+        TaskError: lists all missing inputs and unknown names.
     """
     found = serial(stages, available(start), start.scene)
     if found.problems:
         raise TaskError(found.problems, name)
 
 
-def available(start: Draft) -> frozenset[str]:
-    """What there is before the first stage."""
+def available(start: PartialSolution) -> frozenset[str]:
+    """Return the names available before the first stage."""
     return frozenset(start.data) | {holding(item) for item in start.scene.attached}
 
 
-def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> Checked:
-    """Stages after one another."""
+def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
+    """Check stages in sequence."""
     problems: list[str] = []
     for i, stage in enumerate(stages):
-        later = {name: s.name for s in stages[:i:-1] for name in getattr(s, "gives", ())}
+        later = {name: s.name for s in stages[:i:-1] for name in getattr(s, "provides", ())}
         found = single(stage, have, scene, later)
         problems += found.problems
         have = found.have
-    return Checked(have, tuple(problems))
+    return InterfaceCheck(have, tuple(problems))
 
 
 def single(
     stage: Stage, have: frozenset[str], scene: PlanningScene | None, later: Mapping[str, str] = {}
-) -> Checked:
-    """One stage, or a container with what is in it.
+) -> InterfaceCheck:
+    """Check one stage, or a container with its stages.
 
     Args:
-        later: stages that come after it, by what they give.
+        later: names of later stages, by the names that they provide.
     """
     label = f"stage {stage.name!r} ({type(stage).__name__})"
-    needs = frozenset(getattr(stage, "needs", ()))
+    requires = frozenset(getattr(stage, "requires", ()))
     problems = [
-        f"{label} lacks {need!r}" + (f", which {later[need]!r} gives only after it" if need in later else "")
-        for need in sorted(needs - have)
+        f"{label} requires {need!r}"
+        + (f", which {later[need]!r} provides only later" if need in later else "")
+        for need in sorted(requires - have)
     ]
     problems += [f"{label}: {unknown}" for unknown in _unknown(stage, scene)]
-    gives = frozenset(getattr(stage, "gives", ()))
-    have = have | needs  # what is lacking is said once, not again by every stage after it
-    if hasattr(stage, "checked"):
-        inner = cast(Container, stage).checked(have, scene)
+    provides = frozenset(getattr(stage, "provides", ()))
+    have = have | requires  # report a missing name once, not for every later stage
+    if hasattr(stage, "check_interface"):
+        inner = cast(Container, stage).check_interface(have, scene)
         problems += [f"in {stage.name!r}: {problem}" for problem in inner.problems]
         have = inner.have
-    return Checked((have - frozenset(getattr(stage, "takes", ()))) | gives, tuple(problems))
+    return InterfaceCheck((have - frozenset(getattr(stage, "consumes", ()))) | provides, tuple(problems))
 
 
 def _unknown(stage: Stage, scene: PlanningScene | None) -> Iterator[str]:
-    """Names in a stage's fields that are not in the scene."""
+    """Yield a message for each name in a stage's fields that does not exist in the scene."""
     if scene is None:
         return
     model, objects = scene.model, {*scene.objects, *scene.attached}

@@ -1,4 +1,4 @@
-"""Motions of several stages made at once, where it is proven that they may be."""
+"""Merging of several stages' motions into certified simultaneous motions."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from armcell.collision.arms import CLEARANCE, Arms, merged
 from armcell.core import InputError, JointState, JointTrajectory, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
-from armcell.tasks.interfaces import Checked, single
-from armcell.tasks.search import Draft, Planning, Stage
-from armcell.tasks.stages.fingers import fingers_meanwhile
+from armcell.tasks.interfaces import InterfaceCheck, single
+from armcell.tasks.search import PartialSolution, Planning, Stage
+from armcell.tasks.stages.fingers import finger_collision
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import Grip, Motion, Step, Together
 
@@ -19,44 +19,47 @@ from armcell.tasks.steps import Grip, Motion, Step, Together
 @dataclass(frozen=True, eq=False)
 @checked()
 class Merger:
-    """Stages that begin where it begins and are performed at once: two arms, or arms and grippers.
+    """Container that runs its stages simultaneously: two arms, or arms and grippers.
 
-    Every stage adds one motion of an arm or one drive of a gripper. Two arms are proven to keep apart on one
-    clock; an arm and fingers are proven free wherever between their ends the fingers are meanwhile. What
-    cannot be proven is rejected: put the same stages after one another behind it, in `Fallbacks`.
+    Each stage contributes one arm motion or one gripper motion from the same start. Two arms are certified to
+    keep their distance on one clock; an arm and fingers are certified for every finger position between start
+    and end. An uncertified merge is rejected: as an alternative, put the same stages in sequence after it, in
+    `Fallbacks`.
     """
 
     name: str
     stages: tuple[Stage, ...]
     clearance: float = CLEARANCE  # [m] between two arms
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        for ways in _choices(draft, planning, self.stages):
-            together = self._together(draft, planning, ways)
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        for choice in _choices(solution, planning, self.stages):
+            together = self._together(solution, planning, choice)
             if together is None:
                 continue
-            scene, data = draft.scene, dict(draft.data)
-            for way in ways:
-                data |= way.data
-                for step in way.since(draft).steps:
+            scene, data = solution.scene, dict(solution.data)
+            for each in choice:
+                data |= each.data
+                for step in each.since(solution).steps:
                     scene = scene.with_state(_end(step))
-            yield draft.then(together, scene=scene, **data)
+            yield solution.then(together, scene=scene, **data)
 
-    def checked(self, have: frozenset[str], scene: PlanningScene | None) -> Checked:
+    def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
         parts = [single(stage, have, scene) for stage in self.stages]
-        return Checked(
+        return InterfaceCheck(
             frozenset.union(have, *(part.have for part in parts)),
             tuple(p for part in parts for p in part.problems),
         )
 
-    def _together(self, draft: Draft, planning: Planning, ways: Sequence[Draft]) -> Together | None:
-        steps = [step for way in ways for step in way.since(draft).steps]
+    def _together(
+        self, solution: PartialSolution, planning: Planning, choice: Sequence[PartialSolution]
+    ) -> Together | None:
+        steps = [step for each in choice for step in each.since(solution).steps]
         motions = [step for step in steps if isinstance(step, Motion)]
         grips = [step for step in steps if isinstance(step, Grip)]
-        self._check(steps, motions, grips, ways)
-        reason = self._unproven(draft.scene, motions, grips)
+        self._check(steps, motions, grips, choice)
+        reason = self._unproven(solution.scene, motions, grips)
         if reason:
-            planning.reject(self.name, draft.data.get("candidate", ""), reason)
+            planning.reject(self.name, solution.data.get("candidate", ""), reason)
             return None
         motion = motions[0] if motions else None
         if len(motions) == 2:
@@ -74,24 +77,28 @@ class Merger:
         return Together(motion, tuple(grips))
 
     def _check(
-        self, steps: Sequence[Step], motions: Sequence[Motion], grips: Sequence[Grip], ways: Sequence[Draft]
+        self,
+        steps: Sequence[Step],
+        motions: Sequence[Motion],
+        grips: Sequence[Grip],
+        choice: Sequence[PartialSolution],
     ) -> None:
         joints = [n for m in motions for n in m.trajectory.joint_names]
         joints += [g.gripper.joint_name for g in grips]
         why = ""
-        if len(steps) != len(ways) or len(motions) + len(grips) != len(steps):
-            why = "each of its stages must be one motion of an arm or one drive of a gripper"
+        if len(steps) != len(choice) or len(motions) + len(grips) != len(steps):
+            why = "each of its stages must be one arm motion or one gripper motion"
         elif len(motions) > 2:
-            why = f"{len(motions)} arms move: two can be proven at once"
+            why = f"{len(motions)} arms move: at most two can be certified together"
         elif len(set(joints)) < len(joints):
             why = "two of its stages move the same joint"
         elif any(grip.width <= 0 for grip in grips):
-            why = "a gripper that closes on something does so with the arm at rest"
+            why = "the arm must rest while a gripper closes on an object"
         if why:
             raise InputError(why, element=f"merger {self.name!r}")
 
     def _unproven(self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[Grip]) -> str:
-        """Why it may not be done at once; empty if it may."""
+        """Return the reason why the motions must not run simultaneously; empty if they may."""
         if len(motions) == 2:
             first, second = (m.trajectory for m in motions)
             groups = _group_of(scene, first), _group_of(scene, second)
@@ -104,23 +111,25 @@ class Merger:
             arm = _group_of(scene, motion.trajectory) if grips else ""
             mine = [g for g in left if g.gripper.arm_group == arm]
             left = [g for g in left if g not in mine]
-            if mine and (reason := fingers_meanwhile(scene, mine, motion.trajectory)):
+            if mine and (reason := finger_collision(scene, mine, motion.trajectory)):
                 return reason
-        return fingers_meanwhile(scene, left) if left else ""
+        return finger_collision(scene, left) if left else ""
 
 
-def _choices(draft: Draft, planning: Planning, stages: Sequence[Stage]) -> Iterator[tuple[Draft, ...]]:
-    """One way of each stage, all from the same draft."""
+def _choices(
+    solution: PartialSolution, planning: Planning, stages: Sequence[Stage]
+) -> Iterator[tuple[PartialSolution, ...]]:
+    """Yield combinations of one proposal per stage, all from the same solution."""
     if not stages:
         yield ()
         return
-    for way in planning.drafts(stages[0], draft):
-        for others in _choices(draft, planning, stages[1:]):
-            yield (way, *others)
+    for proposal in planning.propose(stages[0], solution):
+        for others in _choices(solution, planning, stages[1:]):
+            yield (proposal, *others)
 
 
 def _both_allow(one: PlanningScene | None, other: PlanningScene | None) -> PlanningScene | None:
-    """The scene that two motions are planned in, with the contacts of both."""
+    """Return the scene in which two motions are planned, with the allowed contacts of both."""
     if one is None or other is None:
         return one or other
     return replace(one, allowed_pairs={**one.allowed_pairs, **other.allowed_pairs})

@@ -1,4 +1,7 @@
-"""Picking what moves at a steady speed, as on a belt: the hand moves along while it comes down and closes."""
+"""Picking an object that moves at constant speed, e.g. on a conveyor belt.
+
+The hand moves along with the object while it descends and closes.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.search import PartialSolution, Planning, Stage, search
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import CheckGrasp, Grip, Motion, Watch, perform_all, staged
@@ -31,17 +34,17 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class MovingSettings:
-    """Of a pick from a belt."""
+    """Settings of picking from a conveyor belt."""
 
-    watch: float = 0.2  # [s] that the object is looked at to know its speed
-    spare: float = 0.6  # [s] that the hand waits above the place of meeting
-    first_lead: float = 3.0  # [s] from now to the meeting, at first
-    blend: float = 0.6  # [s] in which the hand comes to the belt's speed, and back to rest
-    approach: float = 1.4  # [s] down, as the hand moves along
-    close: float = 0.9  # [s] for the fingers
+    watch: float = 0.2  # [s] duration of the speed measurement
+    spare: float = 0.6  # [s] waiting time of the hand above the meeting point
+    first_lead: float = 3.0  # [s] first guess of the time to the meeting
+    blend: float = 0.6  # [s] acceleration to the belt's speed, and deceleration
+    approach: float = 1.4  # [s] descent along with the object
+    close: float = 0.9  # [s] closing time of the fingers
     lift: float = 1.4  # [s]
     tries: int = 3
-    slowest: float = 0.005  # [m/s] below which nothing moves
+    slowest: float = 0.005  # [m/s] lower speeds count as standstill
 
     def __post_init__(self) -> None:
         for name in ("watch", "spare", "first_lead", "blend", "approach", "close", "lift"):
@@ -52,13 +55,13 @@ class MovingSettings:
 def pick_moving(
     ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings = MovingSettings()
 ) -> Outcome:
-    """Grasp an object that moves at a steady speed, and lift it.
+    """Grasp an object that moves at constant speed, and lift it.
 
     Args:
-        settings: times; the distances are those of `ctx.settings`.
+        settings: times; the distances come from `ctx.settings`.
     Returns:
-        SUCCESS with the speed [m/s] in the evidence; PLANNING_FAILED with the reasons where it cannot be met;
-        CONTROL_FAILED where it was not held after `tries`.
+        SUCCESS with the speed [m/s] in the evidence; PLANNING_FAILED with the reasons if no meeting point is
+        feasible; CONTROL_FAILED if the object was not grasped after `tries` attempts.
     Raises:
         InputError: no such object, not movable, it does not move, or the gripper holds something.
     """
@@ -81,7 +84,7 @@ def pick_moving(
 def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> Outcome:
     velocity, seen_at, T_seen = _speed(ctx, item, s)
     t, lead = ctx.settings, s.first_lead
-    for _ in range(3):  # the first guess of the time may be too short for the way there
+    for _ in range(3):  # the first guess of the time may be too short for the arm's motion
         meeting = ctx.driver.now + lead
         T_then = replace(T_seen, translation=T_seen.translation + velocity * (meeting - seen_at))
         scene = ctx.scene().with_object_pose(item, T_then)
@@ -91,11 +94,11 @@ def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> O
             MoveAlong(item, gripper, velocity, s),
         ]
         planning = Planning(t, ctx.seed, ctx.cancel)
-        draft = search(stages, Draft(scene), planning)
-        if draft is None:
+        solution = search(stages, PartialSolution(scene), planning)
+        if solution is None:
             code = ErrorCode.PREEMPTED if ctx.cancel.is_set() else ErrorCode.PLANNING_FAILED
             return Outcome(code, f"pick {item} on the way: {planning.rejections.summary()}")
-        steps = draft.steps
+        steps = solution.steps
         way = sum(step.duration for step in steps if isinstance(step, Motion))
         needed = way + s.blend / 2 + s.spare + t.gripper_timeout / 3
         if lead >= needed:
@@ -103,7 +106,7 @@ def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> O
         lead = needed + 0.2
     else:
         return Outcome(ErrorCode.PLANNING_FAILED, f"{item} is past before the hand is there")
-    along: _Along = draft.data["along"]
+    along: _Along = solution.data["along"]
     height = float(T_seen.translation[2])
     outcome = perform_all(ctx, steps)
     if not outcome.ok:
@@ -117,12 +120,12 @@ def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> O
 
 
 def _speed(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
-    """Velocity (3,) [m/s], when it was seen last [s] and T_world_object then."""
+    """Measure an object's velocity (3,) [m/s]; also return the last time [s] and T_world_object."""
     before, began = ctx.driver.object_poses()[item], ctx.driver.now
     ctx.advance(s.watch)
     T, now = ctx.driver.object_poses()[item], ctx.driver.now
     velocity = (T.translation - before.translation) / max(now - began, 1e-6)
-    velocity[2] = 0.0  # a belt is level; what is left of a fall would count for seconds
+    velocity[2] = 0.0  # a belt is level; a residual falling speed would be extrapolated for seconds
     if np.linalg.norm(velocity) < s.slowest:
         raise InputError(f"{item!r} does not move", cure="pick it as any other object")
     return velocity, now, T
@@ -130,12 +133,12 @@ def _speed(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float
 
 @dataclass(frozen=True, eq=False)
 class _Along:
-    """The motion with the object: down, close, up, all at its speed."""
+    """Step that moves along with the object at its speed: descend, close and lift."""
 
     item: str
     gripper: Gripper
     trajectory: JointTrajectory
-    close_at: float  # [s] on the trajectory
+    close_at: float  # [s] trajectory time at which the gripper closes
     force: float  # [N] per finger
     planned_in: PlanningScene
     evidence: Mapping[str, Any]
@@ -171,20 +174,20 @@ class _Along:
 
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
-    """From the pre-grasp down to a moving object, along with it, and up: joint positions for all of it."""
+    """Stage that plans the descent to a moving object, the motion along with it, and the lift."""
 
     item: str
     gripper: Gripper
     velocity: Array  # (3,) [m/s]
     settings: MovingSettings
     name: str = "along"
-    needs = ("grasp",)
-    gives = ("along",)
+    requires = ("grasp",)
+    provides = ("along",)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
         s, t, gripper = self.settings, planning.settings, self.gripper
-        grasp: Grasp = draft.data["grasp"]
-        scene = draft.scene.with_state(finger_state(gripper, grasp.opening))
+        grasp: Grasp = solution.data["grasp"]
+        scene = solution.scene.with_state(finger_state(gripper, grasp.opening))
         start = scene.frame_pose(gripper.tcp_link)
         at_grasp = scene.object(self.item).T_world_object @ grasp.T_object_tcp
         down = at_grasp.translation - start.translation
@@ -212,28 +215,32 @@ class MoveAlong:
             planning.reject(self.name, grasp.name, "too fast for the joints")
             return
         trajectory = JointTrajectory(ik.joint_names, times, path, speed)
-        bare = scene.without_object(self.item).with_padding(0.0)  # as close to the belt as the grasp is
+        # no padding, because the grasp is close to the belt
+        bare = scene.without_object(self.item).with_padding(0.0)
         if trouble := _touches(bare, trajectory):
             planning.reject(self.name, grasp.name, f"in collision: {trouble}")
             return
         touching = scene.with_allowed(self.item, gripper.hand_links)
         told = {"grasp": grasp.name, "velocity": self.velocity}
         along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching, told)
-        yield draft.then(along=along)
+        yield solution.then(along=along)
 
 
-STEP = 0.02  # [s] between points of the way along
-JUMP = 0.15  # [rad] between them at most
+STEP = 0.02  # [s] between points of the motion along with the object
+JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """From 0 to 1 at rest at both ends (quintic)."""
+    """Return a quintic from 0 to 1 with zero velocity and acceleration at both ends."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Seconds' worth of the belt's way: its speed is taken on in `blend` [s] and left in the last `blend`."""
+    """Return the traveled distance at the given times, as seconds of belt motion.
+
+    The hand accelerates to the belt speed within `blend` [s] and decelerates in the last `blend` [s].
+    """
 
     def ramp(u: Array) -> Array:  # the integral of _smooth
         u = np.clip(u, 0.0, 1.0)
@@ -245,7 +252,7 @@ def _carried(times: Array, blend: float, end: float) -> Array:
 
 
 def _touches(scene: PlanningScene, trajectory: JointTrajectory) -> str:
-    """What the motion would touch; empty where it is proven free."""
+    """Return the contact of a motion, as text; empty if the motion is certified collision-free."""
     _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
     proof = KernelChecker(scene, trajectory.joint_names).certify(points, room)
     return "" if proof.free else "it cannot be proven" if proof.contact is None else proof.contact.describe()

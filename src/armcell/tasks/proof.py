@@ -1,7 +1,7 @@
-"""Grasps proven in physics before they are used: lifted and shaken in worlds of their own.
+"""Validation of grasps in physics simulation: each is lifted and shaken in noisy trials.
 
-It stands here because it is the lowest room that may know both grasps and physics. What comes out is a
-share of successes over noisy trials with its interval, kept on disk per object, gripper and grasp.
+The result is a success rate over noisy trials with its interval, cached on disk per object, gripper and
+grasp. The module is in this package because it is the lowest one that may import both grasping and physics.
 """
 
 from __future__ import annotations
@@ -20,32 +20,35 @@ from armcell.model import Gripper, RobotModel
 from armcell.scene import CollisionObject
 from armcell.sim import Trial, TrialSettings, run_trials
 
-MAX_SLIP, MAX_TURN = 0.008, 0.3  # [m], [rad] that an object may move in the hand and still be placed well
-SAME_PLACE, SAME_WAY = 0.012, 0.3  # [m], [rad] nearer to each other than this, two grasps count as one
-PRIOR_TRIALS, PRIOR_SHARE = 2.0, 0.97  # of grasps that pass the geometry so many hold (`bench grasp`)
-VERSION = 4  # to be raised when the same trials would end otherwise
+MAX_SLIP, MAX_TURN = 0.008, 0.3  # [m], [rad] maximum motion in the hand for accurate placing
+SAME_PLACE, SAME_WAY = 0.012, 0.3  # [m], [rad] closer grasps count as equal
+PRIOR_TRIALS, PRIOR_SHARE = 2.0, 0.97  # success rate of grasps that pass the geometric checks (`bench grasp`)
+VERSION = 4  # increase when the results of trials change
 
 NOISE = Noise(position=0.001, rotation=0.02)
 
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """How a grasp did in its trials."""
+    """Result of a grasp's trials."""
 
     grasp: Grasp
     successes: int
     trials: int
-    slip: float  # [m] median, of the object's point between the pads
+    slip: float  # [m] median motion of the object's point between the pads
     turn: float  # [rad] median
 
     @property
     def probability(self) -> float:
-        """Of success: the mean with a prior worth `PRIOR_TRIALS`, so never quite 0 or 1."""
+        """Estimated success probability, strictly between 0 and 1.
+
+        The estimate is a mean with a prior that counts as `PRIOR_TRIALS` trials.
+        """
         return (self.successes + PRIOR_SHARE * PRIOR_TRIALS) / (self.trials + PRIOR_TRIALS)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's, 95 %."""
+        """Wilson's 95 % interval of the success rate."""
         return wilson(self.successes, self.trials)
 
 
@@ -60,12 +63,12 @@ def prove(
     seed: int = 0,
     threads: int | None = None,
 ) -> list[Proof]:
-    """Lift and shake an object with each grasp, `trials` times with noise; the first time without.
+    """Lift and shake an object with each grasp in `trials` noisy trials; the first has no noise.
 
-    The object stands on its support: its pose is uncertain along it and about the vertical.
+    The object rests on its support: its pose is uncertain along the surface and about the vertical.
 
     Raises:
-        InputError: MuJoCo refuses the hand or the object.
+        InputError: MuJoCo cannot load the hand or the object.
     """
     surface = surface_of(item)
     digest = hashlib.sha256(f"{VERSION} {model.name} {gripper} {trials} {noise} {settings} {seed}".encode())
@@ -112,8 +115,9 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def as_it_may_be(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """What an object on its support may really be: its pose along the support and about the vertical, its
-    friction and its mass differ from what is believed. The first is as believed.
+    """Sample variants of an object on its support: pose, friction and mass vary.
+
+    The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
     up = item.T_world_object.rotation.matrix[2]
     found = []
@@ -125,7 +129,7 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """The best grasps that differ from each other; where that gives too few, the next best after all."""
+    """Return the best distinct grasps; if there are too few, add the next best ones."""
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
     for grasp in grasps:
@@ -136,7 +140,7 @@ def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
 
 
 def _alike(a: Grasp, b: Grasp) -> bool:
-    """The same place and way of holding; a hand turned by half a turn holds the same."""
+    """Return True if two grasps are almost equal, up to a half turn of the hand."""
     if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
         return False
     A, B = a.T_object_tcp.rotation.matrix, b.T_object_tcp.rotation.matrix

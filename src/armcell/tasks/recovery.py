@@ -1,4 +1,4 @@
-"""From one place to another in spite of what goes wrong: look again, pick again, or say why not."""
+"""Transfer of an object to its goal with recovery: look again, pick again, or report why."""
 
 from __future__ import annotations
 
@@ -13,51 +13,54 @@ from armcell.core.checks import checked, require
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
-from armcell.tasks.interleaved import changed
-from armcell.tasks.laying import lay_down
+from armcell.tasks.intermediate_placement import place_intermediate
+from armcell.tasks.pipelined import scene_difference
 from armcell.tasks.recipes import AHEAD, Vector, back_off, pick, place
 from armcell.tasks.stages import ChoosePlacement
 
 GIVEN_UP = "given up"
 NO_WAY = (ErrorCode.PLANNING_FAILED, ErrorCode.TIMED_OUT)
 CURE = "another place or support for it, a wider gripper, or another arm: `hand_over`"
-AGAIN = 2  # times as many lay-downs as are planned in a row, since things come to lie otherwise than planned
+AGAIN = 2  # factor on the planned intermediate placements, because objects may settle differently
 
 Look = Callable[[], Outcome]
-"""Looks for the objects and tells the planning scene; an outcome that failed says why."""
+"""Looks for the objects and updates the planning scene; a failed outcome states the reason."""
 
 
 @dataclass(frozen=True)
 @checked()
 class RecoverySettings:
-    """How long to go on."""
+    """Limits of recovery and tolerances of success."""
 
     tries: int = 5  # picks of one object
-    seconds: float = 300.0  # of the driver's clock
-    tolerance: float = 0.01  # [m] between where it lies and where it should
-    tilt: float = 0.15  # [rad] of turn, besides that about the vertical
-    settle: float = 1.0  # [s] until what was dropped lies still
-    lay_downs: int = 2  # in between, in a row, where no single grasp does it; 0: never
+    seconds: float = 300.0  # time limit [s] on the driver's clock
+    tolerance: float = 0.01  # [m] position error of the placed object
+    tilt: float = 0.15  # [rad] tilt; rotation about the vertical does not count
+    settle: float = 1.0  # [s] until a dropped object rests
+    intermediate_placements: int = 2  # in a row, if no single grasp suffices; 0: never
 
     def __post_init__(self) -> None:
         require(self.tries >= 1, f"tries is {self.tries}, it must be at least 1")
-        require(self.lay_downs >= 0, f"lay_downs is {self.lay_downs}, it must not be negative")
+        require(
+            self.intermediate_placements >= 0,
+            f"intermediate_placements is {self.intermediate_placements}, it must not be negative",
+        )
         for name in ("seconds", "tolerance", "tilt", "settle"):
             require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
 
 
 @dataclass
 class Trouble:
-    """What went wrong on the way, in order."""
+    """Failures during a transfer, in order."""
 
     texts: list[str] = field(default_factory=list)
-    laid: list[str] = field(default_factory=list)  # on what it was laid down in between
+    laid: list[str] = field(default_factory=list)  # supports of the intermediate placements
 
     def ended(self, outcome: Outcome) -> Outcome:
         evidence = {
             "tries": len(self.texts) + (not outcome.message.startswith(GIVEN_UP)),
             "troubles": list(self.texts),
-            "laid_down": list(self.laid),
+            "intermediate_placements": list(self.laid),
         }
         return replace(outcome, evidence={**outcome.evidence, **evidence})
 
@@ -72,20 +75,20 @@ def transfer(
     look: Look | None = None,
     settings: RecoverySettings = RecoverySettings(),
 ) -> Outcome:
-    """Pick an object and put it somewhere, until it lies there.
+    """Pick an object and place it, and recover from failures until it is at its goal.
 
-    What is dropped is found again where it is measured, or seen by `look`, and picked up. What lies elsewhere
-    than planned is picked up again. What comes across a motion is planned around. Grasps are chosen so that
-    the place can be reached with them. Where no single grasp does that, it is laid down in between and taken
-    otherwise (`laying.lay_down`).
+    A dropped object is picked up again from its measured pose, or from the pose that `look` finds; so is an
+    object placed inaccurately. A blocked motion is planned again around the obstacle. Only grasps that reach
+    the goal are used; if there are none, the object takes an intermediate placement
+    (`intermediate_placement.py`).
 
     Args:
         on, at: the support and the point on it [m], as for `place`.
-        up: direction in the object's frame that shall be up; without it, it stands as it does now.
-        look: called before every pick, where poses come from a camera.
+        up: direction in the object's frame that must point up; default: keep the present side up.
+        look: called before every pick if poses come from a camera.
     Returns:
-        SUCCESS, or why it was given up. Evidence: `tries`, `troubles` (what went wrong), `laid_down` (on what
-        in between).
+        SUCCESS, or the last failure. Evidence: `tries`, `troubles` (all failures), `intermediate_placements`
+        (their supports).
     Raises:
         InputError: no such object or support.
     """
@@ -105,10 +108,10 @@ def transfer(
         ctx.emit("note", f"transfer {item}: {outcome.message}; trying again")
         if outcome.code is CHANGED:
             continue
-        stayed = not changed(before, ctx.scene())
+        stayed = not scene_difference(before, ctx.scene())
         ctx.advance(s.settle)
-        if outcome.code in NO_WAY and look is None and stayed and not changed(before, ctx.scene()):
-            text = f"{GIVEN_UP}, for nothing has moved meanwhile: {outcome.message}"
+        if outcome.code in NO_WAY and look is None and stayed and not scene_difference(before, ctx.scene()):
+            text = f"{GIVEN_UP}, because no object has moved since the last try: {outcome.message}"
             return trouble.ended(replace(outcome, message=text))
         if item not in ctx.holding and not stayed:
             back_off(ctx, item, gripper)
@@ -120,8 +123,8 @@ def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
     up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """One way from wherever the object is to its place, with lay-downs in between where it needs them."""
-    for left in reversed(range(AGAIN * s.lay_downs + 1)):
+    """Try once to move the object to its goal, with intermediate placements."""
+    for left in reversed(range(AGAIN * s.intermediate_placements + 1)):
         if item not in ctx.holding and look is not None:
             seen = look()
             if item not in ctx.scene().objects:
@@ -131,30 +134,32 @@ def _once(
             return _landed(ctx, item, outcome, s) if outcome.ok else outcome
         if left == 0 or _one_would_do(outcome):
             break
-        laid = lay_down(ctx, item, gripper, on, at, up, s.lay_downs)
+        laid = place_intermediate(ctx, item, gripper, on, at, up, s.intermediate_placements)
         if laid.code in NO_WAY:
             text = f"{outcome.message}; {laid.message} ({CURE})"
-            outcome = replace(outcome, message=text, evidence={**outcome.evidence, "lay_down": laid.evidence})
+            outcome = replace(
+                outcome, message=text, evidence={**outcome.evidence, "intermediate_placement": laid.evidence}
+            )
             break
         laid = _landed(ctx, item, laid, s) if laid.ok else laid
         if not laid.ok:
             return laid
-        trouble.laid.append(str(laid.evidence["laid_on"]))
-    if up is None and item not in ctx.holding:  # another place may turn up later
+        trouble.laid.append(str(laid.evidence["support"]))
+    if up is None and item not in ctx.holding:  # another placement may be possible later
         outcome = pick(ctx, item, gripper)
         outcome = _placed(ctx, item, on, at, up) if outcome.ok else outcome
     return _landed(ctx, item, outcome, s) if outcome.ok else outcome
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Whether some grasp leads to the goal, and it is the motion to it that was not found."""
+    """Return True if some grasp leads to the goal and only the motion to it was not found."""
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 
 
 def _straight(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
 ) -> Outcome:
-    """With one grasp, if there is one with which the place can be reached."""
+    """Transfer the object with one grasp, if a grasp reaches the goal."""
     if item not in ctx.holding:
         outcome = pick(ctx, item, gripper, ahead=[_goal(ctx, item, gripper, on, at, up)])
         if not outcome.ok:
@@ -167,7 +172,7 @@ def _placed(
 ) -> Outcome:
     try:
         return place(ctx, item, on, at, up)
-    except InputError as error:  # it does not fit as it is held now
+    except InputError as error:  # it does not fit in its present orientation
         return Outcome(ErrorCode.PLANNING_FAILED, str(error))
 
 
@@ -178,7 +183,7 @@ def _goal(
 
 
 def _landed(ctx: TaskContext, item: str, outcome: Outcome, s: RecoverySettings) -> Outcome:
-    """Does it lie where it was put?"""
+    """Check that the placed object is at its target pose."""
     wanted = outcome.evidence.get("placement")
     if not isinstance(wanted, Placement):
         return outcome

@@ -1,8 +1,8 @@
-"""Stages and the search over their alternatives: depth first, lazily, with backtracking.
+"""Lazy depth-first search with backtracking over the alternatives of stages.
 
-A container (`containers.py`) is a stage that has stages; all of them search with what is here. With
-`TaskSettings.planning_threads` candidates are gone into at once, each by a thread of its own; what is found
-is the same, for they are taken in their order.
+A container (`containers.py`) is a stage that has stages; all containers use this search. With
+`TaskSettings.planning_threads`, threads evaluate candidates in parallel; results do not depend on the thread
+count, because the search takes them in order.
 """
 
 from __future__ import annotations
@@ -24,45 +24,47 @@ from armcell.tasks.failures import Tally
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.steps import Step
 
-CANCEL_LOOK = 0.02  # [s] between two looks whether a task is cancelled whose candidates are gone into at once
+CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evaluate candidates
 
 
 @dataclass(frozen=True, eq=False)
-class Draft:
-    """A task planned so far: the scene it would lead to, its steps, what later stages need to know."""
+class PartialSolution:
+    """Task planned so far: the resulting scene, its steps, and data for later stages."""
 
     scene: PlanningScene
     steps: tuple[Step, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
 
-    def then(self, *steps: Step, scene: PlanningScene | None = None, **data: Any) -> Draft:
+    def then(self, *steps: Step, scene: PlanningScene | None = None, **data: Any) -> PartialSolution:
         return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
-    def since(self, start: Draft) -> Draft:
-        """This draft with only the steps that came after an earlier one."""
+    def since(self, start: PartialSolution) -> PartialSolution:
+        """Return this solution with only the steps added since an earlier one."""
         return replace(self, steps=self.steps[len(start.steps) :])
 
 
 @dataclass
 class Planning:
-    """What stages share while planning: settings, seed, cancel, and the reasons for what was rejected."""
+    """State that stages share while planning: settings, seed, cancellation, rejections."""
 
     settings: TaskSettings
     seed: int = 0
     cancel: threading.Event = field(default_factory=threading.Event)
     rejections: Rejections = field(default_factory=Rejections)
-    failure: Outcome | None = None  # of the last move from the start that failed, with code and evidence
+    failure: Outcome | None = None  # the last failed motion from the start, with code and evidence
     began: float = field(default_factory=time.thread_time)
-    spent: float = 0.0  # [s] of the budget before `began`, or by other threads
-    threads: int | None = None  # that may plan for this; None: as the settings say
-    tallies: dict[tuple[str, ...], Tally] = field(default_factory=dict)  # by names, containers first
-    within: list[str] = field(default_factory=list)  # names of the stages at work just now, outermost first
+    spent: float = 0.0  # [s] of the budget used before `began` or by other threads
+    threads: int | None = None  # for planning; None: the settings' number
+    tallies: dict[tuple[str, ...], Tally] = field(
+        default_factory=dict
+    )  # by stage names, outermost container first
+    within: list[str] = field(default_factory=list)  # names of the running stages, outermost first
 
-    def drafts(self, stage: Stage, draft: Draft) -> Iterator[Draft]:
-        """What a stage makes of a draft, counted for the table of stages."""
+    def propose(self, stage: Stage, solution: PartialSolution) -> Iterator[PartialSolution]:
+        """Yield a stage's proposals and count them for the stage table."""
         path = (*self.within, stage.name)
         self.tallies.setdefault(path, Tally(path)).asked += 1
-        found = iter(stage.drafts(draft, self))
+        found = iter(stage.propose(solution, self))
         while True:
             self.within.append(stage.name)
             began = time.perf_counter()
@@ -85,13 +87,15 @@ class Planning:
 
     @property
     def time_left(self) -> float:
-        """Of the budget for planning [s of this thread's CPU time: a machine that other programs fill plans
-        later, not less]."""
+        """Rest of the planning budget [s of this thread's CPU time].
+
+        CPU time makes plans independent of the load of the machine.
+        """
         return self.settings.planning_budget - self.spent - (time.thread_time() - self.began)
 
     @property
     def hopeless(self) -> bool:
-        """No other candidate can help: cancelled, out of time, or the start itself is in collision."""
+        """True if no candidate can succeed: canceled, out of time, or start in collision."""
         return (
             self.cancel.is_set()
             or self.time_left <= 0
@@ -99,152 +103,162 @@ class Planning:
         )
 
     @property
-    def at_once(self) -> int:
-        """How many candidates are gone into at one time."""
+    def parallel(self) -> int:
+        """Number of candidates that threads evaluate in parallel."""
         return self.settings.planning_threads if self.threads is None else self.threads
 
-    def branch(self) -> Planning:
-        """For another thread, which can be cancelled by itself."""
+    def fork(self) -> Planning:
+        """Create the planning state of another thread, with its own cancellation."""
         return replace(
             self, cancel=threading.Event(), rejections=Rejections(), failure=None, tallies={},
             within=list(self.within), threads=1,
         )  # fmt: skip
 
-    def join(self, branch: Planning, seconds: float) -> None:
-        """Take over what a branch has told, and the CPU time [s] that it took; from here on it tells us."""
-        for stage, candidate, reason in branch.rejections.details:
+    def join(self, fork: Planning, seconds: float) -> None:
+        """Merge a fork's reports and its CPU time [s] into this planning state.
+
+        Later reports of the fork go directly to this state.
+        """
+        for stage, candidate, reason in fork.rejections.details:
             self.rejections.add(stage, candidate, reason)
-        for path, tally in branch.tallies.items():
+        for path, tally in fork.tallies.items():
             self.tallies.setdefault(path, Tally(path)).add(tally)
-        self.failure = branch.failure or self.failure
+        self.failure = fork.failure or self.failure
         self.spent += seconds
-        branch.rejections, branch.tallies, branch.within = self.rejections, self.tallies, self.within
-        branch.cancel, branch.began, branch.spent = self.cancel, self.began, self.spent
+        fork.rejections, fork.tallies, fork.within = self.rejections, self.tallies, self.within
+        fork.cancel, fork.began, fork.spent = self.cancel, self.began, self.spent
 
 
 class Stage(Protocol):
-    """Extends a draft in one or more ways, best first. What it cannot use it rejects with a reason.
+    """Interface of stages: extend a partial solution by alternatives, best first.
 
-    `needs`, `gives` and `takes` (tuples of names, all optional) say what of a draft's data it reads, adds and
-    ends; `interfaces.py` checks a task by them before anything is planned.
+    A stage rejects unusable candidates with a reason. `requires`, `provides` and `consumes` (optional tuples
+    of names) declare which data of the solution it reads, adds and removes; `interfaces.py` checks them
+    before planning starts.
     """
 
     @property
     def name(self) -> str: ...
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]: ...
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]: ...
 
 
-def solutions(stages: Sequence[Stage], start: Draft, planning: Planning) -> Iterator[Draft]:
-    """Complete drafts, one when it is asked for: no stage looks at more candidates than that takes."""
+def solutions(
+    stages: Sequence[Stage], start: PartialSolution, planning: Planning
+) -> Iterator[PartialSolution]:
+    """Yield complete solutions lazily: stages evaluate only as many candidates as necessary."""
     if planning.hopeless:
         return
     if not stages:
         yield start
         return
-    ways = (_Continued(stages[1:], draft) for draft in planning.drafts(stages[0], start))
-    yield from in_order(ways, planning)
+    branches = (_Continuation(stages[1:], found) for found in planning.propose(stages[0], start))
+    yield from in_order(branches, planning)
 
 
 @dataclass(frozen=True, eq=False)
-class _Continued:
+class _Continuation:
+    """Search of the remaining stages from one proposal of the first stage."""
+
     stages: Sequence[Stage]
-    draft: Draft
+    solution: PartialSolution
 
-    def __call__(self, planning: Planning) -> Iterator[Draft]:
-        return solutions(self.stages, self.draft, planning)
-
-
-Way = Callable[[Planning], Iterator[Draft]]
-"""Looks for drafts when it is asked for them."""
+    def __call__(self, planning: Planning) -> Iterator[PartialSolution]:
+        return solutions(self.stages, self.solution, planning)
 
 
-def in_order(ways: Iterable[Way], planning: Planning) -> Iterator[Draft]:
-    """The drafts of one way after the other, until all is hopeless; the next few ways are gone into meanwhile
-    where `planning` may use threads.
+Branch = Callable[[Planning], Iterator[PartialSolution]]
+"""A branch of the search; it yields its solutions lazily."""
+
+
+def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
+    """Yield the solutions of one branch after the other, until the planning is hopeless.
+
+    If `planning` has threads, they search the next branches in parallel.
     """
-    left = iter(ways)
-    if planning.at_once > 1:
+    left = iter(branches)
+    if planning.parallel > 1:
         two = list(islice(left, 2))
         if len(two) > 1:
-            yield from _at_once(chain(two, left), planning)
+            yield from _in_parallel(chain(two, left), planning)
             return
-        left = iter(two)  # the only one: threads are for what it begins
-    for way in left:
-        yield from way(planning)
+        left = iter(two)  # a single branch: its own branches may use the threads
+    for branch in left:
+        yield from branch(planning)
         if planning.hopeless:
             return
 
 
-def _at_once(ways: Iterator[Way], planning: Planning) -> Iterator[Draft]:
-    waiting: deque[_Branch] = deque()
-    with ThreadPoolExecutor(planning.at_once, "plan candidates") as threads:
+def _in_parallel(branches: Iterator[Branch], planning: Planning) -> Iterator[PartialSolution]:
+    waiting: deque[_ThreadedBranch] = deque()
+    with ThreadPoolExecutor(planning.parallel, "plan candidates") as threads:
         try:
             while not planning.hopeless:
-                while len(waiting) < planning.at_once and (way := next(ways, None)) is not None:
-                    waiting.append(_Branch(way, planning, threads))
+                while len(waiting) < planning.parallel and (branch := next(branches, None)) is not None:
+                    waiting.append(_ThreadedBranch(branch, planning, threads))
                 if not waiting:
                     return
-                branch = waiting.popleft()
-                draft = branch.first_for(planning)
-                while draft is not None:
-                    yield draft
-                    draft = next(branch.drafts, None)
-                planning.failure = branch.planning.failure or planning.failure
+                first = waiting.popleft()
+                solution = first.first_for(planning)
+                while solution is not None:
+                    yield solution
+                    solution = next(first.solutions, None)
+                planning.failure = first.planning.failure or planning.failure
         finally:
-            for branch in waiting:
-                branch.planning.cancel.set()
+            for threaded in waiting:
+                threaded.planning.cancel.set()
 
 
-class _Branch:
-    """One way, whose first draft a thread looks for."""
+class _ThreadedBranch:
+    """Search branch whose first solution a separate thread computes."""
 
-    def __init__(self, way: Way, planning: Planning, threads: ThreadPoolExecutor):
-        self.planning = planning.branch()
+    def __init__(self, branch: Branch, planning: Planning, threads: ThreadPoolExecutor):
+        self.planning = planning.fork()
         self._left = planning.time_left
-        self.drafts = way(self.planning)
-        self._found: Future[tuple[Draft | None, float]] = threads.submit(self._look)
+        self.solutions = branch(self.planning)
+        self._found: Future[tuple[PartialSolution | None, float]] = threads.submit(self._look)
 
-    def _look(self) -> tuple[Draft | None, float]:
+    def _look(self) -> tuple[PartialSolution | None, float]:
         own = self.planning
         own.began = time.thread_time()
         own.spent = own.settings.planning_budget - self._left
-        draft = next(self.drafts, None)
-        return draft, time.thread_time() - own.began
+        solution = next(self.solutions, None)
+        return solution, time.thread_time() - own.began
 
-    def first_for(self, planning: Planning) -> Draft | None:
-        """Its first draft, once it is there; the rest of it then belongs to the caller's thread."""
-        while not wait((self._found,), CANCEL_LOOK).done:
+    def first_for(self, planning: Planning) -> PartialSolution | None:
+        """Wait for the first solution; then the caller's thread owns the branch."""
+        while not wait((self._found,), CANCEL_PERIOD).done:
             if planning.cancel.is_set():
                 self.planning.cancel.set()
-        draft, seconds = self._found.result()
+        solution, seconds = self._found.result()
         planning.join(self.planning, seconds)
-        return draft
+        return solution
 
 
-def search(stages: Sequence[Stage], start: Draft, planning: Planning) -> Draft | None:
-    """The first complete draft, or None with the reasons in `planning.rejections`."""
+def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) -> PartialSolution | None:
+    """Return the first complete solution, or None with the reasons in `planning.rejections`."""
     return next(solutions(stages, start, planning), None)
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
-class Foresee:
-    """Passes on only drafts from which later stages would find a way; nothing of that way is kept.
+class Lookahead:
+    """Stage that passes only solutions for which later stages find a continuation.
 
-    Put as early as possible: what has no future is then not planned in full.
+    The continuation is discarded. Put this stage as early as possible, so that the search does not plan dead
+    ends completely.
     """
 
     name: str
     stages: tuple[Stage, ...]
-    then: Callable[[Draft], Draft] = lambda draft: draft  # what the draft will be when those stages begin
-    candidates: int = 8  # that each of them looks at
-    ahead: tuple[str, ...] = ()  # names that `then` gives to them
+    then: Callable[[PartialSolution], PartialSolution] = lambda solution: solution  # predicts the later start
+    candidates: int = 8  # evaluated per later stage
+    ahead: tuple[str, ...] = ()  # names that `then` provides
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
         settings = replace(planning.settings, max_candidates=self.candidates)
         ahead = replace(planning, settings=settings, rejections=Rejections())
-        if search(self.stages, self.then(draft), ahead) is not None:
-            yield draft
+        if search(self.stages, self.then(solution), ahead) is not None:
+            yield solution
             return
-        planning.reject(self.name, draft.data.get("candidate", ""), ahead.rejections.summary())
+        planning.reject(self.name, solution.data.get("candidate", ""), ahead.rejections.summary())

@@ -1,4 +1,4 @@
-"""Numbers of a task: speeds per stage, distances, how often to try."""
+"""Settings of tasks: speeds per stage, distances, numbers of attempts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _POSITIVE = (
 @dataclass(frozen=True)
 @checked()
 class Speed:
-    """Shares of the joint limits, (0, 1]."""
+    """Velocity and acceleration scaling relative to the joint limits, (0, 1]."""
 
     velocity: float
     acceleration: float
@@ -39,28 +39,28 @@ class Speed:
 class TaskSettings:
     """Settings of pick and place."""
 
-    free: Speed = Speed(0.6, 0.25)  # empty, away from everything
-    carry: Speed = Speed(0.4, 0.15)  # with an object
+    free: Speed = Speed(0.6, 0.25)  # empty hand, away from objects
+    carry: Speed = Speed(0.4, 0.15)  # with a held object
     near: Speed = Speed(0.15, 0.1)  # approach, lift, lower, retreat
     approach_distance: float = 0.10  # [m] pre-grasp to grasp
     lift_distance: float = 0.12  # [m]
     lower_distance: float = 0.08  # [m] pre-place to place
     retreat_distance: float = 0.10  # [m]
-    release_margin: float = 0.02  # [m] the fingers open this much wider than the object
-    grasp_settle: float = 0.3  # [s] after closing, before anything moves
-    release_settle: float = 0.3  # [s] after opening
+    release_margin: float = 0.02  # [m] opening beyond the object's width
+    grasp_settle: float = 0.3  # [s] pause after closing, before the arm moves
+    release_settle: float = 0.3  # [s] pause after opening
     gripper_timeout: float = 3.0  # [s] of simulated time for a gripper motion
-    attempts: int = 3  # of a whole pick, with another grasp each time
-    max_candidates: int = 40  # of grasps or placements looked at per attempt
-    prove_grasps: int = 0  # reachable grasps that physics tries before one is chosen; 0: the best looking one
-    proof_trials: int = 8  # of each
-    least_approach: float = 0.03  # [m] where there is no room for the whole approach_distance
+    attempts: int = 3  # attempts of a pick, each with another grasp
+    max_candidates: int = 40  # grasps or placements evaluated per attempt
+    prove_grasps: int = 0  # reachable grasps tested in physics before the choice; 0: no physics
+    proof_trials: int = 8  # trials per grasp
+    least_approach: float = 0.03  # [m] minimum, if there is no space for approach_distance
     planning_time: float = 5.0  # [s of CPU time] per motion
     planner_id: str = "RRTConnect"
     planning_budget: float = 20.0  # [s of CPU time] for all motions of one pick or place together
-    solutions: int = 1  # complete plans of a pick or place that are compared; 1: the first one is taken
-    planning_threads: int = 1  # candidates that are gone into at one time; the plans are the same
-    cost: str = "duration"  # that ranks them: duration, path_length, clearance, planning_time
+    solutions: int = 1  # complete plans to compare; 1: take the first
+    planning_threads: int = 1  # candidates evaluated in parallel; plans do not depend on it
+    cost: str = "duration"  # cost term: duration, path_length, clearance, planning_time
     execution: ExecutionSettings = ExecutionSettings()
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Sorting by what a camera sees: each thing to the place for its colour, or for its shape."""
+"""Sorting of objects seen by a camera: each goes to the target for its color or shape."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.recipes import back_off, move_to, pick, place, release
 
 Kind = Callable[[SeenObject], str]
-"""What a seen thing is sorted by."""
+"""Sorting criterion: maps a seen object to its kind."""
 
 KINDS: Mapping[str, Kind] = {
     "colour": lambda thing: colour_name(thing.color),
@@ -25,18 +25,18 @@ KINDS: Mapping[str, Kind] = {
 }
 """`colour`: red, orange, yellow, green, cyan, blue, purple, black, grey, white. `shape`: box, cylinder,
 sphere, mesh, compound."""
-GRID = 0.02  # [m] between the spots of a place that are looked at
-SPOTS = 4  # of them that are tried
+GRID = 0.02  # [m] grid spacing of candidate points on a target
+SPOTS = 4  # maximum number of candidate points tried
 
 
 @dataclass(frozen=True)
 @checked()
 class SortSettings:
-    """How long to go on."""
+    """Limits and rest state of sorting."""
 
-    tries: int = 3  # picks of one thing
+    tries: int = 3  # picks of one object
     most_picks: int = 60
-    rest: str = "home"  # named state of the arm in which it is out of the camera's sight; empty: where it is
+    rest: str = "home"  # named state of the arm outside the camera's view; empty: stay
 
     def __post_init__(self) -> None:
         for name in ("tries", "most_picks"):
@@ -45,11 +45,11 @@ class SortSettings:
 
 @dataclass
 class _Tally:
-    """What came of it, for the evidence."""
+    """Results of sorting so far, for the evidence."""
 
-    sorted: dict[str, list[str]] = field(default_factory=dict)  # things by place, as seen last
-    other: dict[str, str] = field(default_factory=dict)  # what has no place, by name
-    failures: dict[str, list[str]] = field(default_factory=dict)  # reasons, by thing
+    sorted: dict[str, list[str]] = field(default_factory=dict)  # target -> objects, by the last image
+    other: dict[str, str] = field(default_factory=dict)  # object -> kind without a target
+    failures: dict[str, list[str]] = field(default_factory=dict)  # object -> reasons
     picks: int = 0
 
 
@@ -61,19 +61,19 @@ def sort(
     by: str | Kind = "colour",
     settings: SortSettings = SortSettings(),
 ) -> Outcome:
-    """Put every thing that is seen where its kind belongs, until a look finds all of them there.
+    """Sort seen objects by kind into their targets until an image shows all of them there.
 
-    After each thing the camera looks again: what slipped or was moved meanwhile is seen where it is.
+    The camera takes a new image after each object, so objects that slipped or were moved are found again.
 
     Args:
-        look: with the arm at rest; it must tell the planning scene where things are (`LiveCell.look` does).
-        into: names of objects to put things on, by kind; what is of no such kind is left where it is.
-        by: "colour", "shape", or a function of the seen thing.
+        look: takes an image with the arm at rest; must update the planning scene (as `LiveCell.look` does).
+        into: target object by kind; objects of other kinds stay where they are.
+        by: "colour", "shape", or a function of the seen object.
     Returns:
-        SUCCESS when everything of these kinds lies in its place. Evidence: `sorted` (names by place), `other`
-        (kinds of what has no place), `failures` (reasons by thing), `picks`.
+        SUCCESS when all objects of these kinds are in their targets. Evidence: `sorted` (object names by
+        target), `other` (kinds without a target), `failures` (reasons by object), `picks`.
     Raises:
-        UnknownNameError: no such place, or nothing of that name to sort by.
+        UnknownNameError: no such target, or no such sorting criterion.
     """
     kind = by if callable(by) else _kind(by)
     _check(ctx.scene(), into)
@@ -109,12 +109,12 @@ def _check(scene: PlanningScene, into: Mapping[str, str]) -> None:
 
 
 def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: SortSettings) -> Sight | Outcome:
-    """What is seen with the arm out of the way."""
+    """Return the camera's view with the arm out of the way."""
     if s.rest:
         moved = move_to(ctx, gripper.arm_group, s.rest)
         if not moved.ok:
             return moved
-    ctx.advance(0.1)  # a picture of the arm as it stands
+    ctx.advance(0.1)  # wait for an image of the resting arm
     sight = look()
     if sight.plane is None:
         return Outcome(sight.code, sight.message, sight.evidence)
@@ -124,7 +124,7 @@ def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: Sort
 def _todo(
     scene: PlanningScene, seen: Sight, kind: Kind, into: Mapping[str, str], tally: _Tally
 ) -> list[tuple[SeenObject, str]]:
-    """Things that do not lie where they belong, with where that is."""
+    """Return the objects that are not in their targets, with the targets."""
     tally.sorted, tally.other, todo = {place_on: [] for place_on in into.values()}, {}, []
     for thing in seen.objects:
         what = kind(thing)
@@ -134,13 +134,13 @@ def _todo(
             tally.sorted[into[what]].append(thing.name)
         elif thing.name in scene.objects:
             todo.append((thing, into[what]))
-        else:  # seen, but none that the cell knows
+        else:  # seen, but not an object of the cell
             tally.other[thing.name] = f"{what}, of no known shape"
     return todo
 
 
 def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
-    """Whether the middle of a thing is above a place."""
+    """Return True if the center of a seen object is above a target."""
     frame, size_x, size_y = support_surface(scene.object(place_on))
     middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
     x, y, z = frame.inv().apply(middle)
@@ -148,14 +148,14 @@ def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
 
 
 def _carry(ctx: TaskContext, gripper: Gripper, item: str, place_on: str) -> Outcome:
-    """Pick one thing and put it down; what cannot be put down is let go where it can be picked again."""
+    """Pick one object and place it; if placing fails, put it down where it can be picked again."""
     outcome = pick(ctx, item, gripper)
     if not outcome.ok:
         return outcome
     for spot in _spots(ctx.scene(), item, place_on):
         try:
             outcome = place(ctx, item, place_on, at=spot)
-        except InputError as error:  # it does not fit there as it is held
+        except InputError as error:  # it does not fit in its present orientation
             outcome = Outcome(ErrorCode.PLANNING_FAILED, str(error))
         if outcome.code is not ErrorCode.PLANNING_FAILED:
             break
@@ -167,13 +167,16 @@ def _carry(ctx: TaskContext, gripper: Gripper, item: str, place_on: str) -> Outc
 
 
 def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, float]]:
-    """Points of a place's surface [m, from its middle], those with the most room around them first.
+    """Return candidate points on a target's surface, sorted by free margin, largest first.
 
-    On an empty place that is a corner, so that there is room for others.
+    On an empty target the first point is a corner, which leaves space for other objects.
+
+    Returns:
+        Points (x, y) [m] from the surface's center.
     """
     frame, size_x, size_y = support_surface(scene.object(place_on))
     low, high = scene.object(item).bounds()
-    half = float(np.linalg.norm(high - low)) / 2  # however it is turned
+    half = float(np.linalg.norm(high - low)) / 2  # for any orientation
     x, y = (np.arange(-r, r + 1e-9, GRID) for r in (max(size_x / 2 - half, 0), max(size_y / 2 - half, 0)))
     spots = np.array([(a, b) for a in x for b in y])
     near = [
@@ -181,7 +184,7 @@ def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, 
         for name, other in scene.objects.items()
         if other.movable and name != item
     ]
-    room = np.full(len(spots), 0.3)  # [m] what is farther away counts no more
+    room = np.full(len(spots), 0.3)  # [m] larger margins count as equal
     for middle in near:
         room = np.minimum(room, np.linalg.norm(spots - middle, axis=1))
     found: list[tuple[float, float]] = []
@@ -196,7 +199,7 @@ def _ended(tally: _Tally, todo: list[tuple[SeenObject, str]], seen: Sight, setti
         "sorted": tally.sorted, "other": tally.other, "failures": tally.failures, "picks": tally.picks,
     }  # fmt: skip
     strangers = [n for names in tally.sorted.values() for n in names if not seen[n].known]
-    missing = seen.missing[len(strangers) :]  # where it belongs, but taken for something else
+    missing = seen.missing[len(strangers) :]  # in its target, but recognized as another object
     if not todo and not missing:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
     reasons = [

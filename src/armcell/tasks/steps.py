@@ -1,4 +1,4 @@
-"""Steps of a planned task and how each is performed on the driver."""
+"""Executable steps of a planned task."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
 
 DONE = Outcome(ErrorCode.SUCCESS)
-LOST_FOR = 0.1  # [s] that nothing has been felt between the fingers
-EMPTY = "empty"  # in the evidence of what ended with an empty hand
-LOOK_AT_HANDS = 0.019  # [s] between two looks at what they hold
+LOST_FOR = 0.1  # [s] without grip force until an object counts as lost
+EMPTY = "empty"  # evidence key of outcomes with an empty hand
+LOOK_AT_HANDS = 0.019  # [s] between two checks of the grippers
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A planned arm motion."""
+    """Step that executes a planned arm motion."""
 
     name: str
     trajectory: JointTrajectory
     planner: str = ""
     planning_time: float = 0.0
     clearance: float | None = None
-    planned_in: PlanningScene | None = None  # with the contacts that belong to the motion
-    evidence: Mapping[str, Any] = field(default_factory=dict)  # what was asked of the planner, what it tells
+    planned_in: PlanningScene | None = None  # with the contacts allowed for this motion
+    evidence: Mapping[str, Any] = field(default_factory=dict)  # request and planner statistics
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration [s]."""
         return self.trajectory.duration
 
     def told(self) -> dict[str, Any]:
-        """What a record keeps of how it was planned."""
+        """Return the planning metadata that a record stores."""
         return {
             "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
             "evidence": dict(self.evidence),
@@ -62,12 +62,12 @@ class Motion:
 
 
 class _Watch(GuardedMotion):
-    """A motion that also stops when a hand has lost what it carries."""
+    """Guarded motion that also stops when a hand has lost its object."""
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
         super().__init__(ctx.gate, trajectory, planned_in, ctx.cancel)
         self._ctx = ctx
-        self._since: dict[str, float] = {}  # [s] by object
+        self._since: dict[str, float] = {}  # object -> start [s] of missing grip force
         self._next_look = 0.0  # [s]
         self.lost: Holding | None = None
 
@@ -85,7 +85,7 @@ class _Watch(GuardedMotion):
                 self.lost = held
 
     def dropped(self, where: str) -> Outcome:
-        """The outcome of a motion on which something was lost; it is no longer held."""
+        """Return the outcome of a motion that lost an object, and mark the object as not held."""
         assert self.lost is not None
         item = self.lost.object
         text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
@@ -94,7 +94,10 @@ class _Watch(GuardedMotion):
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """Drive a gripper to a width [m]; with `force` given and width 0, close until it holds."""
+    """Step that moves a gripper to a width [m].
+
+    With `force` and width 0, the gripper closes until it reaches the grip force.
+    """
 
     name: str
     gripper: Gripper
@@ -107,11 +110,11 @@ class Grip:
         return self.finish(ctx)
 
     def start(self, ctx: TaskContext) -> None:
-        """Set the fingers going."""
+        """Command the gripper without waiting."""
         ctx.driver.command_gripper(self.gripper.name, self.width, self.force)
 
     def finish(self, ctx: TaskContext) -> Outcome:
-        """Wait until they are there."""
+        """Wait for the end of the gripper motion."""
         return staged(ctx, StageReport(self.name), lambda: self._wait(ctx))
 
     def _wait(self, ctx: TaskContext) -> Outcome:
@@ -138,14 +141,17 @@ class Grip:
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """An arm motion, or a merged one of two arms, with fingers that move meanwhile."""
+    """Step with an arm motion and simultaneous gripper motions.
+
+    The arm motion may be a merged motion of two arms.
+    """
 
     motion: Motion | None
     grips: tuple[Grip, ...]
 
     @property
     def duration(self) -> float:
-        """[s] of the motion."""
+        """Duration of the arm motion [s]."""
         return self.motion.duration if self.motion else 0.0
 
     def perform(self, ctx: TaskContext) -> Outcome:
@@ -161,7 +167,10 @@ class Together:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """The gripper has closed: is the object between the fingers? From here on it counts as held."""
+    """Step that checks after closing that the hand holds the object.
+
+    From then on the object counts as held.
+    """
 
     object: str
     gripper: Gripper
@@ -170,9 +179,8 @@ class Hold:
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held != self.object:
             between = f"{reading.held} is" if reading.held else "nothing is"
-            x, y, z = ctx.scene().object(self.object).T_world_object.translation
             text = f"grasp failed: {between} between the fingers ({reading.width * 1000:.1f} mm apart)"
-            text += f"; the scene has {self.object} at {x:.3f} {y:.3f} {z:.3f}"
+            text += f"; {ctx.belief(self.object)}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
         ctx.take(Holding(self.object, self.gripper, T))
@@ -182,7 +190,7 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Release:
-    """The gripper has opened: the object belongs to the world again."""
+    """Step that detaches the object after the gripper has opened."""
 
     object: str
 
@@ -194,7 +202,7 @@ class Release:
 
 @dataclass(frozen=True, eq=False)
 class Expect:
-    """Contacts that belong to the task from here on (or no longer)."""
+    """Step that allows contacts of a body with others, or forbids them again."""
 
     body: str
     others: tuple[str, ...]
@@ -208,7 +216,10 @@ class Expect:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """A held object may touch nothing but its supports (or is no longer watched)."""
+    """Step that starts or stops watching a held object for unexpected contacts.
+
+    The object may touch nothing but its supports.
+    """
 
     object: str
     supports: tuple[str, ...] = ()
@@ -224,12 +235,12 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class CheckGrasp:
-    """After the lift: the object came along, and is still between the fingers."""
+    """Step after the lift that checks that the object moved along and is still held."""
 
     object: str
     gripper: Gripper
-    height_before: float  # [m] of the object's origin
-    rise: float  # [m] wanted
+    height_before: float  # [m] height of the object's origin
+    rise: float  # [m] expected rise
 
     def perform(self, ctx: TaskContext) -> Outcome:
         reading = ctx.driver.gripper(self.gripper.name)
@@ -244,7 +255,7 @@ class CheckGrasp:
 
 @dataclass(frozen=True, eq=False)
 class StillHeld:
-    """Before something is done with a held object: is it still between the fingers?"""
+    """Step that checks that a held object is still between the fingers."""
 
     object: str
     gripper: Gripper
@@ -260,7 +271,7 @@ class StillHeld:
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Stand still [s]; reports how far a held object slips meanwhile."""
+    """Step that keeps still for a duration [s] and reports the slip of a held object."""
 
     name: str
     duration: float
@@ -280,26 +291,26 @@ class Dwell:
 
 
 def not_held(ctx: TaskContext, text: str) -> Outcome:
-    """What a step ends with where a hand has not, or no longer, what it should have."""
+    """Return the outcome of a step whose hand does not hold the expected object."""
     ctx.emit("grasp", text)
     return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
-    """The same of an object that was held: it belongs to the world again."""
+    """Mark a held object as lost, and return the outcome of the step."""
     ctx.lose(item, text)
     ctx.driver.unwatch_object(item)
     return not_held(ctx, text)
 
 
 class Step(Protocol):
-    """Something that a task does."""
+    """Executable step of a task."""
 
     def perform(self, ctx: TaskContext) -> Outcome: ...
 
 
 def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
-    """Run a step that shows in the stage table."""
+    """Execute a step with an entry in the stage table."""
     report.started_s = ctx.driver.now
     ctx.emit("stage", report.name, phase="begin")
     outcome = act()
@@ -311,7 +322,7 @@ def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) ->
 
 
 def perform_all(ctx: TaskContext, steps: Iterable[Step]) -> Outcome:
-    """Perform steps until one fails."""
+    """Execute steps until one fails."""
     for step in steps:
         if ctx.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, "cancelled")

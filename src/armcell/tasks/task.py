@@ -1,4 +1,4 @@
-"""A task: stages that are checked as a whole, planned, and ranked by what their plans cost."""
+"""Tasks: stages that are checked together, planned, and ranked by cost."""
 
 from __future__ import annotations
 
@@ -10,54 +10,56 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import Cost, duration
 from armcell.tasks.failures import stage_rows, stage_table
 from armcell.tasks.interfaces import check_task
-from armcell.tasks.search import Draft, Planning, Stage, solutions
+from armcell.tasks.search import PartialSolution, Planning, Stage, solutions
 
 
 @dataclass(frozen=True)
 class TaskPlan(Outcome):
-    """Complete plans of a task, the cheapest first.
+    """Complete plans of a task, cheapest first.
 
-    Evidence: `stages`, what became of each stage; `rejections`, every candidate that was not used (stage,
+    Evidence: `stages`, the statistics of each stage; `rejections`, every rejected candidate (stage,
     candidate, reason).
     """
 
-    solutions: tuple[Draft, ...] = ()
-    costs: tuple[float, ...] = ()  # of the solutions
+    solutions: tuple[PartialSolution, ...] = ()
+    costs: tuple[float, ...] = ()  # costs of the solutions
 
     @property
-    def best(self) -> Draft | None:
-        """The cheapest; None where none was found."""
+    def best(self) -> PartialSolution | None:
+        """Cheapest solution, or None."""
         return self.solutions[0] if self.solutions else None
 
     def table(self) -> str:
-        """What became of each stage, a line each."""
+        """Return the stage table as text."""
         return stage_table(self.evidence.get("stages", ()))
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Stages with a name, and what ranks their plans."""
+    """Named stages with a cost for ranking solutions."""
 
     name: str
     stages: tuple[Stage, ...]
     cost: Cost = duration
 
-    def plan(self, start: Draft, planning: Planning, count: int = 1) -> TaskPlan:
-        """Look for so many complete plans; no stage looks at more candidates than they take.
+    def plan(self, start: PartialSolution, planning: Planning, count: int = 1) -> TaskPlan:
+        """Search for up to `count` complete plans.
+
+        Stages evaluate only as many candidates as the plans need.
 
         Returns:
-            SUCCESS with one plan or more, also where there are fewer than `count`; PREEMPTED; the code of the
-            only motion or of the one that makes all hopeless; TIMED_OUT when the planning budget was used up
-            before; PLANNING_FAILED with what was rejected.
+            SUCCESS with at least one plan, possibly fewer than `count`; PREEMPTED; the error code of the only
+            motion, or of the motion that makes all candidates infeasible; TIMED_OUT if the planning budget is
+            used up; PLANNING_FAILED with the rejections.
         Raises:
-            TaskError: stages lack something; before anything is planned.
+            TaskError: a stage lacks an input; raised before planning.
         """
         check_task(self.stages, start, self.name)
         found = list(islice(solutions(self.stages, start, planning), count))
         details = planning.rejections.details
         evidence = {"rejections": details, "stages": stage_rows(planning.tallies)}
         if found:
-            ranked = sorted(((self.cost(draft.since(start)), i) for i, draft in enumerate(found)))
+            ranked = sorted(((self.cost(solution.since(start)), i) for i, solution in enumerate(found)))
             return TaskPlan(
                 ErrorCode.SUCCESS, "", evidence,
                 solutions=tuple(found[i] for _, i in ranked), costs=tuple(cost for cost, _ in ranked),
@@ -73,8 +75,8 @@ class Task:
         return TaskPlan(code, f"{name}: {planning.rejections.summary()}", evidence)
 
 
-def tell_rejected(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
-    """An event with the candidates that were not used before a plan was found, and why, if there were any."""
+def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
+    """Emit an event with the rejected candidates of a successful plan, if there are any."""
     rejected = plan.evidence.get("rejections", ())
     if rejected:
         ctx.emit("plan", f"{what}: planned, {len(rejected)} rejected", evidence=plan.evidence)

@@ -1,4 +1,4 @@
-"""The world that tasks plan in: one value, which several threads may change."""
+"""Thread-safe holder of the planning scene that tasks share."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from armcell.scene import PlanningScene
 
 
 class World:
-    """The planning scene with nothing of it measured.
+    """Planning scene without measurements.
 
     Attributes:
-        scene: read it at any time. It is replaced, while `editing` is held, never changed.
-        news: what was changed and nobody has told yet, oldest first.
-        telling: held by who tells them.
+        scene: may be read at any time. It is replaced while `editing` is held, never mutated.
+        news: changes that have not been reported yet, oldest first.
+        telling: lock of the thread that reports changes.
     """
 
     def __init__(self, scene: PlanningScene):
@@ -31,13 +31,14 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """The world after a change: what of it was only measured stays as it was.
+    """Return the changed scene with measured values reset to those of the base scene.
 
     Args:
-        base: the world before. now: the same as measured, which was changed into `after`.
-        held: names of what hands hold, as they tell: to be attached again when it is measured.
+        base: the scene before the change.
+        now: the base scene with measurements, from which `after` was made.
+        held: names of objects that the hands report as held; they are attached again at the next measurement.
     Raises:
-        InputError: something that is held is gone.
+        InputError: a held object was removed.
     """
     objects = {n: base.objects[n] if o is now.objects.get(n) else o for n, o in after.objects.items()}
     attached = dict(after.attached)

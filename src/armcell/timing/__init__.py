@@ -1,4 +1,4 @@
-"""How fast? Time parameterisation of paths."""
+"""Time parameterization of paths within velocity, acceleration, jerk and torque limits."""
 
 from armcell.timing.blend import BlendedPath
 from armcell.timing.jerk import jerk_limited

@@ -1,8 +1,9 @@
-"""From straight pieces at even speeds to a smooth motion: the moving average over a window.
+"""Smoothing of piecewise linear motions by a moving average over a time window.
 
-The average keeps every speed limit. Its acceleration is the change of speed over the window, divided by it,
-so a long enough window keeps every acceleration limit; at a corner it leaves the pieces by at most an eighth
-of window times change of speed. Between its points it is exactly quadratic, so cubic interpolation is exact.
+The average keeps every speed limit. Its acceleration is the change of speed over the window, divided by the
+window, so a long enough window keeps every acceleration limit. At a corner, the average deviates from the
+pieces by at most window * (change of speed) / 8. Between its points the average is exactly quadratic, so
+cubic interpolation is exact.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from armcell.core import InputError, JointTrajectory
 
 Array = NDArray[np.float64]
 
-SAME = 1e-7  # [s] points of time nearer than that are one
+SAME = 1e-7  # [s] times nearer than this count as equal
 GROWTH = 1.15
 
 
@@ -22,16 +23,18 @@ def averaged_pieces(
     joint_names: tuple[str, ...], times: ArrayLike, points: ArrayLike, acceleration: ArrayLike,
     longest: float = 4.0,
 ) -> JointTrajectory:  # fmt: skip
-    """A motion from rest to rest near straight pieces, as quick as they are; a window longer than they take.
+    """Smooth a piecewise linear motion into a trajectory within acceleration limits.
 
-    It begins at its time 0, half a window before the pieces do.
+    The trajectory is as fast as the given motion and takes one averaging window longer. Its time 0 is half a
+    window before the start of the given motion.
 
     Args:
-        times, points: (k,) [s] and (k, n), increasing.
+        joint_names: names of the n joints.
+        times, points: (k,) increasing times [s] and (k, n) positions of the given motion.
         acceleration: (n,) limits [rad/s^2].
-        longest: window [s] at most.
+        longest: maximum length of the window [s].
     Raises:
-        InputError: no window up to `longest` keeps the limits (the pieces are too fast).
+        InputError: no window up to `longest` keeps the limits, because the given motion is too fast.
     """
     t, p = np.asarray(times, dtype=float), np.asarray(points, dtype=float)
     limit = np.asarray(acceleration, dtype=float)
@@ -55,7 +58,7 @@ def _averaged(t: Array, p: Array, speeds: Array, window: float) -> tuple[Array, 
     )
 
     def integral(x: Array) -> Array:
-        """From time 0, of the motion that stands still before and after."""
+        """Return the integral of the piecewise linear motion from time 0 to `x`; at rest outside."""
         k = np.clip(np.searchsorted(t, x, side="right") - 1, 0, len(t) - 1)
         e = np.clip(x, t[0], t[-1]) - t[k]
         v = speeds[np.minimum(k, len(speeds) - 1)] if len(speeds) else np.zeros((len(x), p.shape[1]))

@@ -1,7 +1,7 @@
-"""A smooth path from straight edges: corners rounded by arcs or splines of bounded deviation.
+"""Smooth paths through waypoints: straight lines with corners rounded by arcs or splines.
 
-Arcs: Kunz and Stilman, "Time-optimal trajectory generation for path following with bounded acceleration
-and velocity" (RSS 2012), section IV.
+The deviation at each corner is bounded. Arcs: Kunz and Stilman, "Time-optimal trajectory generation for path
+following with bounded acceleration and velocity" (RSS 2012), section IV.
 """
 
 from __future__ import annotations
@@ -19,21 +19,26 @@ Array = NDArray[np.float64]
 
 
 class BlendedPath:
-    """Lines and rounded corners through (or near) waypoints (k, n). Corners that may not be rounded keep
-    their point: the motion has to stop there (`stops` are their places along the path).
+    """A path of lines and rounded corners through or near waypoints (k, n).
 
-    The path parameter s [rad] is the path's length on lines and arcs. In smooth corners it runs a little
-    faster than the length: their derivative is shorter than 1.
+    A corner that may not be rounded remains sharp, and the motion must stop there; `stops` contains the path
+    parameters of these corners.
+
+    The path parameter s [rad] is the arc length on lines and arcs. On spline corners s advances slightly
+    faster than the arc length: the derivative of the path by s is shorter than 1.
 
     Args:
-        max_deviation: how far a corner may be cut [rad]; one number or one per inner waypoint.
-        smooth: round with splines, whose curvature does not jump, as jerk limits need. Else with arcs.
+        waypoints: (k, n) joint positions.
+        max_deviation: maximum distance [rad] between a corner and the rounded path; one value, or one per
+            inner waypoint.
+        smooth: round corners with splines, whose curvature is continuous, as jerk limits require; otherwise
+            with arcs.
     Raises:
-        InputError: no waypoint, values that are not finite, or a negative deviation.
+        InputError: no waypoint, a non-finite value, or a negative deviation.
     """
 
     def __init__(self, waypoints: ArrayLike, max_deviation: float | ArrayLike = 0.05, smooth: bool = False):
-        # copies: compiled code is made for writable arrays
+        # a copy, because the compiled code requires writable arrays
         points = np.array(float_array(waypoints, (None, None), "waypoints"))
         if points.size == 0:
             raise InputError(f"waypoints have shape {points.shape}, need (k, n), k >= 1")
@@ -56,7 +61,7 @@ class BlendedPath:
         self.kind, self.radius, self.turn = kind[:count], radius[:count], turn[:count]
         self.origin, self.x, self.y = origin[:count], x[:count], y[:count]
         self.lengths, self.rests = length[:count], stop[:count]
-        self.starts = np.zeros(count + 1)  # where each piece begins, and the end
+        self.starts = np.zeros(count + 1)  # path parameter at the start of each piece, and at the end
         np.cumsum(self.lengths, out=self.starts[1:])
 
     @property
@@ -65,16 +70,23 @@ class BlendedPath:
 
     @property
     def stops(self) -> list[float]:
-        """Where the motion must stand still on its way."""
+        """Path parameters s [rad] of the sharp corners at which the motion must stop."""
         return self.starts[1:][self.rests].tolist()
 
     @property
     def arrays(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """kind, origin, x, y, lengths, radius: what the kernels take."""
+        """Arrays (kind, origin, x, y, lengths, radius) of the path's pieces for compiled functions."""
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
-        """Points and first and second derivatives (m, n) at s (m,) within the pieces (m,)."""
+        """Return points, first and second derivatives (m, n) of the path on the given pieces.
+
+        Args:
+            piece: (m,) indices of path pieces.
+            s: (m,) path parameters, each measured from the start of its piece.
+        Raises:
+            InputError: an index is out of range, or the arrays have different lengths.
+        """
         piece = np.array(float_array(piece, (None,), "piece"), dtype=np.int64)
         s = np.array(float_array(s, (None,), "s"))
         if piece.shape != s.shape or ((piece < 0) | (piece >= len(self.kind))).any():
@@ -82,13 +94,17 @@ class BlendedPath:
         return pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Points and first and second derivatives (m, n) at places s (m,) along the path."""
+        """Return points, first and second derivatives (m, n) of the path at parameters s (m,)."""
         s = np.atleast_1d(float_array(s, None, "s"))
         piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.kind) - 1)
         return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))
 
     def polyline(self, sagitta: float = 1e-4) -> Array:
-        """Points (m, n) whose chords stay within `sagitta` [rad] of the path."""
+        """Return points (m, n) of a polyline within `sagitta` [rad] of the path.
+
+        Raises:
+            InputError: `sagitta` is not a positive number.
+        """
         if not (is_number(sagitta) and sagitta > 0):
             raise InputError(f"sagitta is {sagitta!r}, it must be a positive number [rad]")
         if self.length == 0.0:

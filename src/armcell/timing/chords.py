@@ -10,16 +10,20 @@ from armcell.core import InputError, JointTrajectory
 
 Array = NDArray[np.float64]
 
+_NONE = np.zeros((0, 0))
+
 
 def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
     """Positions (k, n) at times (k,) [s] of the trajectory's clock, held at both ends; as `sample`."""
+    return _positions(np.ascontiguousarray(times, dtype=np.float64), *_arrays(trajectory))
+
+
+def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
+    """Times, positions, velocities, accelerations, and which of these are given: 0 positions, 1 velocities
+    too, 2 all."""
     v, a = trajectory.velocities, trajectory.accelerations
     kind = 0 if v is None else 1 if a is None else 2
-    none = np.zeros((0, 0))
-    return _positions(
-        np.ascontiguousarray(times, dtype=np.float64), trajectory.times, trajectory.positions,
-        none if v is None else v, none if a is None else a, kind,
-    )  # fmt: skip
+    return trajectory.times, trajectory.positions, _NONE if v is None else v, _NONE if a is None else a, kind
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
@@ -27,20 +31,7 @@ def acceleration_bounds(trajectory: JointTrajectory) -> Array:
 
     A polynomial is within its Bernstein coefficients; those of the second derivative are taken.
     """
-    p, v, a = trajectory.positions, trajectory.velocities, trajectory.accelerations
-    if v is None or len(p) < 2:
-        return np.zeros(p.shape[1])
-    h = np.diff(trajectory.times)[:, None]
-    if a is None:
-        b = [p[:-1], p[:-1] + h * v[:-1] / 3, p[1:] - h * v[1:] / 3, p[1:]]
-    else:
-        b = [
-            p[:-1], p[:-1] + h * v[:-1] / 5, p[:-1] + 2 * h * v[:-1] / 5 + h**2 * a[:-1] / 20,
-            p[1:] - 2 * h * v[1:] / 5 + h**2 * a[1:] / 20, p[1:] - h * v[1:] / 5, p[1:],
-        ]  # fmt: skip
-    n = len(b) - 1
-    second = [np.abs(b[i + 2] - 2 * b[i + 1] + b[i]) * n * (n - 1) / h**2 for i in range(n - 1)]
-    return np.max(second, axis=(0, 1))
+    return _accelerations(*_arrays(trajectory))
 
 
 def chords(
@@ -80,6 +71,26 @@ def _check_smooth(trajectory: JointTrajectory) -> None:
         raise InputError(
             "the trajectory does not begin and end at rest with velocities given", cure="time it with armcell"
         )
+
+
+@njit(cache=True)
+def _accelerations(times, p, v, a, kind):
+    n = 3 if kind == 1 else 5
+    most, b = np.zeros(p.shape[1]), np.empty(n + 1)
+    if kind == 0:
+        return most
+    for i in range(len(times) - 1):
+        h = times[i + 1] - times[i]
+        for j in range(p.shape[1]):
+            b[0], b[1] = p[i, j], p[i, j] + h * v[i, j] / n
+            b[n - 1], b[n] = p[i + 1, j] - h * v[i + 1, j] / n, p[i + 1, j]
+            if kind == 2:
+                b[2] = p[i, j] + 2 * h * v[i, j] / n + h * h * a[i, j] / 20
+                b[3] = p[i + 1, j] - 2 * h * v[i + 1, j] / n + h * h * a[i + 1, j] / 20
+            for k in range(n - 1):
+                second = abs(b[k + 2] - 2 * b[k + 1] + b[k]) * n * (n - 1) / (h * h)
+                most[j] = max(most[j], second)
+    return most
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""From a path to a trajectory: the fastest one within velocity, acceleration and torque limits."""
+"""Time-optimal parameterization of a path within velocity, acceleration and torque limits."""
 
 from __future__ import annotations
 
@@ -16,20 +16,23 @@ from armcell.timing.blend import BlendedPath
 Array = NDArray[np.float64]
 
 ACCELERATION_SHARE = 0.993
-"""Share of the acceleration limit that is planned with. Between trajectory points (quintic interpolation)
-there is a little more than planned; what passes the limit even so slows the whole motion down."""
+"""Fraction of the acceleration limits that the planner uses.
+
+Between trajectory points, the acceleration of the quintic interpolation is slightly higher than planned. If
+it still exceeds a limit, the whole motion is slowed down.
+"""
 
 TORQUE_SHARE = 0.985
-"""Share of the torque limits that is planned with; trajectory points may have 0.01 more."""
+"""Fraction of the torque limits that the planner uses; trajectory points may exceed it by 0.01."""
 
 
 @dataclass(frozen=True)
 @checked()
 class TimingSettings:
-    """Settings of the time parameterisation."""
+    """Settings of the time parameterization: corner deviation, grid, sample time and smoothing."""
 
-    max_deviation: float = 0.05  # [rad] how far corners may be cut
-    torque_grid: float = 0.02  # [rad] of path between points where torque limits are held
+    max_deviation: float = 0.05  # [rad] maximum distance between a corner and the rounded path
+    torque_grid: float = 0.02  # [rad] path length between points at which torque limits are enforced
     sample_time: float = 0.008  # [s] between trajectory points
     smoothing: float = 0.032  # [s] window of the moving average that rounds acceleration steps
 
@@ -41,25 +44,34 @@ class TimingSettings:
 
 
 class TorqueModel(Protocol):
-    """What the torques of a robot's joints are, and their limits."""
+    """A model of a robot's joint torques and their limits."""
 
     @property
     def limits(self) -> Array:
-        """(n,) [Nm or N]"""
+        """Torque limits of the joints (n,) [Nm or N]."""
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Coefficients (m, 3, n) of u, x and 1 in the torques at points of a path (m, n) with its first and
-        second derivatives, where u is the path acceleration and x the squared path speed."""
+        """Return the coefficients (m, 3, n) of u, x and 1 in the joint torques at points of a path.
+
+        u is the path acceleration and x the squared path speed.
+
+        Args:
+            positions: points of the path (m, n).
+            first, second: first and second derivatives of the path (m, n).
+        """
         ...
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Of positions, velocities and accelerations (m, n)."""
+        """Return joint torques (m, n) for positions, velocities and accelerations (m, n)."""
         ...
 
 
 class TorqueLimitError(ArmcellError):
-    """Holding still on the path takes more torque than a joint has: no speed is slow enough."""
+    """A failure because a joint lacks the torque to hold still at a point of the path.
+
+    Slower motion cannot help in this case.
+    """
 
     def __init__(self, joint: str, torque: float, limit: float, place: float):
         self.joint, self.torque, self.limit, self.place = joint, torque, limit, place
@@ -78,17 +90,21 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """The fastest trajectory along a path, at rest at both ends and at the path's sharp corners.
+    """Return the fastest trajectory along a path within the joint and torque limits.
 
-    Its velocities and accelerations are within the limits at all times of its (quintic) interpolation.
-    It keeps to the path but for the smoothing, see `sampling`.
+    The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
+    are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
+    for the smoothing, see `smoothing_departure`.
 
     Args:
+        path: the path.
+        joint_names: names of the n joints.
         velocity, acceleration: limits (n,) [rad/s], [rad/s^2], already scaled.
-        torque: the torque limits to be kept, if any.
+        settings: sample time and smoothing.
+        torque: model of the torque limits; None for no torque limits.
     Raises:
         InputError: a limit is not positive and finite.
-        TorqueLimitError: a joint cannot even hold still somewhere on the path.
+        TorqueLimitError: a joint cannot even hold still at some point of the path.
     """
     velocity = checked_limits(velocity, "velocity", joint_names)
     acceleration = checked_limits(acceleration, "acceleration", joint_names)
@@ -108,7 +124,10 @@ def parameterize(
 
 
 def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
-    """How far (n,) [rad] `parameterize` may leave the path in each joint: a w^2 / 24 for the window w."""
+    """Return how far (n,) [rad] `parameterize` may deviate from the path in each joint.
+
+    The bound is a w^2 / 24 for the acceleration limit a and the smoothing window w.
+    """
     return np.asarray(acceleration, dtype=float) * settings.smoothing**2 / 24
 
 
@@ -120,15 +139,17 @@ def fastest_motion(
     settings: TimingSettings,
     torque: TorqueModel | None = None,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """The motion before it is smoothed and sampled: see `topp.fastest` for what is returned.
+    """Return the fastest motion along a path before it is smoothed and sampled.
 
+    Returns:
+        The arrays that `topp.fastest` returns.
     Raises:
-        TorqueLimitError: a joint cannot even hold still somewhere on the path.
+        TorqueLimitError: a joint cannot even hold still at some point of the path.
     """
     line_step = 0.0 if torque is None else settings.torque_grid
     piece, begin, end = topp.grid(path.kind, path.lengths, path.turn, line_step)
     if torque is None:
-        rows, limit = np.empty((0, 2, 3, len(velocity))), velocity  # both unused
+        rows, limit = np.empty((0, 2, 3, len(velocity))), velocity  # placeholders, unused
     else:
         limit = TORQUE_SHARE * checked_limits(torque.limits, "effort", joint_names)
         # Grid points, piece by piece: interval i begins at point i + piece[i] and ends at the next.
@@ -150,9 +171,9 @@ def fastest_motion(
 
 
 def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
-    """Factor by which the smoothed motion has to be slower to keep the torque limits at its points.
+    """Return the factor by which a smoothed trajectory must slow down to keep torque limits.
 
-    What a torque has beyond the one for holding still goes with the square of the speed.
+    The part of a torque beyond the torque for holding still is proportional to the squared speed.
     """
     still = np.zeros_like(q)
     holding = torque.torques(q, still, still)
@@ -162,18 +183,18 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
 
 
 def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """A path that goes nowhere: one point."""
+    """Return the single-point trajectory of a path of length zero."""
     zero = np.zeros((1, len(joint_names)))
     return JointTrajectory(joint_names, np.zeros(1), path.points[:1], zero, zero)
 
 
 def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:
-    """One kind of limits as an array (n,).
+    """Return one kind of joint limits as an array (n,), after checking that they are finite.
 
     Raises:
         InputError: a limit is missing, not positive or not finite.
     """
-    limits = np.array(values, dtype=float)  # a copy: compiled code is made for writable arrays
+    limits = np.array(values, dtype=float)  # a copy, because the compiled code requires writable arrays
     if limits.shape != (len(joint_names),):
         raise InputError(f"{limits.shape} {kind} limits given for {len(joint_names)} joints")
     good = (limits > 0.0) & (limits < np.inf)

@@ -1,4 +1,4 @@
-"""Time scaling of trajectories: slower by a factor, to a duration, to the longest of several, backwards."""
+"""Time scaling of trajectories: slow down, set a duration, synchronize, reverse."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from armcell.core import InputError, JointTrajectory
 
 
 def check_scaling(value: float, what: str) -> float:
-    """A velocity or acceleration scaling factor in (0, 1].
+    """Return a velocity or acceleration scaling factor after checking that it is in (0, 1].
 
     Raises:
-        InputError: outside.
+        InputError: the factor is outside (0, 1].
     """
     if not np.isfinite(value) or not 0.0 < value <= 1.0:
         raise InputError(f"{what} is {value:g}, it must be in (0, 1]")
@@ -26,10 +26,10 @@ MAX_DURATION = 1e12  # [s]
 
 
 def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
-    """The same motion slowed by a factor >= 1.
+    """Return the trajectory slowed down by a factor >= 1.
 
     Raises:
-        InputError: factor below 1 (limits might be broken) or not finite.
+        InputError: the factor is below 1, which could violate limits, or not finite.
     """
     if not 1.0 <= factor <= MAX_FACTOR:
         raise InputError(f"stretch factor is {factor:g}, it must be from 1 to {MAX_FACTOR:g}")
@@ -43,13 +43,13 @@ def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
 
 
 def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajectory:
-    """The same motion in exactly `duration` [s], which may not be shorter than it is.
+    """Return the trajectory slowed down to exactly `duration` [s].
 
-    Every velocity becomes smaller by the ratio of the durations, every acceleration by its square and every
-    jerk by its cube, so what was within limits stays within. A trajectory of one point waits.
+    With r the ratio of the old to the new duration, velocities change by the factor r, accelerations by r^2
+    and jerks by r^3, so the trajectory stays within its limits. A trajectory with one point becomes a pause.
 
     Raises:
-        InputError: duration shorter than the motion, or not finite.
+        InputError: the duration is shorter than the trajectory, or not finite.
     """
     now = trajectory.duration
     if not np.isfinite(duration) or duration > MAX_DURATION or duration < now * (1.0 - 1e-12):
@@ -64,18 +64,18 @@ def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajector
         return trajectory
     slow = stretched(trajectory, duration / now)
     times = slow.times.copy()
-    times[-1] = duration  # to the last bit
+    times[-1] = duration  # exact to the last bit
     return replace(slow, times=times)
 
 
 def synchronized(trajectories: Sequence[JointTrajectory]) -> tuple[JointTrajectory, ...]:
-    """All motions slowed to the longest one's duration: they start and end together."""
+    """Return all trajectories slowed down to the longest duration, so that they end together."""
     longest = max((t.duration for t in trajectories), default=0.0)
     return tuple(stretched_to(t, longest) for t in trajectories)
 
 
 def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
-    """The same motion from its end to its start; it keeps every symmetric limit."""
+    """Return the trajectory from its end to its start; symmetric limits remain satisfied."""
     v, a = trajectory.velocities, trajectory.accelerations
     return replace(
         trajectory,

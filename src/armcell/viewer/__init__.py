@@ -1,4 +1,7 @@
-"""Browser view of a cell (viser). Importing this is light: viser loads when a viewer is made."""
+"""Browser view of a robot cell, built on viser.
+
+Importing this package is cheap: viser is imported when a viewer is created.
+"""
 
 from armcell.viewer.planning_panel import PlanningPanel
 from armcell.viewer.session import PlanningSession

@@ -1,6 +1,6 @@
-"""From shapes, meshes and links to what a browser can draw: coloured triangles and viser nodes.
+"""Conversion of shapes, meshes and robot links to colored triangles and viser scene nodes.
 
-viser's quaternions are scalar first; colours here are RGBA in 0..1 as everywhere in armcell.
+viser quaternions are scalar first. Colors are RGBA in 0..1, as everywhere in armcell.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Color = tuple[float, float, float, float]
 COLLISION_COLOR: Color = (0.90, 0.45, 0.0, 0.45)
 COLLISION_SWELL_M = 0.0015
 MAX_FACES = 10_000
-"""Per coloured part of a mesh file: beyond this it is decimated, or a software-rendered browser crawls."""
+"""Maximum faces per colored mesh part; larger parts are decimated, because software rendering is slow."""
 SMOOTH_ANGLE = np.deg2rad(35.0)
-"""Edges sharper than this keep their crease when shaded."""
+"""Edges with a larger angle [rad] between their faces are shaded as sharp edges."""
 MAX_POINTS = 100_000
-"""Of a cloud that are drawn."""
+"""Maximum number of points drawn per point cloud."""
 PLANE_DRAWN_M = 6.0
 PLANE_THICKNESS_M = 0.01
 _SECTIONS = 32
@@ -41,7 +41,7 @@ _SECTIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Triangles of one colour, in the frame of what they belong to [m]."""
+    """Triangle mesh of one color; vertices [m] in the frame of the owning link or object."""
 
     vertices: Array  # (v, 3)
     faces: NDArray[np.int32]  # (f, 3)
@@ -76,12 +76,15 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 
 
 def shape_part(shape: Shape, color: Color) -> Part:
-    """A shape as triangles in its own frame; a plane becomes a thin slab below z = 0."""
+    """Return a shape as triangles in its own frame; a plane becomes a thin slab below z = 0."""
     return _shaded(_TESSELLATE[type(shape)](shape), color)
 
 
 def collision_part(shape: Shape) -> Part:
-    """A collision shape to lay over a visual: see-through, and swollen a little or the two would flicker."""
+    """Return a translucent, slightly inflated mesh of a collision shape.
+
+    The inflation avoids flicker where the collision shape coincides with the visual mesh.
+    """
     part = shape_part(shape, COLLISION_COLOR)
     normals = trimesh.Trimesh(part.vertices, part.faces, process=False).vertex_normals
     return Part(part.vertices + COLLISION_SWELL_M * normals, part.faces, part.color)
@@ -90,10 +93,10 @@ def collision_part(shape: Shape) -> Part:
 # --- mesh files ---
 @lru_cache(maxsize=256)
 def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Part, ...]:
-    """A visual mesh file as one part per colour, decimated where heavy.
+    """Load a visual mesh file as one part per color; large meshes are decimated.
 
     Raises:
-        InputError: unreadable or without triangles.
+        InputError: the file is unreadable or contains no triangles.
     """
     return tuple(
         _shaded(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), color)
@@ -102,7 +105,10 @@ def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) 
 
 
 def _shaded(mesh: Any, color: Color) -> Part:
-    """Merged, decimated, and split at sharp edges: a browser shades smoothly over shared vertices."""
+    """Return the mesh merged, decimated and split at sharp edges.
+
+    A browser shades smoothly across shared vertices; the split keeps sharp edges visible.
+    """
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     vertices, faces = decimated(np.asarray(mesh.vertices), np.asarray(mesh.faces), MAX_FACES)
     split = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces, process=False), angle=SMOOTH_ANGLE)
@@ -110,9 +116,10 @@ def _shaded(mesh: Any, color: Color) -> Part:
 
 
 def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Array, NDArray[Any]]:
-    """At most about `max_faces` triangles, by vertex clustering on a grid that coarsens until they fit.
+    """Reduce a mesh to about `max_faces` triangles by vertex clustering, for display only.
 
-    No vertex moves by more than the grid's diagonal; for drawing only, never for collision.
+    The clustering grid coarsens until the mesh has at most `max_faces` triangles. No vertex moves by more
+    than the diagonal of a grid cell. Never use the result for collision checking.
     """
     out_vertices, out_faces = vertices, faces
     cell = float(np.ptp(vertices, axis=0).max()) / 400
@@ -130,12 +137,19 @@ def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Arr
 
 # --- viser nodes ---
 def node_name(*parts: str) -> str:
-    """A viser scene path; a slash inside a name must not make a level of its own."""
+    """Return the viser scene path for the given name parts.
+
+    Slashes inside a part are percent-encoded, so that they do not add a level to the scene tree.
+    """
     return "/" + "/".join(quote(part, safe="") for part in parts)
 
 
 def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
-    """Draw a part as a child of the node that `name` lies under; returns viser's handle."""
+    """Draw a mesh part at pose `T` in the frame of the parent node of `name`.
+
+    Returns:
+        viser's handle.
+    """
     alpha = part.color[3]
     return api.add_mesh_simple(
         name,
@@ -151,7 +165,10 @@ def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True)
 
 
 def visual_parts(visual: Visual) -> tuple[Part, ...]:
-    """A link's visual; the URDF's colour, where given, goes before the file's own (as in RViz)."""
+    """Return the meshes of a link's visual element.
+
+    A color given in the URDF overrides the colors of the mesh file, as in RViz.
+    """
     if visual.shape is not None:
         return (shape_part(visual.shape, visual.color or DEFAULT_COLOR),)
     if visual.file is None:
@@ -163,9 +180,12 @@ def visual_parts(visual: Visual) -> tuple[Part, ...]:
 
 
 def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]]:
-    """Draw a link below the node `name`: handles of its visuals and of its (hidden) collision shapes.
+    """Draw a robot link below the scene node `name`.
 
-    A link without visuals shows its collision shapes in grey.
+    A link without visual elements shows its collision shapes in gray.
+
+    Returns:
+        viser handles of the visual meshes, and of the collision shapes (hidden at first).
     """
     drawn = [(p, v.T_link_visual) for v in link.visuals for p in visual_parts(v)]
     if not drawn:
@@ -192,7 +212,7 @@ def _add_points(api: SceneApi, name: str, shape: PointCloud, T: SE3, color: Colo
 
 def _add_cells(api: SceneApi, name: str, shape: Octree, T: SE3, color: Color) -> Any:
     cube = trimesh.creation.box((1.0, 1.0, 1.0))
-    some = np.argsort(-shape.sizes, kind="stable")[:MAX_POINTS]  # the largest of very many
+    some = np.argsort(-shape.sizes, kind="stable")[:MAX_POINTS]  # only the largest cells are drawn
     return api.add_batched_meshes_simple(
         name,
         np.asarray(cube.vertices, np.float32),
@@ -207,7 +227,10 @@ def _add_cells(api: SceneApi, name: str, shape: Octree, T: SE3, color: Color) ->
 
 
 def add_object_shape(api: SceneApi, name: str, shape: Shape, T: SE3, color: Color) -> Any:
-    """Draw one shape of an object; a plane gets a grid on top. Clouds are points, octrees cubes."""
+    """Draw one shape of an object; return viser's handle.
+
+    A plane gets a grid on top; point clouds are drawn as points and octrees as cubes.
+    """
     if isinstance(shape, PointCloud):
         return _add_points(api, name, shape, T, color)
     if isinstance(shape, Octree):
@@ -222,6 +245,6 @@ def add_object_shape(api: SceneApi, name: str, shape: Shape, T: SE3, color: Colo
             section_size=0.5,
             cell_color=(175, 175, 175),
             section_color=(130, 130, 130),
-            position=(0.0, 0.0, 0.001),  # above the slab, or the two would flicker
+            position=(0.0, 0.0, 0.001),  # above the slab, to avoid flicker
         )
     return handle

@@ -1,4 +1,4 @@
-"""A see-through robot beside the real one: goal, start, or the robot along a planned motion."""
+"""Translucent copy of the robot that shows a goal, a start state or a planned motion."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ AMBER: Color = (0.95, 0.60, 0.05, 0.55)
 
 
 class Ghost:
-    """Links (their collision shapes) and held objects in one colour, hidden until it is placed.
+    """Translucent robot: link collision shapes and attached objects; hidden until `place`.
 
     Args:
-        name: of its node in viser's scene.
+        name: name of the ghost's node in viser's scene.
     """
 
     def __init__(self, server: viser.ViserServer, name: str, scene: PlanningScene, color: Color):
@@ -36,7 +36,7 @@ class Ghost:
         self._tree = kinematic_tree(scene.model)
         self._frames: dict[str, Any] = {}
         self._parts: dict[str, list[Any]] = {}
-        self._held: dict[str, Any] = {}  # the attached bodies that are drawn
+        self._held: dict[str, Any] = {}  # attached bodies that are currently drawn
         self._moved = frozenset(scene.model.links)
         self.root = server.scene.add_frame(node_name(name), show_axes=False, visible=False)
         for link in scene.model.links.values():
@@ -53,7 +53,7 @@ class Ghost:
         ]
 
     def of_group(self, group: str) -> None:
-        """Show only the links that a group moves."""
+        """Show only the links that the planning group moves."""
         columns = set(self._model.columns(self._model.group(group).joint_names))
         tree = self._tree
         self._moved = frozenset(
@@ -63,7 +63,7 @@ class Ghost:
         )
 
     def place(self, scene: PlanningScene, positions: ArrayLike) -> None:
-        """Put it at positions (dof,), with what the scene's robot holds, and show it."""
+        """Show the ghost at joint positions (dof,), with the objects that are attached in `scene`."""
         if dict(scene.attached) != self._held:
             self._draw_held(scene)
         Ts = self._tree.link_transforms(positions)
@@ -87,7 +87,7 @@ class Ghost:
             self._draw(name, [(shape_part(shape, self._color), T) for shape, T in solid])
 
     def paint(self, color: Color, marked: Iterable[str] = (), mark: Color = RED) -> None:
-        """One colour for all, another for some bodies."""
+        """Set the color of all bodies, and a second color for the `marked` bodies."""
         self._color, marked = color, set(marked)
         for name, parts in self._parts.items():
             r, g, b, alpha = mark if name in marked else color

@@ -1,15 +1,16 @@
-"""`PageGuard`: who may use a page. Every request of a browser, HTTP or websocket, passes it first.
+"""Request guard of a web page: `PageGuard` decides which requests the page answers.
 
-A page can move arms and write files, and any page that is open in the same browser can send requests to it.
-Three checks keep those out, and other users of the machine and of the network too:
+Every HTTP and websocket request passes the guard first. A page can move arms and write files, and every page
+that is open in the same browser can send requests to it. Three checks reject requests from such pages, from
+other users of the machine and from the network:
 
-- Host: only names that belong to this page, so that a foreign name that is made to point here (DNS
-  rebinding) gets nothing.
+- Host: accept only host names that belong to this page, so that a foreign name that resolves to this
+  address (DNS rebinding) gets no content.
 - Origin: only the page itself may open its websocket.
-- A secret: the printed URL carries a token that is new at every start. A request with the token gets a
-  cookie, and everything else of the page asks for this cookie. Browsers send cookies to every port of a
-  host, but only below the cookie's path. The path is random, too, so that a server on another port of this
-  host never receives the cookie.
+- Secret: the printed URL carries a token that changes at every start. A request with the token gets a
+  cookie, and all further requests need the cookie. Browsers send cookies to every port of a host, but only
+  below the cookie's path. The path is random, so that a server on another port of this host never receives
+  the cookie.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MAX_CLIENTS = 16
-"""Browsers on one page; a further one is answered 503."""
+"""Maximum number of browsers on one page; further browsers get a 503 response."""
 MAX_CONNECTIONS = 64
-"""Connections to one page, those included that have not asked for anything yet."""
+"""Maximum number of connections to one page, including idle connections."""
 MAX_MESSAGE = 4 << 20
-"""[bytes] of one message from a browser; a larger one ends its connection."""
+"""Maximum size [bytes] of one message from a browser; a larger message closes the connection."""
 MAX_TOLD = 20
-"""Refusals of different kinds that are logged; an attacker must not fill the log."""
+"""Maximum number of different rejections that are logged, so that an attacker cannot fill the log."""
 COOKIE = "armcell"
 HERE = ("localhost", "127.0.0.1", "::1")
-"""Always this machine: browsers resolve `localhost` themselves, and an address cannot be rebound."""
+"""Host names of this machine that DNS rebinding cannot affect."""
 TIDY = b"<script>history.replaceState = () => {}</script>"
-"""viser's page adds the address of its websocket to the URL where that has a path."""
+"""Script that keeps viser's page from adding its websocket address to the URL."""
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(:[0-9]{1,5})?")
 
 HOW = "Open the URL that the armcell command printed when it started; it ends in ?token=...\n"
@@ -59,15 +60,15 @@ FULL = f"{MAX_CLIENTS} browsers show this page already; close one of them.\n"
 
 
 class PageGuard:
-    """The secrets of one page, and the decision on each request.
+    """Secrets of one page, and the accept or reject decision for each of its requests.
 
-    Fails closed: it refuses requests that it does not understand.
+    The guard fails closed: it rejects requests that it cannot parse.
 
     Args:
         host: the address that the page listens on.
-        names: further host names under which browsers may ask, for instance behind a proxy.
+        names: additional host names under which browsers may request the page, e.g. behind a proxy.
     Raises:
-        InputError: a name is not a host name.
+        InputError: a name is not a valid host name.
     """
 
     def __init__(self, host: str, names: Iterable[str] = ()):
@@ -85,11 +86,14 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Answer from now on; until then those who have the token hear that the page is starting."""
+        """Serve the page from now on.
+
+        Before this call, requests with the token get a "starting" page.
+        """
         self._open = True
 
     def in_front_of(self, serve: Process) -> Process:
-        """A `process_request` for `websockets` that hands on what may pass."""
+        """Wrap a `process_request` function of `websockets` so that it sees only accepted requests."""
 
         def process(connection: ServerConnection, request: Request) -> Any:
             return self._process(serve, connection, request)
@@ -119,14 +123,14 @@ class PageGuard:
         if headers.get_all("Upgrade"):
             return self._admit(connection)
         if query or path == self._path or not inside:
-            # A query could have the client connect to another server and run scripts from there. This is a
-            # page that leads on and no redirection: after one, a browser that came here by a link on
-            # another site does not send a strict cookie.
+            # Drop the query, because it could make the client connect to another server and run scripts from
+            # there. Answer with a page that forwards, not with a redirect: after a redirect, a browser that
+            # followed a link from another site does not send a SameSite=Strict cookie.
             cookie = f"{COOKIE}={self._cookie}; Path={self._path}; HttpOnly; SameSite=Strict"
             more = {"Refresh": f"0; url={self._path}/", **({"Set-Cookie": cookie} if tokens else {})}
             return _response(200, "Opening the page ...\n", more)
         plain = headers.copy()
-        if "Accept-Encoding" in plain:  # the answer is changed below, so it must not be compressed
+        if "Accept-Encoding" in plain:  # the response is edited below, so it must not be compressed
             del plain["Accept-Encoding"]
         answer = serve(connection, Request(path.removeprefix(self._path), plain))
         if answer is None:
@@ -138,7 +142,7 @@ class PageGuard:
         return answer
 
     def _admit(self, connection: ServerConnection) -> Response | None:
-        """None, which accepts a websocket, while there are not too many."""
+        """Accept a websocket (None), or return a 503 response if the page has too many clients."""
         from websockets.protocol import State
 
         self._clients = {c for c in self._clients if c.state is not State.CLOSED}
@@ -152,14 +156,14 @@ class PageGuard:
         name = _name_of(host)
         if name in self._names:
             return True
-        try:  # of 0.0.0.0 and ::, the address by which this browser came
+        try:  # for 0.0.0.0 and ::, use the address to which this browser connected
             mine = ipaddress.ip_address(str(local[0]).partition("%")[0])
             return ipaddress.ip_address(name) in (mine, getattr(mine, "ipv4_mapped", None))
         except (ValueError, TypeError, IndexError):
             return False
 
     def _refuse(self, text: str, header: str = "", values: Sequence[str] = ()) -> Response:
-        """403; foreign hosts and origins are logged, once each."""
+        """Return a 403 response; log each foreign host or origin once."""
         said = (header, ", ".join(values)[:100])
         if header and said not in self._told and len(self._told) < MAX_TOLD:
             self._told.add(said)
@@ -168,13 +172,13 @@ class PageGuard:
 
 
 def page_url(host: str, port: int, token: str) -> str:
-    """Where to point a browser on this machine."""
+    """Return the URL, with the token, that opens the page in a browser on this machine."""
     host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     return f"http://{host_in_url(host)}:{port}/?token={token}"
 
 
 def _name_of(host: str) -> str:
-    """The name or address in a Host header, without port and brackets; empty where it is malformed."""
+    """Return the name or address in a Host header without port and brackets; empty if malformed."""
     match = _HOST.fullmatch(host)
     return match[1].strip("[]") if match else ""
 
@@ -185,7 +189,7 @@ def _cookies(headers: Sequence[str]) -> list[str]:
 
 
 def _same(given: str, secret: str) -> bool:
-    """Compares in a time that does not depend on where the texts differ."""
+    """Compare a given text with a secret in constant time."""
     return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), secret.encode())
 
 
@@ -202,7 +206,7 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
 
 
 def _harden(headers: Any, host: str) -> None:
-    """No frames around the page, no connections to elsewhere, and no trace of its path elsewhere."""
+    """Add security headers that forbid framing, foreign connections and revealing referrers."""
     own = f"ws://{host} wss://{host}" if host else ""
     headers["Content-Security-Policy"] = (
         f"frame-ancestors 'none'; connect-src 'self' blob: data: {own}; base-uri 'none'; "

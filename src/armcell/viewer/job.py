@@ -1,4 +1,4 @@
-"""One piece of work at a time beside a panel that goes on answering."""
+"""Background jobs of a panel: one job at a time, while the panel stays responsive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Job:
-    """A piece of work that runs in a thread of its own."""
+    """Work that runs in its own thread and can be canceled."""
 
     kind: str  # "planning", "explaining", "executing"
     cancel: threading.Event = field(default_factory=threading.Event)
@@ -22,12 +22,12 @@ class Job:
 
 
 class Jobs:
-    """Runs a job unless another one runs.
+    """Runner that accepts a job only while no other job runs.
 
     Args:
-        lock: of whoever owns this; it is held where the current job changes.
-        failed: told under the lock what went wrong in a job.
-        ended: told of a job's end, without the lock.
+        lock: lock of the owner; held whenever the current job changes.
+        failed: called with the error message of a failed job, while the lock is held.
+        ended: called when a job has ended, without the lock.
     """
 
     def __init__(self, lock: threading.RLock, failed: Callable[[str], None], ended: Callable[[], None]):
@@ -36,17 +36,17 @@ class Jobs:
 
     @property
     def busy(self) -> str:
-        """The kind of the current job or nothing."""
+        """Kind of the current job, or an empty string."""
         job = self.current
         return job.kind if job is not None else ""
 
     def begin(self, kind: str, work: Callable[[Job], None]) -> None:
-        """Start a thread for some work, under the lock.
+        """Start a job in a new thread; the caller must hold the lock.
 
         Raises:
-            InputError: something else is being done.
+            InputError: another job is running.
         """
-        if self.busy == "explaining":  # of interest no more
+        if self.busy == "explaining":  # its answer is no longer needed
             self._abandon()
         if self.busy:
             raise InputError(f"the session is {self.busy}", cure="stop it, or wait for its end")
@@ -61,7 +61,7 @@ class Jobs:
             work(job)
         except ArmcellError as error:
             message = str(error)
-        except Exception as error:  # said in the panel; the server lives on
+        except Exception as error:  # the panel reports the error; the server keeps running
             logger.exception("%s failed", job.kind)
             message = f"internal error: {type(error).__name__}: {error}"
         with self._lock:
@@ -73,18 +73,18 @@ class Jobs:
         self._ended()
 
     def stop(self) -> bool:
-        """Cancel what runs; whether anything did."""
+        """Cancel the current job; return True if there was one."""
         with self._lock:
             job = self.current
             if job is None:
                 return False
             job.cancel.set()
-            if job.kind == "explaining":  # nothing in it can be interrupted: its answer is not waited for
+            if job.kind == "explaining":  # not interruptible: discard its answer instead of waiting
                 self._abandon()
         return True
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until nothing is being done; whether that came within the time [s]."""
+        """Wait until no job runs; return False if `timeout` [s] expires first."""
         job = self.current
         if job is not None and job.thread is not None:
             job.thread.join(timeout)

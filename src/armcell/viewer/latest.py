@@ -1,4 +1,4 @@
-"""A thread that does the newest of what it is given: dragging sends more than can be worked out."""
+"""Worker thread that processes only the newest request, e.g. of a dragged control."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ logger = logging.getLogger(__name__)
 
 
 class Latest:
-    """Does the last thing given under each name; what was not begun when the next came is passed over."""
+    """Executor of the newest function under each name; a pending older function is dropped."""
 
     def __init__(self) -> None:
         self._wake = threading.Condition()
@@ -39,5 +39,5 @@ class Latest:
                 work = self._waiting.pop(next(iter(self._waiting)))
             try:
                 work()
-            except Exception:  # the next drag may go better
+            except Exception:  # the next request may succeed
                 logger.exception("could not follow a drag")

@@ -1,4 +1,4 @@
-"""The panel beside the view: the cell's name, time, stage, last event, grippers and what to show."""
+"""Status panel of the viewer: cell name, time, stage, last event, grippers, visibility."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
 
 class StatusPanel:
-    """Read-only fields and the show/hide checkboxes.
+    """Read-only status fields and the checkboxes that show or hide parts of the view.
 
     Args:
-        gui: viser's.
-        title: the cell's name.
-        grippers: names, one field each.
-        on_show: called with "collision" or "path" and whether it is to be seen.
+        gui: viser's GUI API.
+        title: name of the cell.
+        grippers: gripper names; each gets one field.
+        on_show: called with "collision" or "path" and with the new visibility.
     """
 
     def __init__(
@@ -43,7 +43,10 @@ class StatusPanel:
         return self._boxes[what].value
 
     def update(self, sample: StateSample | None, events: list[Event]) -> None:
-        """Write what is new; a stage's name is its event's `data["name"]` or `["stage"]`, else its text."""
+        """Show new events and the newest state sample.
+
+        The stage name comes from the event's `data["name"]` or `data["stage"]`, else from its text.
+        """
         for event in events:
             if event.kind == "stage":
                 self.stage.value = str(event.data.get("name") or event.data.get("stage") or event.text)

@@ -1,4 +1,4 @@
-"""The tab "Plan": what to plan and how, the buttons, what came of it."""
+"""The "Plan" tab of the planning panel: request settings, buttons and the result."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from viser import GuiApi
 
 COLORS = {"free": "#2b8a3e", "collision": "#c92a2a", "out of reach": "#868e96"}
-LABEL = 44  # characters of a suggestion on its button; the hint has it all
+LABEL = 44  # characters of a suggestion on its button; the tooltip has the full text
 
 
 class PlanTab:
-    """Widgets of one session; `refresh` sets them to what the session says.
+    """Widgets for the planning settings and result of one session; `refresh` updates them.
 
     Args:
         play: starts the preview from the beginning.
-        seek: shows the motion at a time [s].
+        seek: shows the planned motion at a time [s].
     """
 
     def __init__(
@@ -83,7 +83,10 @@ class PlanTab:
         self.acceleration.on_update(on(lambda: session.set(acceleration_scaling=self.acceleration.value)))
 
     def _choose_pipeline(self) -> None:
-        """Its planner of the same name, if it has one, else RRTConnect, else its first."""
+        """Select a pipeline, and keep the current planner if the new pipeline has it.
+
+        Otherwise select RRTConnect, or else the pipeline's first planner.
+        """
         known = tuple(pipelines[self.pipeline.value])
         planner = next((p for p in (self._session.settings.planner, "RRTConnect") if p in known), known[0])
         self._session.set(pipeline=self.pipeline.value, planner=planner)
@@ -126,7 +129,7 @@ class PlanTab:
             if widget.disabled != disabled:
                 widget.disabled = disabled
         if moving and result is not None and result.trajectory is not None:
-            longest = math.ceil(max(result.trajectory.duration, 0.01) * 100) / 100  # whole steps
+            longest = math.ceil(max(result.trajectory.duration, 0.01) * 100) / 100  # whole slider steps
             if self.time.max != longest:
                 self.time.value, self.time.max = 0.0, longest
         _write(self.result, self._words(why))
@@ -155,7 +158,7 @@ class PlanTab:
         return paragraph("SUCCESS", COLORS["free"], bold=True) + paragraph(numbers) + paragraph(more)
 
     def _show_explanation(self, explanation: Explanation | None) -> None:
-        """A button for each suggestion: pressed, the change is made and planned with."""
+        """Show a button for each suggestion; a click applies the suggestion and plans again."""
         if explanation is self._shown:
             return
         self._shown = explanation
@@ -180,7 +183,7 @@ class PlanTab:
         self._session.plan()
 
     def show_time(self, t: float) -> None:
-        """The slider follows the preview."""
+        """Move the time slider to the preview's time [s] without starting a seek."""
         with quietly():
             self.time.value = min(round(t, 2), self.time.max)
 

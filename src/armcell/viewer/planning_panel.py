@@ -1,4 +1,4 @@
-"""`PlanningPanel`: planning in the browser: drag the goal, plan, preview, execute; edit the scene."""
+"""`PlanningPanel`: motion planning in the browser, from the goal to the execution."""
 
 from __future__ import annotations
 
@@ -24,19 +24,21 @@ from armcell.viewer.widgets import Callbacks
 if TYPE_CHECKING:
     import viser
 
-CONTROL_M = 0.22  # size of the controls that are dragged
+CONTROL_M = 0.22  # [m] size of the drag controls
 STATUS_COLORS = {"free": GREEN, "collision": PALE_RED, "out of reach": GREY}
 
 
 class PlanningPanel:
-    """A planning session in the browser, inside a `with` block. Binds widgets to it and draws; no logic.
+    """Browser front end of a planning session; use it in a `with` block.
+
+    The panel connects widgets to the session and draws its state. It contains no planning logic.
 
     Args:
-        session: what is shown and worked with; it is closed with the panel.
-        folder: where scenes are saved to and loaded from.
-        names: further host names under which browsers may ask for the page.
+        session: the session to show; the panel closes it.
+        folder: folder for saving and loading scenes.
+        names: additional host names under which browsers may request the page.
     Raises:
-        InputError: the host is no address of this machine, or no port is free.
+        InputError: the host is not an address of this machine, or no port is free.
     """
 
     def __init__(
@@ -108,10 +110,10 @@ class PlanningPanel:
         session.listen(lambda _: self.refresh())
         self.refresh()
 
-    # --- dragging: in the thread of `Latest`, so that only the newest pose is worked out ---
+    # --- dragging: runs in the thread of `Latest`, so that only the newest pose is processed ---
     def _goal_dragged(self) -> None:
         T = _pose_of(self.goal_control)
-        self._dragging.what = "goal"  # the control stays where the hand has it
+        self._dragging.what = "goal"  # do not move the control while the user drags it
         try:
             self.callbacks.run(lambda: self.session.set_goal_pose(T))
         finally:
@@ -131,7 +133,7 @@ class PlanningPanel:
 
     # --- the preview ---
     def play(self) -> None:
-        """Show the planned motion from its beginning."""
+        """Play the planned motion from its beginning."""
         result = self.session.result
         if result is not None and result.ok and result.trajectory is not None:
             self._player.play(max(result.trajectory.duration, 1e-3))
@@ -141,7 +143,10 @@ class PlanningPanel:
         self._player.seek(t)
 
     def _show_motion(self, t: float) -> None:
-        """In the player's thread, and in no other, or an old time might be shown last."""
+        """Draw the planned motion at a time [s]; call only from the player's thread.
+
+        Calls from a second thread could draw an older time last.
+        """
         session = self.session
         result = session.result
         if result is None or result.trajectory is None or session.busy == "executing":
@@ -157,7 +162,7 @@ class PlanningPanel:
 
     # --- showing ---
     def refresh(self) -> None:
-        """Draw the session as it is now; from whichever thread changed it."""
+        """Draw the session's current state; safe to call from any thread."""
         with self._lock, self.viewer.server.atomic():
             session = self.session
             self.plan.refresh()
@@ -175,7 +180,7 @@ class PlanningPanel:
         for ghost in (self.goal_ghost, self.start_ghost, self.preview_ghost):
             ghost.of_group(session.group)
         if goal.status == "free" and np.allclose(goal.positions, session.scene.positions, atol=1e-3):
-            self.goal_ghost.hide()  # the robot itself stands there
+            self.goal_ghost.hide()  # the robot itself is at the goal
         else:
             self.goal_ghost.place(session.scene, goal.positions)
         touching = {name for c in goal.contacts for name in (c.body_a, c.body_b)}
@@ -206,7 +211,7 @@ class PlanningPanel:
             _move(self.object_control, session.scene.object(name).T_world_object)
 
     def _draw_result(self) -> None:
-        """The tool's way of a new plan, and what stands in the way of one that failed."""
+        """Draw the tool path of a new plan, or the explanation of a failed one."""
         session = self.session
         if session.result is not self._result:
             self._result = session.result
@@ -226,7 +231,7 @@ class PlanningPanel:
 
 
 def _pose_of(control: viser.TransformControlsHandle) -> SE3:
-    return SE3.from_quat_wxyz(np.array(control.position), np.array(control.wxyz))  # viser's arrays change
+    return SE3.from_quat_wxyz(np.array(control.position), np.array(control.wxyz))  # copy viser's arrays
 
 
 def _move(control: viser.TransformControlsHandle, T: SE3) -> None:

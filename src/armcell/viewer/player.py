@@ -1,4 +1,4 @@
-"""Plays a motion's time in real time, in a thread of its own."""
+"""Preview player that advances a motion in real time in its own thread."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from collections.abc import Callable
 logger = logging.getLogger(__name__)
 
 FRAME = 1 / 30  # [s]
-PAUSE = 0.5  # [s] at the end, before the next round
+PAUSE = 0.5  # [s] at the end, before the next repetition
 
 
 class Player:
-    """Calls `show` with a time [s] that runs from 0 to a duration.
+    """Timer that calls `show` in real time with a time [s] from 0 to the duration.
 
     Args:
-        show: called from the player's thread.
-        loop: whether to begin again at the end.
-        end: called where it does not.
+        show: draws the motion at a time [s]; called from the player's thread.
+        loop: returns True to restart at the end.
+        end: called at the end if the player does not restart.
     """
 
     def __init__(self, show: Callable[[float], None], loop: Callable[[], bool], end: Callable[[], None]):
         self._show, self._loop, self._end = show, loop, end
         self._wake = threading.Condition()
         self._duration: float | None = None
-        self._at: float | None = None  # to be shown once
+        self._at: float | None = None  # time [s] to show once
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="armcell-preview", daemon=True)
         self._thread.start()
 
     def play(self, duration: float) -> None:
-        """From the beginning."""
+        """Play from the beginning for `duration` [s]."""
         with self._wake:
             self._duration = duration
             self._wake.notify()
 
     def seek(self, t: float) -> None:
-        """Stand still at a time [s]."""
+        """Stop playing and show the motion at a time [s]."""
         with self._wake:
             self._duration, self._at = None, t
             self._wake.notify()

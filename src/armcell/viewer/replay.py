@@ -1,4 +1,4 @@
-"""A recorded run in the browser: a time slider, play and pause, jumps to stages."""
+"""Replay of a recorded run in the browser: time slider, play and pause, jumps to stages."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ NO_STAGE = "-"
 
 
 class ReplayView:
-    """Shows a record at `url`; use in a `with` block.
+    """Browser page at `url` that replays a recorded run; use it in a `with` block.
 
     Args:
-        scene: the cell as the run began.
-        names: further host names under which browsers may ask for the page.
+        scene: the cell at the start of the run.
+        names: additional host names under which browsers may request the page.
     Raises:
-        InputError: the host is no address of this machine, or no port is free.
+        InputError: the host is not an address of this machine, or no port is free.
     """
 
     def __init__(
@@ -86,13 +86,13 @@ class ReplayView:
 
     # --- time ---
     def seek(self, time: float) -> None:
-        """Stand still at a time [s]."""
+        """Stop playing and show the run at a time [s]."""
         self._stopped()
         self._player.stop()
         self.show(time)
 
     def toggle(self) -> None:
-        """Play from where the slider is (from the beginning if at the end), or pause."""
+        """Pause, or play from the slider's time (from the beginning if it is at the end)."""
         if self._player.playing:
             self.seek(float(self.time.value))
             return
@@ -119,7 +119,7 @@ class ReplayView:
         self.play_button.label = "Play"
 
     def show(self, time: float) -> None:
-        """The cell as it was at a time [s]."""
+        """Draw the cell at a time [s] of the record."""
         with quietly():
             self.time.value = round(time, 2)
         at = max(bisect.bisect_right([t for t, _ in self._scenes], time + 1e-9) - 1, 0)
@@ -135,7 +135,7 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """The stage of a time, and the last event before it."""
+        """Return the last stage event up to a time [s], and the last other event if it is newer."""
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]
         return [*stages[-1:], *(e for e in before[-1:] if e.kind != "stage")]

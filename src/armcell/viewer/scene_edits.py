@@ -1,4 +1,4 @@
-"""What the panel does to a scene's objects: plain functions of scenes, names and files."""
+"""Edits of a scene's objects for the planning panel, as functions of scenes and files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "sphere": ("radius",),
     "cylinder": ("radius", "length"),
 }
-"""Shapes that can be added, with the names of their sizes."""
+"""Shapes that the user can add, with the names of their dimensions."""
 
 _MAKE: dict[str, Callable[..., Shape]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder}
 NEW_COLOR = (0.93, 0.69, 0.13, 1.0)
@@ -23,7 +23,7 @@ SUFFIXES = (".scene", ".yaml", ".yml")
 
 
 def free_name(scene: PlanningScene, kind: str) -> str:
-    """A name for a new object that nothing has."""
+    """Return an unused name for a new object of this kind, e.g. "box_2"."""
     taken, number = set(scene.frame_names), 1
     while f"{kind}_{number}" in taken:
         number += 1
@@ -33,10 +33,12 @@ def free_name(scene: PlanningScene, kind: str) -> str:
 def with_new(
     scene: PlanningScene, name: str, kind: str, size: tuple[float, ...], T_world_object: SE3
 ) -> PlanningScene:
-    """A box (x, y, z), sphere (radius) or cylinder (radius, length) [m] added.
+    """Return the scene with a new box, sphere or cylinder.
 
+    Args:
+        size: box (x, y, z), sphere (radius) or cylinder (radius, length) [m].
     Raises:
-        InputError: an unknown kind, an impossible size, or a name that something has.
+        InputError: the kind is unknown, a size is invalid, or the name is in use.
     """
     if kind not in KINDS:
         raise InputError(f"{kind!r} is no shape", cure=f"choose one of {', '.join(KINDS)}")
@@ -49,10 +51,12 @@ def with_new(
 
 
 def with_attached(scene: PlanningScene, name: str, link: str | None) -> PlanningScene:
-    """An object fixed to a link where it is; links that touch it now may go on touching it.
+    """Return the scene with an object attached to a link at the object's current pose.
+
+    Links that are in contact with the object now are allowed to stay in contact.
 
     Raises:
-        InputError: no link, no such object, or a cloud.
+        InputError: there is no link or no such object, or the object is a point cloud.
     """
     if link is None:
         raise InputError("the group has no tip to attach to", cure="choose a group that is a chain")
@@ -60,25 +64,30 @@ def with_attached(scene: PlanningScene, name: str, link: str | None) -> Planning
 
 
 def bodies(scene: PlanningScene) -> list[str]:
-    """Everything that can touch: links with collision geometry, objects, attached objects."""
+    """Return the names of all collision bodies: links with geometry, objects, attached objects."""
     solid = [name for name, link in scene.model.links.items() if link.collisions]
     return [*solid, *scene.objects, *scene.attached]
 
 
 def other_bodies(scene: PlanningScene, body: str) -> list[str]:
-    """What a body can touch: objects do not touch each other in planning, nor rigid parts of one link."""
+    """Return the bodies that can collide with a given body.
+
+    Planning does not check objects against each other.
+    """
     standing = set(scene.objects)
     return [b for b in bodies(scene) if b != body and not {b, body} <= standing]
 
 
 def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
-    """Write the objects, attached ones where they are, to a .scene or .yaml file; says what was done.
+    """Write the scene's objects to a .scene or .yaml file; return a message for the user.
+
+    Attached objects are written at their current pose.
 
     Args:
-        file: a name without folders: a web page must not write just anywhere.
-        ours: files written before, which may be written again; the new one is added.
+        file: plain file name without folders, because a web page must not write to arbitrary paths.
+        ours: files that this session has written and may overwrite; the new file is added.
     Raises:
-        InputError: another suffix, a folder in the name, a file of somebody else's.
+        InputError: wrong suffix, a folder in the name, or the file exists and is not in `ours`.
     """
     path = _checked(file, folder)
     if path.exists() and path not in ours:
@@ -96,10 +105,10 @@ def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
 
 
 def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
-    """The objects of a file added; one of the same name is replaced.
+    """Return the scene with the objects of a file added; objects of the same name are replaced.
 
     Raises:
-        InputError: with file, line or element, and reason.
+        InputError: the file is invalid; the error names the file, the line or element, and the reason.
     """
     path = _checked(file, folder)
     if not path.exists():

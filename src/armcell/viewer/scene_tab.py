@@ -1,4 +1,4 @@
-"""The tab "Scene": objects come, go and are held; what may touch; files."""
+"""The "Scene" tab of the planning panel: objects, allowed collisions and files."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ NEW_AT = (0.5, 0.0, 0.6)  # [m] in the world
 
 
 class SceneTab:
-    """Widgets for the session's scene.
+    """Widgets that show and edit the objects of the session's scene.
 
     Args:
-        folder: where files are kept.
+        folder: folder for saving and loading scene files.
     """
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks, folder: Path):
         self._gui, self._session, self._on = gui, session, callbacks.of
         self._folder, self._ours = folder, set[Path]()
-        self._pairs_of = NONE  # the body whose boxes are shown
+        self._pairs_of = NONE  # body whose collision pairs are shown
         on = callbacks.of
         none: list[str] = [NONE]
         self.tree = gui.add_html("")
@@ -36,7 +36,7 @@ class SceneTab:
             self.chosen: Any = gui.add_dropdown("Chosen", none)
             self.chosen.on_update(on(self._choose))
             self.drag = gui.add_checkbox("Drag it", False)
-            self.drag.on_update(on(lambda: session.say("")))  # the view is drawn anew
+            self.drag.on_update(on(lambda: session.say("")))  # redraws the view
             self.attach = gui.add_button("Attach to the tip")
             self.attach.on_click(on(self._attach))
             self.remove = gui.add_button("Remove")
@@ -67,7 +67,7 @@ class SceneTab:
 
     @property
     def dragged(self) -> str | None:
-        """The object in the world that is to be dragged."""
+        """Name of the world object that the drag control moves, or None."""
         return (
             self.chosen.value
             if self.drag.value and self.chosen.value in self._session.scene.objects
@@ -82,7 +82,7 @@ class SceneTab:
             number.label = f"{names[i]} [m]" if i < len(names) else ""
 
     def _choose(self) -> None:
-        self._session.say("")  # so that the view shows the control where it belongs
+        self._session.say("")  # redraws the view with the control at the object
         self.refresh()
 
     def _add(self) -> None:
@@ -181,7 +181,7 @@ class SceneTab:
 
 
 def _offer(dropdown: Any, names: tuple[str, ...]) -> None:
-    """The choices; what was chosen stays if it is still there."""
+    """Set a dropdown's choices and keep the current choice if it still exists."""
     options = (NONE, *names)
     if dropdown.options != options:
         if dropdown.value not in options:

@@ -1,4 +1,4 @@
-"""Starting and stopping viser's server: guarded, on a free port, and without a word on stdout."""
+"""Start and stop of viser's server behind `PageGuard`, without output on stdout."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 PORTS_TRIED = 100
-PROBE_S = 5.0  # [s] for the page to refuse a request without a token
+PROBE_S = 5.0  # [s] until the page must have rejected a request without a token
 _starting = threading.Lock()
 
 
 @dataclass(frozen=True)
 class PageServer:
-    """A running page: viser's server and the guard in front of it.
+    """Running web page: viser's server behind its request guard.
 
     Attributes:
-        url: with the token; whoever has it can use the page.
-        endpoints: where it listens.
+        url: URL with the token; anyone who knows the URL can use the page.
+        endpoints: sockets that the page listens on.
     """
 
     viser: viser.ViserServer
@@ -45,26 +45,27 @@ class PageServer:
         return self.endpoints[0].port
 
     def open(self) -> None:
-        """Answer browsers; to be called when the page is built."""
+        """Start answering browsers; call this after building the page."""
         self.guard.open()
 
     def stop(self) -> None:
-        """Stop the server and wait for its thread; clients are disconnected."""
+        """Disconnect all clients, stop the server and wait for its thread."""
         with _quiet_viser():
             self.viser.stop()
 
 
 def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> PageServer:
-    """Serve a page that says it is starting until `open` is called.
+    """Start a page that shows a "starting" message until `open` is called.
 
     Args:
         host: address to listen on.
-        port: the first port to try; when it is taken the next free one is used.
-        label: shown on top of the panel.
-        names: further host names under which browsers may ask for the page.
+        port: first port to try; if it is in use, the next free port is taken.
+        label: title of the panel.
+        names: additional host names under which browsers may request the page.
     Raises:
-        InputError: the host is not an address of this machine, no port is free, a name is not a host name.
-        ArmcellError: the installed viser cannot be guarded; nothing listens then.
+        InputError: the host is not an address of this machine, no port is free, or a name is not a valid
+            host name.
+        ArmcellError: the guard does not work with the installed viser; the server is stopped.
     """
     import viser
 
@@ -77,7 +78,7 @@ def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> P
             raise _unguarded("does not start its server as armcell expects")
         for endpoint in endpoints:
             _probe(endpoint)
-        # A browser could have viser open a tunnel that offers the page on the internet.
+        # Otherwise a browser could make viser open a tunnel that exposes the page to the internet.
         setattr(server, "request_share_url", lambda verbose=True: None)  # noqa: B010
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     except BaseException:
@@ -94,10 +95,12 @@ def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> P
 
 
 def _free_port(host: str, port: int) -> int:
-    """The first port from `port` on that can be bound (viser would wait for ever for a bad host).
+    """Return the first port from `port` upwards that can be bound.
+
+    viser itself would wait forever for an invalid host.
 
     Raises:
-        InputError: the host is no address of this machine, or none of `PORTS_TRIED` ports is free.
+        InputError: the host is not an address of this machine, or none of `PORTS_TRIED` ports is free.
     """
     cure = "give an address of this machine and a port between 0 and 65535"
     try:
@@ -116,10 +119,14 @@ def _free_port(host: str, port: int) -> int:
     raise InputError(f"the viewer cannot listen on {host!r}, port {port}: {problem}", cure=cure)
 
 
-# --- what armcell changes of viser, which has no hook for either ---
+# --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """While inside, the server that viser starts asks the guard first; gives what `websockets` started."""
+    """Context manager that puts the guard in front of every server that viser starts inside it.
+
+    Yields:
+        List that receives the `websockets` server object.
+    """
     import websockets.asyncio.server as websockets
 
     serving: list[Any] = []
@@ -130,14 +137,14 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
             if not _from_viser():
                 return real(*arguments, **options)
             process = options.pop("process_request", None)
-            if process is None:  # not raised: viser would leave its caller waiting for the thread
+            if process is None:  # do not raise here: viser's caller would wait for the thread forever
                 process = lambda connection, request: None  # noqa: E731
             options |= {
                 "process_request": guard.in_front_of(process), "max_size": MAX_MESSAGE, "logger": _wire,
                 "create_connection": _counted(),
             }  # fmt: skip
             started = real(*arguments, **options)
-            serving[:] = [started]  # a port that is taken makes viser try the next one
+            serving[:] = [started]  # viser tries the next port if this port is in use
             return started
 
         setattr(websockets, "serve", serve)  # noqa: B010
@@ -148,7 +155,7 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
 
 
 class _OneLine(logging.Filter):
-    """Leaves out what strangers send, and the traceback of what a browser sends wrongly."""
+    """Log filter that drops untrusted request data and tracebacks of malformed browser requests."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         if record.exc_info:
@@ -162,9 +169,10 @@ _wire.addFilter(_OneLine())
 
 
 def _counted() -> Any:
-    """A connection that ends at once where there are too many, with or without the token.
+    """Return a websocket connection class that closes at once if there are too many connections.
 
-    Connections that say nothing would use up the file descriptors of a process that talks to robots.
+    The limit applies with and without the token: idle connections would otherwise use up the file
+    descriptors of a process that controls robots.
     """
     from websockets.asyncio.server import ServerConnection
 
@@ -178,10 +186,12 @@ def _counted() -> Any:
 
 
 def _probe(endpoint: Endpoint) -> None:
-    """See that a page without its token refuses a browser, whatever viser has become.
+    """Verify that the page rejects a request without its token.
+
+    The check guards against changes in the installed viser version.
 
     Raises:
-        ArmcellError: it does not.
+        ArmcellError: the page answers the request.
     """
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(endpoint.host, endpoint.host)
     websocket = {
@@ -211,7 +221,7 @@ def _unguarded(why: str) -> ArmcellError:
 
 
 def _from_viser(depth: int = 2) -> bool:
-    """Whether the function that asks was called by viser."""
+    """Return True if the caller's caller is a module of viser."""
     return str(sys._getframe(depth).f_globals.get("__name__", "")).partition(".")[0] == "viser"
 
 
@@ -220,9 +230,9 @@ _printing = threading.Lock()
 
 @contextlib.contextmanager
 def _quiet_viser() -> Iterator[None]:
-    """While inside, what viser gives to `rich.print` is logged; that of others is printed as ever.
+    """Context manager that logs viser's `rich.print` output; other callers print as usual.
 
-    viser announces its start and end on stdout even with `verbose=False`, and stdout is the caller's.
+    viser announces its start and end on stdout even with `verbose=False`, and stdout belongs to the caller.
     """
     import rich
 

@@ -1,4 +1,4 @@
-"""`PlanningSession`: what the planning panel does, without a browser: goal, settings, plan, execute."""
+"""`PlanningSession`: state and logic of the planning panel, without a GUI."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ from armcell.core import (
     PoseGoal,
     Suggestion,
 )
-from armcell.planning import plan, plan_cartesian
-from armcell.planning.explanation import explain_misuse
+from armcell.planning import explain_misuse, plan, plan_cartesian
 from armcell.scene import PlanningScene
 from armcell.tasks import Motion, perform_all
 from armcell.viewer.job import Job, Jobs
@@ -50,32 +49,32 @@ Array = NDArray[np.float64]
 Connect = Callable[[PlanningScene, Sequence[Observer]], LiveCell]
 logger = logging.getLogger(__name__)
 
-EXPLAIN_S = 10.0  # [s] about the most that finding out what would help may take
-START_TOLERANCE = 0.01  # [rad or m], the executor's
+EXPLAIN_S = 10.0  # [s] approximate time limit for finding suggestions
+START_TOLERANCE = 0.01  # [rad or m], same as the executor's start tolerance
 CLOSE_S = 5.0
 
 
 class PlanningSession:
-    """One person's planning in one scene. Thread-safe; long work runs in a thread of its own.
+    """Interactive planning in one scene: goal, settings, planning and execution. Thread-safe.
 
-    Attributes are values that are replaced, never changed: read them at any time. Whoever wants to know of
-    changes gives a function to `listen`; it is called with "goal", "scene", "settings" or "result", from
-    whichever thread made the change.
+    Long operations run in a background thread. Attributes hold immutable values that are replaced on change,
+    so they can be read at any time. Register a callback with `listen`: it is called with "goal", "scene",
+    "settings" or "result" from the thread that made the change.
 
     Attributes:
-        scene: the world and the robot where it is now.
-        start: positions (dof,) a plan begins at; None where the robot is.
-        goal: where it shall go, and whether it can stand there.
-        settings: planner, times, speeds, kind of motion.
-        result, explanation: of the last plan; the explanation comes a while after the result that failed.
-        outcome: of the last execution.
-        message: what was last done or went wrong, in words.
-        observers: of the live cell; to be set before the first execution.
+        scene: the world and the robot's current state.
+        start: joint positions (dof,) at which plans start; None for the robot's current state.
+        goal: goal state and whether it is reachable and collision-free.
+        settings: planner, planning time, velocity scaling and kind of motion.
+        result, explanation: of the last plan; the explanation of a failed plan arrives later than the result.
+        outcome: result of the last execution.
+        message: last action or error, as text.
+        observers: observers of the live cell; set them before the first execution.
 
     Args:
-        connect: makes a live cell of a scene with observers, for `execute`; without it plans are only
-            looked at.
-        seed: of planners and random states.
+        connect: returns a live cell for a scene and observers, for `execute`; without it the session can
+            only plan.
+        seed: random seed of the planners and random states.
     """
 
     def __init__(self, scene: PlanningScene, connect: Connect | None = None, seed: int = 0):
@@ -93,12 +92,12 @@ class PlanningSession:
         self._listeners: list[Callable[[str], None]] = []
         self._lock = threading.RLock()
         self._jobs = Jobs(self._lock, self._failed, lambda: self._tell("result"))
-        self._given: PlanRequest | CartesianRequest | None = None  # a suggestion's, until something is set
-        self._edits = 0  # of the world, by the user
+        self._given: PlanRequest | CartesianRequest | None = None  # request of an applied suggestion
+        self._edits = 0  # number of user edits of the world
         self._planned_with = self._live_with = -1  # `_edits` at the last plan, and when connected
         self.goal: GoalView = judged(scene, self.group, scene.positions, scene.positions)
 
-    # --- who listens ---
+    # --- listeners ---
     def listen(self, listener: Callable[[str], None]) -> None:
         self._listeners.append(listener)
 
@@ -107,18 +106,18 @@ class PlanningSession:
             for listener in self._listeners:
                 try:
                     listener(topic)
-                except Exception:  # a view that fails must not end the work it shows
+                except Exception:  # an error in a view must not end the work it shows
                     logger.exception("a listener of the planning session failed")
 
     def say(self, text: str) -> None:
-        """Set `message`."""
+        """Set `message` and notify the listeners."""
         self.message = text
         self._tell("result")
 
-    # --- what to plan ---
+    # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Planning groups with joints."""
+        """Names of the planning groups that have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -127,7 +126,7 @@ class PlanningSession:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Named states of the group."""
+        """Names of the current group's named states."""
         return tuple(self.scene.model.named_states.get(self.group, {}))
 
     @property
@@ -136,14 +135,14 @@ class PlanningSession:
 
     @property
     def start_positions(self) -> Array:
-        """Where a plan begins (dof,)."""
+        """Joint positions (dof,) at which a plan starts."""
         return self.scene.positions if self.start is None else self.start
 
     def set_group(self, name: str) -> None:
-        """Another group; its goal is where it is at the start.
+        """Select a planning group and reset the goal to the start state.
 
         Raises:
-            UnknownNameError: no such group.
+            UnknownNameError: the group does not exist.
         """
         with self._lock:
             self.scene.model.group(name)
@@ -153,10 +152,10 @@ class PlanningSession:
         self._tell("settings", "goal", "result")
 
     def set(self, **fields) -> None:
-        """Change some of `settings`.
+        """Change some fields of `settings`.
 
         Raises:
-            InputError: a value that cannot be; nothing is changed then.
+            InputError: a value is invalid; the settings stay unchanged.
         """
         with self._lock:
             settings = replace(self.settings, **fields)
@@ -165,17 +164,18 @@ class PlanningSession:
         self._tell("settings")
 
     def set_goal_pose(self, T_world_tip: SE3) -> None:
-        """The group's tip shall be at a pose; the goal says whether that can be."""
+        """Set the goal to a pose of the group's tip link; `goal.status` reports the outcome."""
         with self._lock:
             self._given = None
             self.goal = posed(self._start_scene(), self.group, T_world_tip, self.goal.positions, self._seed)
         self._tell("goal")
 
     def set_positions(self, state: JointState, start: bool = False) -> None:
-        """Some joints of the goal, or of the start; the others stay.
+        """Set some joints of the goal state, or of the start state; other joints stay unchanged.
 
         Raises:
-            InputError: outside limits. UnknownNameError: no such joint.
+            InputError: a position is outside the joint limits.
+            UnknownNameError: a joint does not exist.
         """
         with self._lock:
             model = self.scene.model
@@ -189,24 +189,24 @@ class PlanningSession:
         self._tell("goal")
 
     def set_named(self, name: str, start: bool = False) -> None:
-        """A named state of the group as goal, or as start.
+        """Set the goal state, or the start state, to a named state of the group.
 
         Raises:
-            UnknownNameError: no such state.
+            UnknownNameError: the state does not exist.
         """
         self.set_positions(self.scene.model.named_state(self.group, name), start)
 
     def set_random(self, start: bool = False) -> None:
-        """A random state of the group that is within limits and free.
+        """Set the goal state, or the start state, to a random collision-free state of the group.
 
         Raises:
-            InputError: none was found.
+            InputError: no collision-free sample was found.
         """
         q = random_positions(self._start_scene(), self.group, self._rng)
         self.set_positions(JointState(self.joint_names, q), start)
 
     def set_present(self, start: bool = False) -> None:
-        """The robot as it is now as goal, or as start."""
+        """Set the goal state, or the start state, to the robot's current state."""
         with self._lock:
             self._given = None
             if start:
@@ -221,10 +221,10 @@ class PlanningSession:
         self.goal = judged(self._start_scene(), self.group, positions, self.start_positions)
 
     def request(self) -> PlanRequest | CartesianRequest:
-        """What is asked of the planner.
+        """Return the planning request for the current goal and settings.
 
         Raises:
-            InputError: a straight line or an upright tip of a group that has no tip.
+            InputError: the settings ask for a straight line or an upright tip, but the group has no tip link.
         """
         if self._given is not None:
             return self._given
@@ -253,10 +253,10 @@ class PlanningSession:
 
     # --- the world ---
     def change_scene(self, change: Callable[[PlanningScene], PlanningScene], said: str = "") -> None:
-        """Replace the scene by what a function makes of it: objects, attached ones, what may touch.
+        """Replace the scene by `change(scene)`, e.g. to add, attach or move objects.
 
         Raises:
-            InputError: what the function raises, and while a motion is executed; nothing is changed then.
+            InputError: raised by `change`, or the robot is executing a motion; the scene stays unchanged.
         """
         with self._lock:
             if self.busy == "executing":
@@ -274,13 +274,14 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def apply(self, suggestion: Suggestion) -> None:
-        """Make the change that an explanation suggests: to the scene, the goal, the start or the settings.
+        """Apply the change that an explanation suggests to the scene, goal, start or settings.
 
-        The next plan asks just what was suggested, until something else is set.
+        The next plan uses exactly the suggested request until a goal or setting changes.
         """
         with self._lock:
             scene, request = suggestion.apply(self.scene, self.request())
-            if not np.array_equal(scene.positions, self.scene.positions):  # where the robot is, it is
+            # a suggestion cannot move the robot: plan from its state instead
+            if not np.array_equal(scene.positions, self.scene.positions):
                 request = replace(request, start=scene.state)
                 scene = replace(scene, positions=self.scene.positions)
             if scene is not self.scene:
@@ -295,7 +296,7 @@ class PlanningSession:
         self._tell("scene", "settings", "goal", "result")
 
     def _adopt_goal(self, request: PlanRequest | CartesianRequest) -> None:
-        """Show the first goal of a request."""
+        """Show the first goal of a planning request as the session's goal."""
         goal = PoseGoal(request.waypoints[-1]) if isinstance(request, CartesianRequest) else request.goals[0]
         if isinstance(goal, NamedGoal):
             goal = JointGoal(self.scene.model.named_state(request.group, goal.name))
@@ -311,14 +312,14 @@ class PlanningSession:
     # --- planning ---
     @property
     def busy(self) -> str:
-        """ "planning", "explaining", "executing" or nothing."""
+        """Current activity: "planning", "explaining", "executing" or an empty string."""
         return self._jobs.busy
 
     def plan(self) -> None:
-        """Begin to plan; `result` tells how it went, `explanation` later why not.
+        """Start planning in the background; the outcome appears in `result`, then in `explanation`.
 
         Raises:
-            InputError: something else is being done, or the request is none.
+            InputError: another job is running, or the request is invalid.
         """
         with self._lock:
             scene, request, edits = self.scene, self.request(), self._edits
@@ -335,12 +336,12 @@ class PlanningSession:
                 result = plan_cartesian(scene, request, job.cancel)
             else:
                 result = plan(scene, request, job.cancel)
-        except InputError as error:  # misuse is explained as well
+        except InputError as error:  # invalid requests are explained, too
             explanation = explain_misuse(scene, request, error, EXPLAIN_S)
             self._publish(job, message=str(error), explanation=explanation)
             return
         if result.ok:
-            _ = result.min_clearance  # worked out here, not in the thread that shows it
+            _ = result.min_clearance  # compute the cached value here, not in the GUI thread
         text = "planned" if result.ok else f"{result.code.name}: {result.message}"
         self._publish(job, message=text, result=result, planned_with=edits)
         if result.ok or result.code is ErrorCode.PREEMPTED or job.cancel.is_set():
@@ -350,7 +351,7 @@ class PlanningSession:
         self._publish(job, explanation=result.explain(EXPLAIN_S))
 
     def _publish(self, job: Job, *, planned_with: int | None = None, **fields) -> None:
-        """Set attributes, unless the job was given up meanwhile."""
+        """Set attributes of the session, unless the job has been abandoned."""
         with self._lock:
             if self._jobs.current is not job:
                 return
@@ -364,10 +365,10 @@ class PlanningSession:
         self.result = self.explanation = self.outcome = None
 
     def positions_at(self, t: float) -> Array:
-        """All joints (dof,) at a time [s] of the planned motion.
+        """Return all joint positions (dof,) at a time [s] of the planned motion.
 
         Raises:
-            InputError: there is no motion.
+            InputError: there is no planned motion.
         """
         trajectory = self.result.trajectory if self.result is not None else None
         if trajectory is None:
@@ -378,7 +379,7 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Why the last plan cannot be executed; empty where it can."""
+        """Reason why the last plan cannot be executed; empty if it can."""
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -395,10 +396,10 @@ class PlanningSession:
         return ""
 
     def execute(self) -> None:
-        """Begin to move the robot along the last plan.
+        """Start executing the last plan in the background.
 
         Raises:
-            InputError: see `why_not_executable`.
+            InputError: the plan cannot be executed; the text is `why_not_executable`.
         """
         with self._lock:
             why = self.why_not_executable
@@ -424,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """The live cell, made anew where the user has changed the world since."""
+        """Return the live cell; reconnect if the user has edited the world since connecting."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -449,23 +450,25 @@ class PlanningSession:
         self.message = message
 
     def stop(self) -> None:
-        """Stop planning, explaining or the robot."""
+        """Cancel planning or explaining, or stop the robot."""
         if self._jobs.stop():
             self._tell("result")
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until nothing is being done; whether that came within the time [s]."""
+        """Wait until the session is idle; return False if `timeout` [s] expires first."""
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Stop everything and disconnect. The session can be used on, but nothing runs."""
+        """Stop all jobs and disconnect from the robot. The session object stays usable."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()
 
 
 def _first_group(scene: PlanningScene) -> str:
-    """The group that carries a gripper, else the first chain, else the first with joints.
+    """Return the default planning group of the scene's robot.
+
+    Prefer a gripper's arm group, then the first chain, then the first group with joints.
 
     Raises:
         InputError: the robot has no group with joints.
@@ -482,7 +485,10 @@ def _first_group(scene: PlanningScene) -> str:
 
 
 def _asked(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
-    """The state that is shown; where it cannot be, the pose that was asked for, so that it is explained."""
+    """Return the displayed joint goal; if that state is invalid, the requested pose instead.
+
+    Planning to the pose then fails with an explanation of the invalid goal.
+    """
     if goal.by_pose and goal.status != "free":
         assert goal.T_world_tip is not None
         return PoseGoal(goal.T_world_tip)

@@ -1,4 +1,4 @@
-"""What a planning session asks for: the goal and whether the robot can stand there, and the settings."""
+"""Goal and settings of a planning session, and the reachability check of the goal."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from armcell.core import (
     PlanRequest,
 )
 from armcell.kinematics import ik_solver, kinematic_tree
-from armcell.planning import find_planner
-from armcell.planning.problem import sampling_bounds
+from armcell.planning import find_planner, sampling_bounds
 from armcell.scene import PlanningScene
 from armcell.timing import check_scaling
 
@@ -29,13 +28,13 @@ Array = NDArray[np.float64]
 
 FREE, UPRIGHT, LINE = "free", "keep upright", "straight line"
 MOTIONS = (FREE, UPRIGHT, LINE)
-TILT = float(np.deg2rad(10.0))  # [rad] by which the tip may tilt where it is to stay upright
-TRIES = 2000  # random states looked at for a free one
+TILT = float(np.deg2rad(10.0))  # [rad] tolerance of an upright tip
+TRIES = 2000  # random samples tested for a collision-free state
 
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """What is chosen in the panel."""
+    """Planning settings that the user selects in the panel."""
 
     pipeline: str = "native"
     planner: str = "RRTConnect"
@@ -46,7 +45,7 @@ class PlanSettings:
     motion: str = FREE  # one of MOTIONS
 
     def check(self) -> None:
-        """Raise InputError for what cannot be."""
+        """Raise InputError if a setting is invalid."""
         find_planner(self.pipeline, self.planner)
         check_scaling(self.velocity_scaling, "velocity scaling")
         check_scaling(self.acceleration_scaling, "acceleration scaling")
@@ -58,7 +57,7 @@ class PlanSettings:
             raise InputError(f"motion is {self.motion!r}", cure=f"choose one of {', '.join(MOTIONS)}")
 
     def as_in(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
-        """The settings that a request has."""
+        """Return the settings with the values of a planning request."""
         speeds: dict[str, Any] = {
             "velocity_scaling": request.velocity_scaling,
             "acceleration_scaling": request.acceleration_scaling,
@@ -78,14 +77,14 @@ class PlanSettings:
 
 @dataclass(frozen=True, eq=False)
 class GoalView:
-    """The robot as it would stand at the goal.
+    """Goal state of the robot as the panel shows it.
 
     Attributes:
-        positions: (dof,) of all joints; out of reach the nearest found.
+        positions: positions (dof,) of all joints; for an unreachable pose the nearest state found.
         status: "free", "collision" or "out of reach".
-        text: the status in words, with the pair that touches or the distance.
-        T_world_tip: wanted pose of the group's tip; None where the group has none.
-        by_pose: whether the pose was asked for, not the joints.
+        text: the status as text, with the colliding pair or the distance.
+        T_world_tip: requested pose of the group's tip link; None if the group has no tip link.
+        by_pose: True if the goal was given as a pose instead of joint positions.
     """
 
     positions: Array
@@ -97,7 +96,7 @@ class GoalView:
 
 
 def judged(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
-    """Whether the robot can stand at positions (dof,), coming from a start (dof,)."""
+    """Check joint positions (dof,) for collisions; margins are relaxed at `start` (dof,)."""
     names = scene.model.group(group).joint_names
     checker = KernelChecker(replace(scene, positions=positions), names)
     columns = checker.columns
@@ -116,12 +115,12 @@ def _touching(checker: KernelChecker, positions: Array, T: SE3 | None, by_pose: 
 
 
 def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed: int) -> GoalView:
-    """The robot with the group's tip at a pose: the free solution nearest to `near` (dof,).
+    """Solve IK for a tip pose and return the collision-free solution nearest to `near` (dof,).
 
-    Where each solution touches something the nearest of them; out of reach the closest that can be had.
+    If all solutions collide, the nearest of them is returned; for an unreachable pose, the closest state.
 
     Raises:
-        InputError: the group has no tip, or the pose is not finite.
+        InputError: the group has no tip link, or the pose is not finite.
     """
     ik = ik_solver(scene.model, group)
     checker = KernelChecker(scene, ik.joint_names)
@@ -142,10 +141,12 @@ def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed:
 
 
 def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator) -> Array:
-    """A free state (n,) of a group, uniform within limits (joints without: one turn around the present).
+    """Sample a collision-free state (n,) of a group, uniformly within the joint limits.
+
+    Joints without limits are sampled within one turn around their current position.
 
     Raises:
-        InputError: none of `TRIES` was free.
+        InputError: none of `TRIES` samples was collision-free.
     """
     names = scene.model.group(group).joint_names
     checker = KernelChecker(scene, names)
@@ -159,13 +160,14 @@ def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator)
 
 
 def keep_upright(scene: PlanningScene, group: str) -> Constraints:
-    """The tip's axis that is nearest to the vertical at the start stays within `TILT` of it; it may turn.
+    """Return a constraint that keeps the tip upright but lets it rotate about the vertical.
 
-    Rotation vectors in the wanted orientation's axes: the one about the vertical axis is free.
+    The tip axis that is nearest to the vertical at the start may tilt by at most `TILT`. Tolerances are
+    rotation vectors in the axes of the target orientation; the component about the vertical axis is free.
     """
     tip = scene.model.group(group).tip_link
     R = scene.frame_pose(str(tip)).rotation
-    axis = int(np.argmax(np.abs(R.matrix[2])))  # the tip's axes' shares in world z
+    axis = int(np.argmax(np.abs(R.matrix[2])))  # world z components of the tip's axes
     vertical = np.array([0.0, 0.0, np.sign(R.matrix[2, axis])])
     wanted = SO3.between(R.matrix[:, axis], vertical) @ R
     tolerance = [TILT, TILT, TILT]

@@ -1,4 +1,4 @@
-"""`SetupView`: a robot that is being set up, in the browser: its groups, states and pairs of links."""
+"""`SetupView`: browser page that shows a proposed robot setup with its collision pairs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Pair(Protocol):
 
 
 class Proposed(Protocol):
-    """What is shown: `armcell.cell.setup.Proposal`."""
+    """Interface of the shown proposal; implemented by `armcell.cell.setup.Proposal`."""
 
     @property
     def model(self) -> RobotModel: ...
@@ -41,23 +41,24 @@ class Proposed(Protocol):
 
 
 class SetupView:
-    """Shows a proposal until its buttons are clicked, inside a `with` block.
+    """Browser page that shows a setup proposal until the user clicks "Write" or "Cancel".
 
-    A pair of links is checked or ignored as its box says; boxes are shown for one link at a time, the links
-    most often in contact with it first. A named state is shown when it is chosen.
+    Use it in a `with` block. Each pair of links has a box that selects whether it is collision-checked or
+    ignored. The page shows the boxes of one link at a time, links with the most frequent contacts first.
+    Selecting a named state shows it.
 
     Attributes:
-        url: where to point a browser; with the token that the page asks for.
-        done: whether "Write" or "Cancel" was clicked.
-        answer: the proposal with the boxes as they are; None after "Cancel".
+        url: URL that opens the page on this machine, with the page's token.
+        done: True after "Write" or "Cancel" was clicked.
+        answer: the proposal with the user's selections; None after "Cancel".
     Args:
-        names: further host names under which browsers may ask for the page.
+        names: additional host names under which browsers may request the page.
     """
 
     def __init__(self, proposal: Any, host: str = "127.0.0.1", port: int = 8080, names: Iterable[str] = ()):
         self.answer: Any = proposal
         self.done = False
-        self._deciding = threading.Lock()  # clicks come in threads of viser's
+        self._deciding = threading.Lock()  # clicks arrive in viser's threads
         self._model: RobotModel = proposal.model
         self._tree = kinematic_tree(self._model)
         self._q = self._model.default_positions()
@@ -137,7 +138,7 @@ class SetupView:
             self._show_pairs()
 
     def _show_pairs(self) -> None:
-        """Boxes of the chosen link's pairs; how often they touch stands below each name."""
+        """Show a box for each pair of the selected link, with the contact frequency below the name."""
         with self._deciding:
             for box in self.boxes.values():
                 box.remove()
@@ -157,7 +158,7 @@ class SetupView:
                     self.boxes[pair.links] = box
 
     def _stands(self, group: str, state: str) -> bool:
-        """Whether a group is where one of its states says."""
+        """Return True if the shown robot is at a named state of a group (within 1e-3)."""
         target = self._model.named_state(group, state)
         here = self._q[self._model.columns(target.joint_names)]
         return bool(np.allclose(here, target.positions, atol=1e-3))

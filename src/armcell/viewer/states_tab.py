@@ -1,4 +1,4 @@
-"""The tab "States": goal and start by joints, by name, at random."""
+"""The "States" tab of the planning panel: goal and start state by sliders or by name."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 GOAL, START = "goal", "start"
 NONE = "-"
-WIDE = 2 * np.pi  # [rad] shown of a joint without limits, to each side
+WIDE = 2 * np.pi  # [rad] slider range, to each side, of a joint without limits
 STEP = 0.1  # [deg or mm]
 
 
 class StatesTab:
-    """Sliders in degrees and millimetres. What they show and move is the goal or the start."""
+    """Joint sliders in degrees and millimeters that show and set the goal or the start state."""
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks):
         self._gui, self._session, self._on = gui, session, callbacks.of
@@ -51,11 +51,11 @@ class StatesTab:
     def _slid(self, name: str) -> None:
         value = self.sliders[name].value / self._unit(name)[1]
         joint = self._session.scene.model.joint(name)
-        value = float(np.clip(value, joint.limits.lower, joint.limits.upper))  # a slider's steps may pass it
+        value = float(np.clip(value, joint.limits.lower, joint.limits.upper))  # a slider step may exceed it
         self._session.set_positions(JointState((name,), np.array([value])), self.is_start)
 
     def _unit(self, name: str) -> tuple[str, float]:
-        """What is shown, and how many of it are a radian or metre."""
+        """Return a joint's display unit and the factor from radians or meters to that unit."""
         slides = self._session.scene.model.joint(name).type == "prismatic"
         return ("mm", 1000.0) if slides else ("deg", 180.0 / np.pi)
 

@@ -1,4 +1,4 @@
-"""`CellViewer`: an observer that shows a cell in the browser."""
+"""`CellViewer`: observer that shows a cell in the browser."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
 UPDATE_HZ = 30.0
-"""Of wall time; samples between two updates are passed over, the last one is always shown."""
+"""Update rate in wall time; samples between two updates are skipped, the last one is always shown."""
 PATH_SAMPLES = 80
 PATH_COLOR = (0, 114, 178)
 
 
 class CellViewer:
-    """Shows robot, objects, planned tool paths and the cell's status at `url`.
+    """Browser page that shows a cell's robot, objects, planned tool paths and status.
 
-    The `on_...` calls only hand over what happened; a thread of the viewer's own does the kinematics and
-    the sending, so the thread that steps the physics is never held up.
+    The page is served at `url`. The observer callbacks `on_...` only queue their data. The viewer's own
+    thread computes the kinematics and sends the updates, so the thread that steps the physics never waits.
 
     Args:
-        scene: what stands in the cell; its state is shown until the first sample.
+        scene: robot and objects of the cell; its state is shown until the first sample arrives.
         host: address to listen on.
-        port: the first port to try; when it is taken the next free one is used (see `url`).
-        title: shown on top of the panel; the robot's name by default.
-        names: further host names under which browsers may ask for the page.
-        starting: say so to browsers until `open` is called, for pages that add to the view.
+        port: first port to try; if it is in use, the next free port is taken (see `url`).
+        title: title of the panel; the robot's name by default.
+        names: additional host names under which browsers may request the page.
+        starting: show a "starting" page until `open` is called, for pages that extend the view.
     Raises:
-        InputError: the host is no address of this machine, or no port is free.
+        InputError: the host is not an address of this machine, or no port is free.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class CellViewer:
         self._paths: list[Any] = []
         try:
             self._build()
-        except BaseException:  # a visual that cannot be read, say: leave no server behind
+        except BaseException:  # e.g. an unreadable visual mesh: stop the server before raising
             self.page.stop()
             raise
         self._panel = StatusPanel(
@@ -85,7 +85,7 @@ class CellViewer:
 
     @property
     def url(self) -> str:
-        """Where to point a browser on this machine; with the token that the page asks for."""
+        """URL that opens the page in a browser on this machine; it contains the page's token."""
         return self.page.url
 
     @property
@@ -93,12 +93,12 @@ class CellViewer:
         return self.page.port
 
     def open(self) -> None:
-        """Answer browsers from now on."""
+        """Start answering browsers."""
         self.page.open()
 
     @property
     def server(self) -> viser.ViserServer:
-        """viser's own server, to add to the view."""
+        """viser's server object, for adding to the view."""
         return self._server
 
     # --- Observer: called from the thread that steps the cell ---
@@ -118,7 +118,7 @@ class CellViewer:
             self._wake.notify()
 
     def close(self) -> None:
-        """Stop the server and its threads; the port is free afterwards. May be called twice."""
+        """Stop the server and its threads and free the port; repeated calls have no effect."""
         with self._wake:
             if self._closing:
                 return
@@ -158,8 +158,8 @@ class CellViewer:
         _place(self.object_frames[item.name], item.T_world_object)
 
     def show_scene(self, scene: PlanningScene) -> None:
-        """Show another scene of the same robot: objects come, go and move; the robot stands at its state."""
-        with self._wake:  # samples from before are of the past
+        """Show another scene with the same robot: update the objects and the robot's state."""
+        with self._wake:  # discard samples of the old scene
             self._sample = None
             old, self._scene = self._scene, scene
         with self._server.atomic():
@@ -177,11 +177,11 @@ class CellViewer:
             self._place_links()
 
     def _shown(self, what: str, visible: bool) -> None:
-        """A checkbox of the panel was clicked."""
+        """Handle a click on a visibility checkbox of the panel."""
         for handle in tuple({"collision": self._collisions, "path": self._paths}[what]):
             handle.visible = visible
 
-    # --- updating: the viewer's own thread from here on ---
+    # --- updating: runs in the viewer's own thread ---
     def _run(self) -> None:
         while True:
             with self._wake:
@@ -195,7 +195,7 @@ class CellViewer:
             try:
                 with self._server.atomic():
                     self._show(sample, events, trajectory)
-            except Exception:  # a view that fails must not end the run it looks at
+            except Exception:  # an error in the view must not end the run
                 logger.exception("the viewer could not show an update")
             rest = 1 / UPDATE_HZ - (time.monotonic() - begin)
             with self._wake:
@@ -223,7 +223,10 @@ class CellViewer:
                 _place(self.object_frames[name], T)
 
     def _draw_path(self, trajectory: JointTrajectory) -> None:
-        """The way each moved tool will go, as a line in the world frame, in place of the last one."""
+        """Draw the planned path of each moving tool as a line in the world frame.
+
+        The new lines replace those of the previous plan.
+        """
         for handle in self._paths:
             handle.remove()
         self._paths = []
@@ -235,7 +238,7 @@ class CellViewer:
         Ts = np.array([self._tree.link_transforms(q) for q in qs])  # (samples, links, 4, 4)
         for tip in self._tips:
             points = Ts[:, self._tree.link_index[tip], :3, 3]
-            if np.ptp(points, axis=0).max() < 1e-4:  # another arm's, or only the fingers move
+            if np.ptp(points, axis=0).max() < 1e-4:  # this tool does not move
                 continue
             self._paths.append(
                 self._server.scene.add_line_segments(
@@ -249,7 +252,7 @@ class CellViewer:
 
 
 def _merged(scene: PlanningScene, q: Array, joints: JointState) -> Array:
-    """`q` (dof,) with the robot's actuated joints among `joints` overwritten."""
+    """Return a copy of `q` (dof,) with the actuated joints in `joints` overwritten."""
     q, at = q.copy(), {name: i for i, name in enumerate(scene.model.joint_names)}
     for name, value in zip(joints.joint_names, joints.positions, strict=True):
         if name in at:
@@ -263,7 +266,7 @@ def _place(frame: Any, T_world_frame: SE3) -> None:
 
 
 def _tool_links(scene: PlanningScene) -> tuple[str, ...]:
-    """The tcp links of the grippers, or of a robot without any the tips of its chains."""
+    """Return the grippers' TCP links; for a robot without grippers, its chains' tip links."""
     tips = [g.tcp_link for g in scene.model.grippers.values()]
     tips = tips or [g.tip_link for g in scene.model.groups.values() if g.tip_link]
     return tuple(dict.fromkeys(tips))

@@ -1,4 +1,4 @@
-"""An explanation in the view: what touches in red, the nearest state that works as a ghost."""
+"""Drawing of a planning explanation: colliding bodies in red, a nearby valid state in green."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ if TYPE_CHECKING:
 
 BLOCKING: Color = (0.85, 0.10, 0.10, 0.75)
 GHOST: Color = (0.15, 0.65, 0.35, 0.30)
-POINT_M = 0.012  # radius of the ball at a contact
+POINT_M = 0.012  # [m] radius of the ball at a contact
 
 
 def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """Draw what an explanation found into a view of the scene; returns viser's handles.
+    """Draw an explanation into a view of the scene and show its summary in the panel.
 
-    The bodies that touch are red, where they touch: links as they stand there. The ghost is the whole robot
-    at `explanation.nearest`, green. The summary stands in the panel.
+    Colliding bodies are red, at the state of the collision. A green ghost of the whole robot shows
+    `explanation.nearest`.
+
+    Returns:
+        viser handles of everything that was added.
     """
     handles = draw_explanation(viewer.server, scene, explanation)
     lines = [f"**{explanation.code.name}**", explanation.summary]
@@ -36,7 +39,7 @@ def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Expl
 
 
 def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """The same without the words."""
+    """Draw an explanation's colliding bodies, contact points and nearest state, without text."""
     api = server.scene
     handles: list[Any] = []
     bodies = list(dict.fromkeys(n for c in explanation.contacts for n in (c.body_a, c.body_b)))
@@ -61,14 +64,14 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """The scene with some joints elsewhere; joints without a number at the model's own."""
+    """Return the scene moved to `state`; non-finite joints get their default positions."""
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()
     return replace(scene, positions=np.where(np.isfinite(positions), positions, usual))
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """A link's collision shapes, or an object, in one colour."""
+    """Draw a link's collision shapes, or an object, in one color; return viser's handles."""
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)
         shapes = [(c.shape, T @ c.T_link_shape) for c in scene.model.links[name].collisions]

@@ -1,4 +1,4 @@
-"""What the panel's tabs share: callbacks that neither fail nor echo, and words as safe HTML."""
+"""Shared helpers of the panel's tabs: robust, non-recursive callbacks and HTML-safe text."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _quiet = threading.local()
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """While inside, this thread may set widgets without their callbacks being called for it."""
+    """Context manager in which this thread can set widgets without triggering their callbacks."""
     before, _quiet.on = getattr(_quiet, "on", False), True
     try:
         yield
@@ -27,11 +27,11 @@ def quietly() -> Iterator[None]:
 
 
 class Callbacks:
-    """Makes callbacks of viser's widgets: an error is said, and the widgets are set back.
+    """Factory of viser widget callbacks that report errors and reset the widgets.
 
     Args:
-        say: shows a text.
-        refresh: sets all widgets to what is true.
+        say: shows an error text.
+        refresh: resets all widgets to the current state.
     """
 
     def __init__(self, say: Callable[[str], None], refresh: Callable[[], None]):
@@ -57,7 +57,7 @@ class Callbacks:
 
 
 def paragraph(text: str, color: str = "inherit", bold: bool = False) -> str:
-    """A text of anybody's as HTML; line breaks are kept."""
+    """Return untrusted text as an escaped HTML paragraph with its line breaks kept."""
     weight = "600" if bold else "inherit"
     style = f"padding:0.1em 0.75em;font-size:0.85em;line-height:1.35;color:{color};font-weight:{weight}"
     return f'<div style="{style};white-space:pre-wrap;overflow-wrap:anywhere">{html.escape(text)}</div>'

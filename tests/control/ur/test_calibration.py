@@ -9,7 +9,7 @@ import pytest
 from tests.control.ur.emulated import emulator, free_hosts, free_port
 
 from armcell.cell import load, with_values
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.cli.main import main
 from armcell.control.drivers.ur.calibration import calibrated
 from armcell.control.ur_controller.controller import factory_calibration

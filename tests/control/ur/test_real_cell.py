@@ -10,7 +10,7 @@ import pytest
 from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port
 
 from armcell.cell import cell_names, load
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.cli.main import main
 from armcell.core import ErrorCode
 from armcell.records import RunRecorder

@@ -8,7 +8,7 @@ from tests.control.ungated import execute_coupled
 from tests.control.ur.emulated import dashboard, emulator, free_hosts, free_port, in_real_time
 from tests.control.ur.rig import MOVE, pair, swing, two_arms
 
-from armcell.cell.cell import LIBRARY
+from armcell.cell.built_in import LIBRARY
 from armcell.cli.main import main
 from armcell.control import DriverOptions, drivers
 from armcell.control.drivers.ur.identity import identify

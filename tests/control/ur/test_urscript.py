@@ -103,7 +103,7 @@ def test_what_is_no_urscript_is_said_with_its_line(text, reason):
         ("x = y\n", "variable 'y' has no value"),
         ("x = [1]\nz = x[3]\n", "line 2"),
         ("x = 1 / 0\n", "division"),
-        ("open_door()\n", "function 'open_door' is not known"),
+        ("modbus_add_signal()\n", "line 1: this emulator does not have the function 'modbus_add_signal'"),
     ],
 )
 def test_runtime_errors_name_the_line(text, reason):
@@ -111,9 +111,26 @@ def test_runtime_errors_name_the_line(text, reason):
         run(text)
 
 
+def test_an_unknown_function_is_found_before_the_program_starts_as_on_a_controller():
+    text = "def f():\n  x = 1\n  if x > 2:\n    y = 2 + open_door(x)\n  end\nend\n"
+    with pytest.raises(ScriptError, match="line 4: function 'open_door' is not known") as found:
+        run(text)
+    error = found.value
+    assert (error.line, error.column, error.code) == (4, 13, "compile_error_name_not_found:open_door:")
+
+
+def test_a_secondary_program_must_not_take_time():
+    machine = Machine("sec act():\n  out(3)\nend\n", {"sync": list}, {"out": lambda x: None})
+    assert machine.secondary
+    machine.step()
+    assert not machine.running
+    with pytest.raises(ProgramError, match="sync takes time"):
+        Machine("sec act():\n  sync()\nend\n", {"sync": list}, {}).step()
+
+
 @pytest.mark.parametrize("name", ["__import__", "exec", "M", "G", "open", "__builtins__"])
 def test_a_script_cannot_reach_python(name):
-    with pytest.raises(ProgramError, match="not known|has no value"):
+    with pytest.raises(ScriptError, match="not known"):
         run(f'x = {name}("os")\n')
     with pytest.raises(ProgramError, match="has no value"):
         run(f"x = {name}\n")

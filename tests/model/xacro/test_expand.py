@@ -16,7 +16,7 @@ from armcell.core import InputError
 from armcell.model import load_robot
 from armcell.model.xacro import expand_xacro
 
-VENDORS = Path(__file__).parents[4] / "shared" / "data" / "robots"
+VENDORS = Path(__file__).parents[4].joinpath("shared", "data", "robots").resolve()  # may be a link
 ROBOT = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 
 

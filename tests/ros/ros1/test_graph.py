@@ -159,7 +159,7 @@ def test_actions_go_along(joined):
         sent = client.send(S.new(f"{kind}Goal", S.new("control_msgs/GripperCommand", position=-1.0)))
         eventually(lambda: sent.state is State.ACTIVE)
         sent.cancel()
-        assert sent.wait(5) and sent.state is State.PREEMPTED and sent.text == "stopped"
+        assert sent.wait(5) and sent.state is State.PREEMPTED and sent.text == "canceled by a client: stopped"
 
 
 def test_parameters_are_the_graphs(joined):

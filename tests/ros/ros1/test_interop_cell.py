@@ -62,6 +62,31 @@ client.wait_for_result(rospy.Duration(10))
 found["cancelled"] = client.get_state()
 client.send_goal_and_wait(goal(0.1, 1.0, ["nonsense"] * 7), rospy.Duration(10))
 found["unknown joint"] = [client.get_state(), client.get_result().error_code]
+def transitions(name, kind, refused):
+    # The states of actionlib's own state machine for a goal.
+    plain, seen, over = actionlib.ActionClient(name, ours.message(kind)), [], []
+    assert plain.wait_for_server(rospy.Duration(20)), name
+    def changed(handle):
+        seen.append(int(handle.get_comm_state()))
+        if handle.get_comm_state() == actionlib.CommState.DONE:
+            over.append(int(handle.get_terminal_state()))
+    handle = plain.send_goal(refused, changed)
+    while not over and not rospy.is_shutdown():
+        rospy.sleep(0.02)
+    return seen, over[0]
+wrong = goal(0.1, 1.0)
+for p in wrong.trajectory.points:
+    p.positions = [q + 0.2 for q in p.positions]
+closing = ours.message("control_msgs/GripperCommandGoal")()
+closing.command.position = float("nan")
+ACTIVE = actionlib.CommState.ACTIVE
+for what, refused in (("joint", goal(0.1, 1.0, ["nonsense"] * 7)), ("start", wrong)):
+    seen, end = transitions("/panda_arm_controller/follow_joint_trajectory",
+                            "control_msgs/FollowJointTrajectoryAction", refused)
+    found["refused " + what] = [ACTIVE in seen, end]
+hand = [n for n, _ in rospy.get_published_topics() if n.endswith("/gripper_cmd/status")][0]
+seen, end = transitions(hand[:-len("/status")], "control_msgs/GripperCommandAction", closing)
+found["refused hand"] = [ACTIVE in seen, end]
 stamps = [rospy.wait_for_message("/joint_states", JointState).header.stamp for _ in range(5)]
 found["stamps grow"] = all(b > a for a, b in zip(stamps, stamps[1:]))
 print(json.dumps(found))
@@ -213,6 +238,8 @@ def test_actionlib_drives_the_arm_and_the_states_come_at_30_hz(graph):
         assert found["moved"] == pytest.approx(0.4, abs=0.01)
         assert found["cancelled"] == 2  # PREEMPTED
         assert found["unknown joint"] == [5, -2]  # REJECTED, INVALID_JOINTS
+        for what in ("joint", "start", "hand"):  # never active, then REJECTED
+            assert found[f"refused {what}"] == [False, 5], found
         assert found["stamps grow"]
         assert abs(graph.hz("/joint_states", 12) - 30.0) <= 0.5
     finally:
@@ -231,7 +258,7 @@ def test_what_a_stock_moveit_commander_does(graph):
     assert {"table", "cube"} <= set(found["world"]) and found["applied"] and found["box there"]
     assert found["plan"] == [3, 1, True] and found["execute"] == [3, 1] and found["move"] == [3, 1]
     assert found["wrong start"] == [4, -4]  # ABORTED, CONTROL_FAILED
-    assert found["unknown group"] == [4, 99999]
+    assert found["unknown group"] == [4, -15]
     assert found["stopped"][1] == -7
     assert found["ik"][0] == 1 and found["ik"][1] >= 7
     assert found["planners"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from armcell.core import InputError
+from armcell.ros.names import NameMap, resolved
 from armcell.ros.ros1 import Ros1Settings, from_environment
-from armcell.ros.ros1.graph_names import GraphNames, resolved
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ def test_resolving(name, full):
 
 
 def test_a_namespace_holds_the_whole_cell_but_what_is_global():
-    names = GraphNames("n", "/left")
+    names = NameMap("n", "/left")
     assert names.node == "/left/n"
     assert names.to_graph("/joint_states") == "/left/joint_states"
     assert names.to_bus("/left/joint_states") == "/joint_states"
@@ -31,12 +31,12 @@ def test_a_namespace_holds_the_whole_cell_but_what_is_global():
 
 
 def test_remapping_goes_both_ways():
-    names = GraphNames("n", "/", {"joint_states": "/panda/joint_states", "~x": "y"})
+    names = NameMap("n", "/", {"joint_states": "/panda/joint_states", "~x": "y"})
     assert names.to_graph("/joint_states") == "/panda/joint_states"
     assert names.to_bus("/panda/joint_states") == "/joint_states"
     assert names.to_graph("/n/x") == "/y"
     with pytest.raises(InputError, match="both remapped"):
-        GraphNames("n", "/", {"a": "c", "b": "c"})
+        NameMap("n", "/", {"a": "c", "b": "c"})
 
 
 def test_settings_from_the_environment():

@@ -30,6 +30,7 @@ POSITIONAL = {
     "answer": ("service", "name", "seq"),
     "serve_trigger": ("service", "message"),
     "serve_gripper": ("name", "seconds"),
+    "serve_arm": ("name", "joints", "start"),
     "node": ("namespace", "name"),
 }
 

@@ -244,6 +244,73 @@ class Peer:
         self.serve(f"{name}/_action/cancel_goal", "CancelGoal", on_cancel)
         reply = self.serve(f"{name}/_action/get_result", "GripperGetResult", on_get)
 
+    def serve_arm(self, name, joints, start):
+        """A joint_trajectory_controller with its arm, and joint states 50 times a second.
+
+        As ros2_control's: it refuses a goal that does not name all joints, and follows the others along
+        straight lines in joint space, in the time they ask for.
+        """
+        q, now, results, waiting = dict(zip(joints, start)), {}, {}, {}
+        self.taken = []
+        self.advertise(f"rt{name}/_action/feedback", "FollowFeedbackMessage")
+        self.advertise(f"rt{name}/_action/status", "GoalStatusArray", latched=True, depth=1)
+        self.advertise("rt/joint_states", "JointState")
+
+        def publish():
+            while True:
+                stamp = {"sec": int(time.time()), "nanosec": time.time_ns() % SECOND}
+                state = {"header": {"stamp": stamp}, "name": list(q), "position": list(q.values())}
+                self.publish("rt/joint_states", {**state, "velocity": [0.0] * len(q)})
+                time.sleep(0.02)
+
+        def work(uuid, trajectory):
+            first, last = dict(q), trajectory.points[-1]
+            seconds = last.time_from_start.sec + last.time_from_start.nanosec / SECOND
+            began, status = time.monotonic(), 4
+            while (passed := time.monotonic() - began) < seconds:
+                if now["cancel"].wait(0.01):
+                    status = 5
+                    break
+                for joint, end in zip(trajectory.joint_names, last.positions):
+                    q[joint] = first[joint] + (end - first[joint]) * passed / seconds
+            if status == 4:
+                q.update(zip(trajectory.joint_names, last.positions))
+            finish(uuid, {"status": status, "result": {"error_code": 0}})
+
+        def finish(uuid, result):
+            results[uuid] = result
+            for request in waiting.pop(uuid, []):
+                reply(request, result)
+
+        def on_goal(request):
+            trajectory = request.goal.trajectory
+            self.taken.append([list(trajectory.joint_names), len(trajectory.points)])
+            accepted = set(trajectory.joint_names) == set(q)
+            if accepted:
+                now["cancel"] = threading.Event()
+                args = (bytes(request.goal_id.uuid), trajectory)
+                threading.Thread(target=work, args=args, daemon=True).start()
+            return {"accepted": accepted}
+
+        def on_cancel(request):
+            now["cancel"].set()
+            return {"return_code": 0, "goals_canceling": [dataclasses.asdict(request.goal_info)]}
+
+        def on_get(request):
+            uuid = bytes(request.goal_id.uuid)
+            if uuid not in results:
+                waiting.setdefault(uuid, []).append(request)
+            return results.get(uuid)
+
+        self.serve(f"{name}/_action/send_goal", "FollowSendGoal", on_goal)
+        self.serve(f"{name}/_action/cancel_goal", "CancelGoal", on_cancel)
+        reply = self.serve(f"{name}/_action/get_result", "FollowGetResult", on_get)
+        threading.Thread(target=publish, daemon=True).start()
+
+    def goals_taken(self):
+        """Joint names and numbers of points of the goals that came."""
+        return self.taken
+
     def node(self, namespace, name):
         """Announce a node, as rmw_dds_common does."""
         self.advertise("ros_discovery_info", "ParticipantEntitiesInfo", latched=True, depth=1)

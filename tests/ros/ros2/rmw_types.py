@@ -364,6 +364,64 @@ class FollowFeedbackMessage(IdlStruct, typename=dds(f"{FOLLOW}_FeedbackMessage",
     feedback: FollowFeedback = field(default_factory=FollowFeedback)
 
 
+@dataclass
+class MoveItErrorCodes(IdlStruct, typename=dds("moveit_msgs/MoveItErrorCodes")):
+    val: int32 = 0
+    message: str = ""
+    source: str = ""
+
+
+@dataclass
+class RobotTrajectory(IdlStruct, typename=dds("moveit_msgs/RobotTrajectory")):
+    joint_trajectory: JointTrajectory = field(default_factory=JointTrajectory)
+    multi_dof_joint_trajectory: MultiDOFTrajectory = field(default_factory=MultiDOFTrajectory)
+
+
+EXECUTE = "moveit_msgs/ExecuteTrajectory"
+
+
+@dataclass
+class ExecuteGoal(IdlStruct, typename=dds(f"{EXECUTE}_Goal", "action")):
+    trajectory: RobotTrajectory = field(default_factory=RobotTrajectory)
+    controller_names: sequence[str] = field(default_factory=list)
+
+
+@dataclass
+class ExecuteResult(IdlStruct, typename=dds(f"{EXECUTE}_Result", "action")):
+    error_code: MoveItErrorCodes = field(default_factory=MoveItErrorCodes)
+
+
+@dataclass
+class ExecuteSendGoalRequest(IdlStruct, typename=dds(f"{EXECUTE}_SendGoal_Request", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    goal_id: UUID = field(default_factory=UUID)
+    goal: ExecuteGoal = field(default_factory=ExecuteGoal)
+
+
+@dataclass
+class ExecuteSendGoalResponse(IdlStruct, typename=dds(f"{EXECUTE}_SendGoal_Response", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    accepted: bool = False
+    stamp: Time = field(default_factory=Time)
+
+
+@dataclass
+class ExecuteGetResultRequest(IdlStruct, typename=dds(f"{EXECUTE}_GetResult_Request", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    goal_id: UUID = field(default_factory=UUID)
+
+
+@dataclass
+class ExecuteGetResultResponse(IdlStruct, typename=dds(f"{EXECUTE}_GetResult_Response", "action")):
+    guid: uint64 = 0
+    seq: int64 = 0
+    status: int8 = 0
+    result: ExecuteResult = field(default_factory=ExecuteResult)
+
+
 # --- parameters ---
 @dataclass
 class ParameterValue(IdlStruct, typename=dds("rcl_interfaces/ParameterValue")):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from armcell.ros import ActionClient, ActionServer, Bus, Done, ServiceError, Sta
 from armcell.ros.ros2 import Profile, Reach, Ros2Bridge, Ros2Settings
 
 S = schema()
+RIHS = Path(__file__).parent / "rihs_jazzy.txt"
 TRIGGER = "std_srvs/Trigger"
 GRIPPER = "control_msgs/GripperCommand"
 
@@ -171,7 +173,7 @@ def test_a_service_that_fails_is_answered(bus, bridge, peer, caplog):
 
     with bus.serve("/grasp", TRIGGER, broken):
         answer = peer.call("/grasp", "Trigger", {})
-        assert (answer["success"], answer["message"]) == (False, "")
+        assert (answer["success"], answer["message"]) == (False, "service /grasp: no gripper here")
         assert "no gripper here" in caplog.text
 
 
@@ -249,6 +251,58 @@ def test_an_action_of_the_bus_for_a_ros2_client(bus, bridge, peer):
         assert statuses[-1]["status_list"][-1]["status"] == 4
         assert result(peer, goal_id)["status"] == 4  # it is kept
         assert result(peer, {"uuid": [9] * 16})["status"] == 0  # unknown
+
+
+def test_every_endpoint_carries_its_type_hash(bus, bridge, peer):
+    """ROS 2 nodes warn of an endpoint without user data, and compare services and actions by the hashes."""
+    with (
+        ActionServer(bus, "/hashed", GRIPPER, lambda goal: Done(State.SUCCEEDED, goal.message)),
+        bus.serve("/hashed_service", TRIGGER, lambda request: request),
+        bus.advertise("/hashed_topic", "std_msgs/String"),
+        bus.subscribe("/heard_topic", "std_msgs/String"),
+    ):
+        wanted = {
+            "rq/hashed/_action/send_goalRequest": "GripperCommand_SendGoal_Request",
+            "rr/hashed/_action/send_goalReply": "GripperCommand_SendGoal_Response",
+            "rr/hashed/_action/get_resultReply": "GripperCommand_GetResult_Response",
+            "rt/hashed/_action/feedback": "GripperCommand_FeedbackMessage",
+            "rt/hashed/_action/status": "GoalStatusArray",
+            "rq/hashed_serviceRequest": "Trigger_Request",
+            "rr/hashed_serviceReply": "Trigger_Response",
+            "rt/hashed_topic": "String",
+            "rt/heard_topic": "String",
+            "ros_discovery_info": "ParticipantEntitiesInfo",
+        }
+        assert until(lambda: wanted.keys() <= {found[0] for found in peer.found()})
+        ours = [found for found in peer.found() if "hashed" in found[0] or found[0] in wanted]
+    recorded = dict(line.split() for line in RIHS.read_text().splitlines()[1:])
+    for topic, type_name, user, _ in ours:
+        hash_ = user.rpartition("typehash=RIHS01_")[2].rstrip(";")
+        assert len(hash_) == 64, (topic, user)
+        full = type_name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")
+        assert wanted.get(topic, "") in full
+        assert recorded.get(full, hash_) == hash_
+    assert sum("GripperCommand" in type_name for _, type_name, _, _ in ours) >= 5
+
+
+def test_fields_that_only_ros2_has_cross_the_bridge(bus, bridge, peer):
+    """The controllers that a client names come in; the reason of a failure goes out."""
+    asked, name = [], "moveit_msgs/ExecuteTrajectory"
+
+    def refuse(goal):
+        asked.append(goal.message.controller_names)
+        code = S.new("moveit_msgs/MoveItErrorCodes", -4)
+        return Done(State.ABORTED, S.new(f"{name}Result", code), "the arm is elsewhere")
+
+    with ActionServer(bus, "/execute_trajectory", name, refuse):
+        goal_id = {"uuid": [5] * 16}
+        goal = {"goal_id": goal_id, "goal": {"controller_names": ["left_controller"]}}
+        answer = peer.call("/execute_trajectory/_action/send_goal", "ExecuteSendGoal", goal)
+        assert answer["accepted"]
+        ended = peer.call("/execute_trajectory/_action/get_result", "ExecuteGetResult", {"goal_id": goal_id})
+    assert asked == [["left_controller"]] and ended["status"] == 6
+    code = {"val": -4, "message": "the arm is elsewhere", "source": "armcell"}
+    assert ended["result"] == {"error_code": code}
 
 
 @pytest.mark.slow

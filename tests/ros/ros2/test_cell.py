@@ -80,8 +80,22 @@ def test_a_ros2_client_drives_the_arm(cell, peer):
     time.sleep(1.0)
     answer = peer.call(CANCEL, "CancelGoal", {"goal_info": {"goal_id": goal_id}}, timeout=20.0)
     assert answer["return_code"] == 0
-    assert result(peer, goal_id)["status"] == 5
+    ended = result(peer, goal_id)
+    assert (ended["status"], ended["result"]["error_code"]) == (5, -1)
+    assert "canceled by a client" in ended["result"]["error_string"]
     assert abs(arm_state(peer)[1][0] - start[0]) < 0.4  # it stopped on the way
+
+
+def test_a_goal_that_a_newer_one_replaces_is_aborted_with_the_reason(cell, peer):
+    joints, start = arm_state(peer)
+    first, _ = send(peer, 30, trajectory(joints, start, 0.5, 20.0))
+    time.sleep(1.0)
+    joints, start = arm_state(peer)
+    second, _ = send(peer, 31, trajectory(joints, start, 0.0, 0.5))
+    ended = result(peer, first)
+    assert (ended["status"], ended["result"]["error_code"]) == (6, -1)
+    assert "preempted by a newer goal" in ended["result"]["error_string"]
+    assert result(peer, second)["status"] in (4, 6)  # where the arm has come to rest decides
 
 
 def test_wrong_trajectories_are_aborted_with_the_reason(cell, peer):

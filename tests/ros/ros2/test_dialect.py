@@ -8,9 +8,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from armcell.core import UnknownNameError
 from armcell.ros import Schema, WireError, schema
+from armcell.ros.distros import DISTROS
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import ros2_codec
-from armcell.ros.ros2.dialect import DISTROS
 
 S = schema()
 

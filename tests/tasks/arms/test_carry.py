@@ -9,8 +9,8 @@ import armcell
 from armcell.cell import run_task
 from armcell.core import SE3, ErrorCode, InputError
 from armcell.kinematics import kinematic_tree
-from armcell.planning.arms.carried import Carried
-from armcell.planning.arms.carry import plan_carry
+from armcell.planning.multi_arm.carry import plan_carry
+from armcell.planning.multi_arm.closed_chain import CarriedObject
 from armcell.tasks import checked
 from armcell.tasks.arms import CarrySettings, shifted
 
@@ -125,10 +125,15 @@ def test_misuse(cell):
             live.carry("rod", **ENDS).move(SE3.identity())
         scene = live.scene()
         with pytest.raises(InputError, match="a pose to go to"):
-            plan_carry(scene, "both_arms", Carried("rod", {}, {}), SE3.identity(), [])
+            plan_carry(scene, "both_arms", CarriedObject("rod", {}, {}), SE3.identity(), [])
         with pytest.raises(InputError, match="max_speed is 0"):
             plan_carry(
-                scene, "both_arms", Carried("rod", {}, {}), SE3.identity(), [SE3.identity()], max_speed=0.0
+                scene,
+                "both_arms",
+                CarriedObject("rod", {}, {}),
+                SE3.identity(),
+                [SE3.identity()],
+                max_speed=0.0,
             )
 
 

@@ -6,16 +6,16 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from tests.planning.arms.dual import LEFT, RIGHT, Judge
+from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge
 
 import armcell
 from armcell.core import InputError, JointState, UnknownNameError
 from armcell.planning import RunningMotion
 from armcell.tasks import TaskSettings, checked
-from armcell.tasks.arms import Pace, orders
-from armcell.tasks.arms.errands import Errands, Leg
-from armcell.tasks.arms.meetings import Meetings
+from armcell.tasks.arms import CycleTimes, orders
+from armcell.tasks.arms.conflict_cache import ConflictCache
 from armcell.tasks.arms.order import earliest
+from armcell.tasks.arms.tour_cost import TourEstimator, TourSegment
 
 TRAYS = ("red_tray", "blue_tray")
 
@@ -69,10 +69,14 @@ def by_the_tick(streams, fetch, bring, step=0.05):
 def by_trays_alone(streams):
     """The orders where every way takes two seconds and every piece of work three, and arms never meet."""
 
-    def legs(order):
-        return tuple(leg for item in order for leg in (Leg(2.0, 3.0), Leg(2.0, 3.0, tray_of(item))))
+    def segments(order):
+        return tuple(
+            segment
+            for item in order
+            for segment in (TourSegment(2.0, 3.0), TourSegment(2.0, 3.0, tray_of(item)))
+        )
 
-    best = earliest((streams[LEFT], streams[RIGHT]), (legs, legs))
+    best = earliest((streams[LEFT], streams[RIGHT]), (segments, segments))
     return dict(zip((LEFT, RIGHT), best, strict=True))
 
 
@@ -128,7 +132,7 @@ def test_an_arm_takes_as_long_as_estimated(cell, seed):
     for group in (LEFT, RIGHT):
         scene = cell.scene(seed)
         stream = streams_of(scene, seed)[group]
-        rounds = Errands(scene, group, {i: tray_of(i) for i in stream}, cell.settings, Pace())
+        rounds = TourEstimator(scene, group, {i: tray_of(i) for i in stream}, cell.settings, CycleTimes())
         for order in list(permutations(stream))[::4]:
             with cell.connect("fake", seed=seed) as live:
                 free = {tray: [-0.11, 0.0, 0.11] for tray in TRAYS}
@@ -139,7 +143,7 @@ def test_an_arm_takes_as_long_as_estimated(cell, seed):
                     checked(arm.place(item, on=tray_of(item), at=at))
                 checked(arm.move_to("home"))
                 took.append(live.driver.now)
-            thought.append(sum(leg.motion + leg.work for leg in rounds(order)))
+            thought.append(sum(segment.motion + segment.work for segment in rounds(order)))
     took, thought = np.array(took), np.array(thought)
     off = np.abs(thought / took - 1)
     assert off.mean() < 0.02 and off.max() < 0.06
@@ -149,22 +153,24 @@ def test_an_arm_takes_as_long_as_estimated(cell, seed):
 def test_where_arms_meet(cell):
     """Against coal's distances between the two arms, along ways over the trays."""
     scene, rng = cell.scene(1), np.random.default_rng(0)
-    meetings, judge = Meetings(scene, (LEFT, RIGHT)), Judge(scene)
+    conflicts, judge = ConflictCache(scene, (LEFT, RIGHT)), Judge(scene)
     names = {g: scene.model.group(g).joint_names for g in (LEFT, RIGHT)}
-    legs: dict[str, list[Leg]] = {}
+    segments: dict[str, list[TourSegment]] = {}
     for group, stream in streams_of(scene, 1).items():
-        rounds = Errands(scene, group, {i: tray_of(i) for i in stream}, TaskSettings(), Pace())
-        legs[group] = [leg for _ in range(6) for leg in rounds(tuple(rng.permutation(stream).tolist()))]
+        rounds = TourEstimator(scene, group, {i: tray_of(i) for i in stream}, TaskSettings(), CycleTimes())
+        segments[group] = [
+            segment for _ in range(6) for segment in rounds(tuple(rng.permutation(stream).tolist()))
+        ]
 
     def stands(group, q):
         return RunningMotion.standing(scene.with_state(JointState(names[group], q)), group)
 
     met = 0
     for k in range(40):
-        leg, other = legs[RIGHT][int(rng.integers(54))], legs[LEFT][int(rng.integers(54))]
-        share = meetings.share(1, leg, other)
-        begin, end = leg.way
-        there = stands(LEFT, other.way[1])
+        segment, other = segments[RIGHT][int(rng.integers(54))], segments[LEFT][int(rng.integers(54))]
+        share = conflicts.share(1, segment, other)
+        begin, end = segment.motion_ends
+        there = stands(LEFT, other.motion_ends[1])
         along = np.linspace(0.0, 1.0, 61)
         near = [judge.nearest(stands(RIGHT, begin + s * (end - begin)), there) for s in along]
         close = along[np.array(near) < 0.02]
@@ -181,12 +187,12 @@ def test_what_cannot_be_ordered(cell):
     scene = cell.scene(0)
     with pytest.raises(InputError, match="given twice"):
         orders(scene, {LEFT: ["left_red_1"], RIGHT: ["left_red_1"]}, tray_of)
-    with pytest.raises(InputError, match="two arms have two"):
+    with pytest.raises(InputError, match="two arms need two"):
         orders(scene, {LEFT: ["left_red_1"]}, tray_of)
     with pytest.raises(UnknownNameError):
         orders(scene, {LEFT: ["left_red_9"], RIGHT: []}, tray_of)
     with pytest.raises(InputError, match="put is -1"):
-        Pace(put=-1.0)
+        CycleTimes(put=-1.0)
     assert orders(scene, {LEFT: [], RIGHT: []}, tray_of) == {LEFT: [], RIGHT: []}
 
 

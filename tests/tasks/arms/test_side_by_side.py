@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.planning.arms.dual import LEFT, RIGHT, Judge, tip
+from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge, tip
 
 import armcell
 from armcell.core import ErrorCode, InputError, Outcome
@@ -70,7 +70,7 @@ def test_tours_through_one_place_end_and_keep_apart(cell, name):
     assert result.ok, result.message
     assert nearest(cell, watch) >= 0.015  # 20 mm planned; making way may begin a little nearer
     assert len(watch.samples) > 100 and np.isfinite(state.positions).all()
-    assert sum(result.waited.values()) + sum(result.made_way.values()) + sum(result.searched.values()) > 0
+    assert sum(result.waited.values()) + sum(result.yielded.values()) + sum(result.searched.values()) > 0
 
 
 def test_who_stands_in_the_way_for_good_makes_way(cell):
@@ -78,7 +78,7 @@ def test_who_stands_in_the_way_for_good_makes_way(cell):
     with cell.connect("fake") as live:
         result = live.side_by_side(left_arm=tour([(0.0, 0.0)]), right_arm=tour([(0.3, -0.2), (0.0, 0.0)]))
         assert result.ok, result.message
-        assert result.made_way["left_arm"] >= 1
+        assert result.yielded["left_arm"] >= 1
         home = live.model.named_state(LEFT, "home")
         np.testing.assert_allclose(
             live.driver.joint_state().reindexed(home.joint_names).positions, home.positions, atol=1e-6
@@ -123,7 +123,7 @@ def test_a_zone_has_one_arm_at_a_time_and_nobody_has_two(cell):
         with arm.reserve("a"), arm.reserve("b"):
             pass
 
-    with cell.connect("fake") as live, pytest.raises(InputError, match="has zone 'a'"):
+    with cell.connect("fake") as live, pytest.raises(InputError, match="holds zone 'a'"):
         live.side_by_side(left_arm=greedy, right_arm=lambda arm: None)
 
 
@@ -165,7 +165,7 @@ def test_meeting_points(cell):
     def program(name, pause):
         def run(arm):
             arm.hold(pause)
-            arm.meet("half")
+            arm.rendezvous("half")
             seen.append((name, arm._ctx.driver.now))
 
         return run
@@ -187,7 +187,7 @@ def test_the_same_seed_gives_the_same_run(cell):
 
 def test_misuse(cell):
     with cell.connect("fake") as live:
-        with pytest.raises(InputError, match="two arms have two"):
+        with pytest.raises(InputError, match="two arms need two"):
             live.side_by_side(left_arm=tour(SAME))
         with pytest.raises(InputError, match="unknown arm 'middle_arm'"):
             live.side_by_side(left_arm=tour(SAME), middle_arm=tour(SAME))

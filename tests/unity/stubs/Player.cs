@@ -1,7 +1,7 @@
 // Plays a cell that `armcell export unity` wrote:
 //   player.exe scene.json HOST:PORT SPEED    in real time times SPEED, joined to an endpoint, until stdin ends
 //   player.exe scene.json                    by what stdin tells, as fast as it can; messages out as hex
-// Lines of stdin: "in TIME TOPIC HEX", "slip TIME M_PER_S", "poses TIME", "speed TIME RAD_PER_S",
+// Lines of stdin: "in TIME TOPIC HEX", "slip TIME M_PER_S", "poses TIME", "frictions TIME", "speed TIME RAD_PER_S",
 // "block TIME NAME X Y Z" (a box of 0.2 x 0.4 x 0.6 m in Unity's axes, told to the planner),
 // "shift TIME NAME X", "mode NAME", "drives" (print drive targets at every step), "until TIME".
 using System;
@@ -97,6 +97,14 @@ public static class Player
                     Vector3 p = link.position;
                     Quaternion q = link.rotation;
                     Out("pose", link.name, p.x, p.y, p.z, q.x, q.y, q.z, q.w);
+                }
+                break;
+            case "frictions": // of every collider, by the names of its object and of the object's parent
+                foreach (Collider collider in Engine.All<Collider>())
+                {
+                    PhysicMaterial material = collider.sharedMaterial;
+                    Out("friction", collider.transform.parent.name, material.staticFriction,
+                        material.dynamicFriction, material.frictionCombine.ToString());
                 }
                 break;
             case "block":

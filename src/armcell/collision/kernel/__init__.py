@@ -1,1 +1,1 @@
-"""The SIMD kernel: sphere covers, blocks of 16 configurations, certified motions, in Numba."""
+"""SIMD collision kernel in Numba: sphere covers, 16 configurations at a time, certification."""

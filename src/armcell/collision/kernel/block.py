@@ -40,7 +40,7 @@ AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SE
 
 
 @njit(cache=True)
-def check_block(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
+def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
     """Which of some lanes (bits) are not free; positions lie at w[j * L:].
 
     Args:
@@ -67,7 +67,7 @@ def check_block(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
 
 def _check(handle, lanes, mode):
     k = at_address(np.int64, handle)
-    return check_block(
+    return _check_arrays(
         at_address(np.int32, k[AT_I]), at_address(np.float32, k[AT_F]), at_address(np.float64, k[AT_D]),
         at_address(np.float32, k[AT_W]), at_address(np.int64, k[AT_STATE]), at_address(np.float64, k[AT_S]),
         at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR]), lanes, mode,
@@ -76,7 +76,7 @@ def _check(handle, lanes, mode):
 
 @lru_cache(maxsize=1)
 def check_address() -> int:
-    """Where `check_block` lies in memory as a C function of a handle's address, lanes and mode.
+    """Where `_check_arrays` lies in memory as a C function of a handle's address, lanes and mode.
 
     Everything that asks calls this one: Numba would compile a copy into each, and take minutes.
     """
@@ -96,8 +96,8 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 @njit(cache=True, forceinline=True)
-def ask(k, lanes, mode):
-    """`check_block` by handle."""
+def check_block(k, lanes, mode):
+    """`_check_arrays` by handle."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
@@ -121,7 +121,7 @@ def touches(handle, mode, q):
     for j in range(len(q)):
         for lane in range(L):
             w[j * L + lane] = q[j]
-    return ask(k, np.int64(1), np.int64(mode)) != 0
+    return check_block(k, np.int64(1), np.int64(mode)) != 0
 
 
-__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "ask", "handle_of", "touches"]
+__all__ = ["EVERY", "EXACT", "FIRST", "PADDED", "PROVE", "check_block", "handle_of", "touches"]

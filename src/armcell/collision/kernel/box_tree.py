@@ -1,4 +1,4 @@
-"""Trees of boxes, 16 children a block, along a Z-order curve."""
+"""Bounding-box trees with blocks of 16 children, sorted along a Z-order curve."""
 
 from __future__ import annotations
 
@@ -11,20 +11,29 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
-HUGE = 1e6  # [m] half the size of a plane's box
+HUGE = 1e6  # [m] half extent of a plane's bounding box
 
 
 def box_tree(low: F64, high: F64) -> tuple[F32, I32]:
-    """A tree of boxes (n, 3), 16 a block: boxes (blocks, 6, L) and the child in each (see pack).
+    """Build a bounding-box tree of boxes (n, 3) with 16 boxes per block.
 
-    Shapes are sorted along a Z-order curve, so that those of a block are neighbours.
+    The boxes are sorted along a Z-order curve, so that the boxes of a block are neighbors.
+
+    Returns:
+        Boxes (blocks, 6, L), and the child of each box (blocks, L); see `Pack`.
     """
     order = z_order(low, high) if len(low) > L else np.arange(len(low))
     return tree_of(low[order], high[order], order)
 
 
 def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
-    """`box_tree` of boxes whose neighbours are near each other already; content (n,) is what is in each."""
+    """Build a bounding-box tree of boxes (n, 3) that are already in a spatially compact order.
+
+    Args:
+        content: (n,) content index of each box.
+    Returns:
+        As `box_tree`.
+    """
     levels = [(low, high, content)]
     while len(levels[0][0]) > L:
         lo, hi, _ = levels[0]
@@ -48,7 +57,7 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def z_order(low: F64, high: F64) -> NDArray[np.int64]:
-    """An order of boxes (n, 3) in which neighbours are near each other; unbounded ones come first."""
+    """Return the order of boxes (n, 3) along a Z-order curve; unbounded boxes come first."""
     middle = np.clip((low + high) / 2, -HUGE, HUGE)
     usual = np.all(high - low < HUGE, axis=1)
     base = middle[usual] if usual.any() else middle

@@ -1,4 +1,4 @@
-"""`KernelChecker`: the kernel behind the same questions as the exact checker."""
+"""`KernelChecker`: fast collision checks and certification like those of `ExactChecker`."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -14,8 +14,8 @@ from armcell.collision.certificate import Certificate
 from armcell.collision.exact import ExactChecker
 from armcell.collision.kernel.block import EXACT, PADDED, handle_of, touches
 from armcell.collision.kernel.frames import workspace
-from armcell.collision.kernel.kept import Kept
 from armcell.collision.kernel.layout import PAIR_MARGIN, Flat, flatten
+from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.motion import free_edge, prove_points, proven_clearance
 from armcell.collision.kernel.pack import Names, Pack, pack
 from armcell.collision.kernel.robot_part import robot_part
@@ -25,11 +25,14 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 
 
-_packs: Kept[tuple[Pack, Names, Flat]] = Kept(8)
+_packs: LruCache[tuple[Pack, Names, Flat]] = LruCache(8)
 
 
 def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Names, Flat]:
-    """Kept for the last few scenes: planning again with only the group's joints elsewhere costs nothing."""
+    """Return the kernel arrays of a scene, cached for the last scenes.
+
+    Planning again with only the group's joints at other positions costs no time.
+    """
     robot = robot_part(scene, joint_names)
 
     def make() -> tuple[Pack, Names, Flat]:
@@ -41,9 +44,9 @@ def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, N
 
 
 class KernelChecker:
-    """Collision checks of one scene for the joints of one group, 16 configurations at a time.
+    """Fast collision checks on one scene for one joint group, 16 configurations at a time.
 
-    Not thread-safe: it has one workspace. Make one per thread.
+    The checker has one workspace and is not thread-safe: create one per thread.
 
     Attributes:
         exact: the exact checker of the same scene, for evidence: pairs, depths, distances.
@@ -57,12 +60,15 @@ class KernelChecker:
         self.lanes, self.state, self.scratch = workspace(self.flat)
         self.slack = np.zeros(max(len(self.pack.frame), 1), np.float32)
         self.slack_pair = np.zeros(max(len(self.pack.pairs), 1), np.float32)
-        self.without_room: KernelChecker | None = None  # this one before `keeping_apart`
+        self.without_arm_clearance: KernelChecker | None = None  # the checker before `with_clearance_between`
         self._exact: ExactChecker | None = None
         self._take_hold()
 
     def __reduce__(self) -> tuple:
-        """Copies are made anew: what a handle points to does not travel."""
+        """Rebuild a pickled or copied checker from its scene.
+
+        The handle contains memory addresses, which are invalid in a copy.
+        """
         return KernelChecker, (self.scene, self.joint_names)
 
     @property
@@ -72,13 +78,16 @@ class KernelChecker:
         return self._exact
 
     def _take_hold(self) -> None:
-        """Make the handle that every kernel function takes first, from the arrays as they are now."""
+        """Create the handle that every kernel function takes first, from the current arrays."""
         self.handle = handle_of(
             (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Lower the padding of pairs that are closer than it at q, but do not touch (see the exact one)."""
+        """Reduce the padding of pairs that are closer than their padding at q but do not touch.
+
+        See `ExactChecker.relax_margins`.
+        """
         if self.is_free(q):
             return
         near = self.exact.relaxed_margins(q)
@@ -92,11 +101,13 @@ class KernelChecker:
         self.flat = flatten(self.pack)
         self._take_hold()
 
-    def keeping_apart(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
-        """Another one for which bodies of different sides have to keep a distance [m], besides all else.
+    def with_clearance_between(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
+        """Return a copy of the checker that also requires a clearance [m] between sides.
 
         Args:
-            sides: of bodies (links and attached objects); those not named keep no distance.
+            sides: side of each body (link or attached object) by name; bodies without a side have no
+                clearance.
+            distance: clearance between bodies of different sides [m].
         """
         side = np.array([sides.get(name, -1) for name in self.names.bodies])
         a, b = side[self.pack.pairs[:, 0]], side[self.pack.pairs[:, 1]]
@@ -106,20 +117,23 @@ class KernelChecker:
         ints, floats, doubles = self.flat
         floats = floats.copy()
         floats[ints[PAIR_MARGIN] :][: len(margins)] = margins
-        other.flat, other.without_room = (ints, floats, doubles), self
+        other.flat, other.without_arm_clearance = (ints, floats, doubles), self
         other._take_hold()
         return other
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Whether nothing that the group can move touches anything (padding included)."""
+        """Return True if no body that the group can move touches another body (with padding)."""
         return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
-        """Whether anything is in contact (padding left out)."""
+        """Return True if any pair of bodies is in contact (without padding)."""
         return bool(touches(self.handle, EXACT, self._configuration(q)))
 
     def _configuration(self, q: ArrayLike) -> Array:
-        """For the kernel, which reads past the end of a shorter one and takes NaN for free."""
+        """Return a validated, contiguous configuration (n,) for the kernel.
+
+        The kernel would read past the end of a shorter array and treat NaN as collision-free.
+        """
         if type(q) is not np.ndarray or q.shape != self.columns.shape or not math.isfinite(sum(q.tolist())):
             q = float_array(q, self.columns.shape, "a configuration")
         return np.ascontiguousarray(q, dtype=float)
@@ -130,19 +144,24 @@ class KernelChecker:
         return np.ascontiguousarray(points if len(points) > 1 else np.vstack([points, points]))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
-        """Distance [m] that a piecewise linear motion (k, n) is proven to keep from what it could touch.
+        """Return the certified clearance [m] of a piecewise linear motion (k, n).
 
-        Parts of neighbouring links that cannot meet for any joint values do not count, however near they
-        are. At most `most`; within about `tolerance` of the smallest distance there is, and not above it.
-        What a checker is `keeping_apart` beside does not count either.
+        Parts of neighboring links that cannot meet at any joint positions are ignored, however near they are.
+        The clearance of `with_clearance_between` is ignored, too.
+
+        Args:
+            waypoints: (k, n) joint positions.
+            most: upper limit of the result [m].
+            tolerance: approximate largest difference [m] by which the result is below the true minimum
+                distance; the result is never above the true minimum.
         """
-        if self.without_room is not None:
-            return self.without_room.clearance(waypoints, most, tolerance)
+        if self.without_arm_clearance is not None:
+            return self.without_arm_clearance.clearance(waypoints, most, tolerance)
         points = self._path(waypoints)
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
-        """Whether a straight motion is free at samples at most `step` [rad] apart."""
+        """Return True if a straight motion is collision-free at samples at most `step` [rad] apart."""
         return bool(free_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 
     def certify(
@@ -151,23 +170,27 @@ class KernelChecker:
         slack: ArrayLike | None = None,
         padded: bool = False,
         *,
+        distance: float = 0.0,
         evidence: bool = True,
     ) -> Certificate:
-        """Prove a piecewise linear motion (k, n) free. See `certify_path` for the exact checker's own.
+        """Certify that a piecewise linear motion (k, n) is collision-free (see `certify_path`).
 
         Args:
-            slack: how far each joint (n,) may be off the edges [rad]. padded: keep the padding as well.
-            evidence: where the proof fails, find out which pair it is (that takes milliseconds).
+            waypoints: (k, n) joint positions.
+            slack: (n,) largest deviation of each joint from the straight edges [rad or m].
+            padded: also keep the padding.
+            distance: distance that all pairs must keep [m]; the evidence is about contact only.
+            evidence: if the certification fails, find the pair in contact (takes milliseconds).
         """
         points, n = self._path(waypoints), len(self.columns)
         room = np.zeros(n) if slack is None else np.ascontiguousarray(float_array(slack, (n,), "slack"))
-        at = float(prove_points(self.handle, points, room, PADDED if padded else 0))
+        at = float(prove_points(self.handle, points, room, float(distance), PADDED if padded else 0))
         if at < 0:
             return Certificate(True)
         i, edges = min(int(at), len(points) - 2), len(points) - 1
         if not evidence:
             return Certificate(False, at / edges)
-        # Where and what: the exact checker says it more precisely, from the edge the kernel stopped at.
+        # The exact checker finds position and pair more precisely, from the edge where the kernel stopped.
         found = self.exact.certify(points[i : i + 2], room)
         if not found.free:
             return Certificate(False, (i + found.at) / edges, found.contact)

@@ -1,7 +1,8 @@
-"""Shapes of very many parts as the kernel wants them: points with a radius, cells, triangles.
+"""Kernel data of point clouds, octrees, and nonconvex meshes: spheres, cubes, or triangles.
 
-A cloud lies in the frame of the box around it, so that moving the object costs nothing. Its parts are sorted
-along a Z-order curve and lie in blocks of 16, with a tree of boxes above the blocks: 18 bytes a point.
+The kernel calls each of them a cloud of parts. A cloud is stored in the frame of its bounding box, so moving
+the object costs no time. The parts are sorted along a Z-order curve and stored in blocks of 16 under a
+bounding-box tree: 18 bytes per point.
 """
 
 from __future__ import annotations
@@ -27,18 +28,19 @@ I32 = NDArray[np.int32]
 
 TRIANGLE_EDGE = 0.03  # [m]
 TRIANGLES = 10000
-"""Edges longer than `TRIANGLE_EDGE`, or than those of so many squares in a mesh's area if that is more, are
-cut: the boxes around long triangles would be all over the mesh."""
+"""Triangle edges are split if they are longer than `TRIANGLE_EDGE` and than sqrt(mesh area / `TRIANGLES`):
+the bounding boxes of long triangles would cover the whole mesh."""
 
 ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
-"""Numbers of a part: centre and radius or half edge; corners and unit normal."""
+"""Values per part: center and radius, center and half edge, or corners and unit normal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Parts in blocks (b, rows, L) with a tree (see box_tree) whose leaves are blocks of parts.
+    """Parts in blocks (b, rows, L) with a bounding-box tree whose leaves are blocks of parts.
 
-    `box` at `T_shape_box` (4, 4) is around all of them. `closed`: what the triangles enclose is solid.
+    `box` at the pose `T_shape_box` (4, 4) encloses all parts. `closed` is True if the triangles enclose a
+    solid.
     """
 
     kind: int
@@ -56,7 +58,7 @@ class Cloud:
 
 @lru_cache(maxsize=16)
 def cloud_of(shape: Shape) -> Cloud | None:
-    """The cloud of a shape of many parts or of a mesh that is not convex; None of a simple one."""
+    """Return the cloud of a point cloud, octree, or nonconvex mesh; None for a convex shape."""
     centre, half = local_bounds(shape)
     match shape:
         case PointCloud():
@@ -70,7 +72,7 @@ def cloud_of(shape: Shape) -> Cloud | None:
         case Mesh() if not is_convex(shape):
             edge = max(TRIANGLE_EDGE, float(np.sqrt(_area(shape) / TRIANGLES)))
             corners = small_triangles(shape.vertices - centre, shape.faces.astype(np.int64), edge)
-            corners = corners.astype(np.float32).astype(float)  # as the kernel sees them
+            corners = corners.astype(np.float32).astype(float)  # rounded as in the kernel
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
             parts = np.column_stack([corners.reshape(-1, 9), normal])
@@ -95,13 +97,13 @@ def _cloud(kind: int, centre: F64, half: F64, parts: F64, low: F64, high: F64, c
     order = z_order(low, high)
     starts = np.arange(0, len(order), L)
     low, high = np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)
-    padded = order[np.minimum(np.arange(len(starts) * L), len(order) - 1)]  # the last one fills its block
+    padded = order[np.minimum(np.arange(len(starts) * L), len(order) - 1)]  # the last part fills its block
     blocks = parts[padded].astype(np.float32).reshape(-1, L, ROWS[kind]).transpose(0, 2, 1)
-    if kind == gjk.TRIANGLE:  # no triangle may count twice: a point in its corner instead
+    if kind == gjk.TRIANGLE:  # no triangle may count twice, so the surplus ones shrink to a point
         surplus = np.arange(len(padded) - len(order), 0, -1)
         blocks[-1, 3:9, L - surplus] = np.tile(blocks[-1, :3, L - surplus], 2)
         blocks[-1, 9:, L - surplus] = 0
-    else:  # rounding to float32 may not shrink a part
+    else:  # rounding to float32 must not shrink a part
         blocks[:, 3] += np.float32(2e-7) * (np.abs(blocks[:, :3]).max() + np.abs(blocks[:, 3]))
     return Cloud(
         kind, box, T, np.ascontiguousarray(blocks), *tree_of(low, high, np.arange(len(starts))), closed
@@ -109,7 +111,7 @@ def _cloud(kind: int, centre: F64, half: F64, parts: F64, low: F64, high: F64, c
 
 
 def join_clouds(clouds: list[Cloud]) -> dict[str, Any]:
-    """All clouds one after another, as the pack names them."""
+    """Concatenate clouds into the arrays of a `Pack`."""
     table, block, number = [], 0, 0
     for cloud in clouds:
         table.append((cloud.kind, block, number, cloud.closed))

@@ -29,7 +29,7 @@ FIT_VERSION = 1  # to be raised when `fit` gives other spheres
 class Cover:
     """Spheres in the solid's frame: `centres` (k, 3), `outer` radii (k,) and `inner` radii (k,) [m].
 
-    Sorted so that every `GROUP` in a row are neighbours; `groups` (g, 4) are spheres around those.
+    Sorted so that every `GROUP` in a row are neighbors; `groups` (g, 4) are spheres around those.
     """
 
     centres: Array
@@ -127,12 +127,12 @@ def fit(shape: Shape, overshoot: float) -> Cover:
         )
         chosen = np.append(chosen, len(centres) - 1)
         missing = missing[((missing - centre) ** 2).sum(axis=2).max(axis=1) > (overshoot - round_gap) ** 2]
-    order = _neighbours_together(centres[chosen])
+    order = _neighbors_together(centres[chosen])
     chosen = chosen[order]
     return _grouped(centres[chosen], outer[chosen], inner[chosen])
 
 
-def _neighbours_together(centres: Array) -> NDArray[np.int64]:
+def _neighbors_together(centres: Array) -> NDArray[np.int64]:
     """An order in which runs of `GROUP` are close together: halves along the longest axis."""
 
     def split(index: NDArray[np.int64]) -> list[int]:

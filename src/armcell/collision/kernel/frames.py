@@ -31,7 +31,7 @@ from armcell.collision.kernel.simd import L, fma, load, select_lt, splat, store,
 
 REVOLUTE = 1
 
-EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `check_block`
+EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `_check_arrays`
 
 # What `state` holds: the block's number, the lanes still to be decided (bits), whether one of them certainly
 # touches, and the pairs that wait for the exact tier (three numbers each); then the blocks in which the
@@ -255,7 +255,7 @@ def centre(I, F, w, state, i, f, sphere, mode):
 def bend(I, F, w, reach, slack):
     """What a margin needs beside half width times speed: how velocities change in the interval, and slack.
 
-    The points' accelerations are at most the turning times `reach` (where in F: metres per unit of each
+    The points' accelerations are at most the turning times `reach` (where in F: meters per unit of each
     joint), doubled for slides; half the interval's square of it is what the velocity in its middle misses.
     """
     at = half_at(I)

@@ -1,9 +1,9 @@
-"""The pack as three flat arrays, as the kernel reads it.
+"""Memory layout of the kernel data: a `Pack` as three flat arrays.
 
-Numba counts references of every array that is passed or taken out of a tuple, with atomic instructions:
-thirty arrays in a tuple made the kernel eight times slower. So all integers lie in one int32 array `I`, all
-floats in a float32 array `F`, all doubles in a float64 array `D`; the first numbers of `I` say how many of
-everything there is and where each table begins.
+Numba counts the references of every array that is passed or taken out of a tuple with atomic instructions;
+with thirty arrays in a tuple, the kernel was eight times slower. All integers are therefore in one int32
+array `I`, all floats in a float32 array `F`, and all doubles in a float64 array `D`. The first integers of
+`I` hold the counts and the start index of each table.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from armcell.collision.kernel.pack import Pack
 
 Flat = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]
 
-# counts
+# indices of the counts in I
 DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
-# where each table of integers begins in I
+# indices in I of the start of each integer table
 (
     PARENT,
     KIND,
@@ -42,7 +42,7 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     CLOUD,
     CLOUD_CHILD,
 ) = range(7, 29)
-# of floats in F
+# indices in I of the start of each float table in F
 (
     FIXED,
     MULTIPLIER,
@@ -63,7 +63,7 @@ DOF, FRAMES, BODIES, GROUPS, SPHERES, PAIRS, OBJECTS = range(7)
     CLOUD_PARTS,
     PAIR_MARGIN,
 ) = range(29, 47)
-# of doubles in D
+# indices in I of the start of each double table in D
 (
     PIECE_SIZE,
     PIECE_POSE,
@@ -129,7 +129,7 @@ _DOUBLES = (
 
 
 def flatten(p: Pack) -> Flat:
-    """The three arrays of a pack."""
+    """Convert a `Pack` to the kernel's three flat arrays I, F, and D."""
     counts = [
         p.dof, len(p.parent), len(p.frame), len(p.group_sphere), len(p.sphere), len(p.pairs),
         p.margin.shape[1],

@@ -19,7 +19,7 @@ from armcell.collision.kernel.block import (
     FIRST,
     PADDED,
     PROVE,
-    ask,
+    check_block,
     ints,
     lanes_of,
 )
@@ -60,7 +60,7 @@ def edge_free(k, p, a, b, step):
     blocks = max(int(np.ceil(np.sqrt(length) / (L * step))), 1)
     for n in range(blocks):
         spread(I, w, p, a, b, (1.0 - n / blocks) / L, 1.0 / L)
-        if ask(k, EVERY, np.int64(EXACT | PADDED)) != 0:
+        if check_block(k, EVERY, np.int64(EXACT | PADDED)) != 0:
             return False
     return True
 
@@ -118,7 +118,7 @@ def prove(k, p, first, last, count, at, mode, finest):
                 w[rate_at(I, j) + lane] = np.float32(rate)
             w[half_at(I) + lane] = np.float32(half[slot])
         lanes = (np.int64(1) << n) - 1
-        left = ask(k, lanes, np.int64(mode))
+        left = check_block(k, lanes, np.int64(mode))
         if left == 0:
             continue
         for lane in range(n):
@@ -168,11 +168,23 @@ def free_edge(handle, ends, step):
 
 
 @njit(cache=True, nogil=True)
-def prove_points(handle, points, room, mode):
-    """Where on a piecewise linear motion (k, dof) the proof fails, counted in edges; -1.0 if nowhere."""
+def prove_points(handle, points, room, distance, mode):
+    """Where on a piecewise linear motion (k, dof) the proof fails, counted in edges; -1.0 if nowhere.
+
+    Args:
+        room: (dof,) how far each joint may be off the edges [rad or m].
+        distance: [m] that every body keeps from what it may not touch.
+    """
     k, (n, dof) = pointer(handle), points.shape
+    I, s = ints(k), at_address(np.float64, k[AT_S])
+    slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
     rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
     loosen(k, pointer(room))
+    for b in range(I[BODIES]):
+        slack[b] += np.float32(distance)
+    for b in range(I[PAIRS]):
+        slack_pair[b] += np.float32(distance)
+    s[gjk.CLOSE] = distance
     prove(
         k,
         pointer(points),
@@ -183,6 +195,7 @@ def prove_points(handle, points, room, mode):
         np.int64(mode | FIRST),
         FINEST,
     )
+    s[gjk.CLOSE] = 0.0
     for e in range(n - 1):
         if at[e] != PROVEN:
             return rows[e] / dof + at[e]

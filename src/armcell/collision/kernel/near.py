@@ -1,6 +1,6 @@
 """Which groups of spheres of two bodies can come near each other at all, for any value of the joints.
 
-Neighbours in an arm are always close, so that bounding spheres never tell them apart; but most of their
+Neighbors in an arm are always close, so that bounding spheres never tell them apart; but most of their
 groups cannot meet. For bodies with few joints between them that is proven once, by branch and bound over the
 joints' ranges, and the kernel looks at the rest only.
 """

@@ -1,4 +1,4 @@
-"""A scene and a group of joints as flat arrays for the kernel."""
+"""`Pack`: a scene and a joint group as arrays for the kernel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.box_tree import box_tree
 from armcell.collision.kernel.cloud_part import join_clouds
-from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.pieces import join_pieces
 from armcell.collision.kernel.robot_part import RobotPart
 from armcell.collision.kernel.world_part import ObjectPart, object_part
@@ -22,74 +22,80 @@ I32 = NDArray[np.int32]
 
 
 class Pack(NamedTuple):
-    """Everything the kernel reads. `f` frames (0 is the world), `k` bodies, `g` groups, `s` spheres,
-    `o` world shapes, `e` exact pieces. Vectors are per lane where an array ends in L."""
+    """All data that the kernel reads about a scene and a joint group.
+
+    Sizes: `f` frames (0 is the world), `k` bodies, `g` groups of spheres, `s` spheres, `o` world shapes, `e`
+    exact pieces. Arrays whose last size is L hold one value per SIMD lane.
+    """
 
     dof: int
-    # frames: T_parent_joint with the joint's axis turned to z
+    # frames: T_parent_joint, rotated so that the joint's axis is z
     parent: I32  # (f,)
     fixed: F32  # (f, 12) rows of 3x4
     kind: I32  # (f,) 1 revolute, 2 prismatic
-    column: I32  # (f,) of the group's positions
+    column: I32  # (f,) column of the joint in the group's positions
     multiplier: F32  # (f,)
     offset: F32  # (f,)
     # bodies: links and attached objects that the group moves
     frame: I32  # (k,)
-    body_sphere: F32  # (k, 4) centre in the frame, radius
-    body_groups: I32  # (k + 1,) first group of each
-    padding: F32  # (k,) against world shapes, the largest of its margins
+    body_sphere: F32  # (k, 4) center in the frame, radius
+    body_groups: I32  # (k + 1,) first group of each body
+    padding: F32  # (k,) padding against world shapes, the largest margin of the body
     margin: F32  # (k, objects) padding of each body against each object, -1 where contact is ignored
     group_sphere: F32  # (g, 4)
-    group_spheres: I32  # (g + 1,) first sphere of each
-    sphere: F32  # (s, 5) centre in the frame, outer radius, inner radius
-    body_pieces: I32  # (k + 1,) first exact piece of each
+    group_spheres: I32  # (g + 1,) first sphere of each group
+    sphere: F32  # (s, 5) center in the frame, outer radius, inner radius
+    body_pieces: I32  # (k + 1,) first exact piece of each body
     # pairs of bodies
     pairs: I32  # (p, 2)
-    pair_margin: F32  # (p,) distance [m] that the two have to keep; 0: they may not touch
-    near: I32  # (p + 1,) first of each in near_groups
-    near_groups: I32  # (n,) groups of the first body that can meet the second
-    meet: I32  # (n + 1,) first of each in meet_groups
-    meet_groups: I32  # groups of the second body that can meet those
+    pair_margin: F32  # (p,) distance [m] that the two bodies must keep; 0: they must not touch
+    near: I32  # (p + 1,) first entry of each pair in near_groups
+    near_groups: I32  # (n,) groups of the first body that can meet the second body
+    meet: I32  # (n + 1,) first entry of each near group in meet_groups
+    meet_groups: I32  # groups of the second body that can meet the near group
     # world shapes
     shape_kind: I32  # (o,)
     shape_pose: F32  # (o, 12) rows of T_shape_world (world to shape)
     shape_size: F32  # (o, 3)
     shape_object: I32  # (o,)
-    shape_planes: I32  # (o + 1,) of convex meshes
+    shape_planes: I32  # (o + 1,) first plane of each convex mesh
     planes: F32  # (n, 4) outward normal and offset
-    boxes: F32  # (blocks, 6, L) axis-aligned boxes, 16 a block, block 0 outermost; unused lanes are empty
+    boxes: F32  # (blocks, 6, L) axis-aligned boxes, 16 per block, block 0 outermost; unused lanes are empty
     child: I32  # (blocks, L) the shape in each box, or minus the block of boxes inside it
     shape_pieces: I32  # (o + 1,) first exact piece of each world shape
-    shape_cloud: I32  # (o,) the cloud that a shape is the box of, or -1
-    # clouds: shapes of very many parts, in the frame of their box (see cloud_part)
-    cloud: I32  # (c, 4) kind of part, first block of boxes, first number in cloud_parts, whether closed
-    cloud_boxes: F32  # (blocks, 6, L) as boxes
-    cloud_child: I32  # (blocks, L) the block of parts in each box, or minus the block of boxes in it
+    shape_cloud: I32  # (o,) the cloud whose bounding box the shape is, or -1
+    # clouds: shapes of many parts, in the frame of their bounding box (see cloud_part)
+    cloud: I32  # (c, 4) kind of part, first block of boxes, first value in cloud_parts, whether closed
+    cloud_boxes: F32  # (blocks, 6, L) like `boxes`
+    cloud_child: I32  # (blocks, L) the block of parts in each box, or minus the block of boxes inside it
     cloud_parts: F32  # blocks of L parts
     # exact pieces: convex solids of bodies (in their frame) and of world shapes (in the world)
     piece_kind: I32  # (e,)
     piece_size: F64  # (e, 3)
     piece_pose: F64  # (e, 12) rows of T_frame_piece, or T_world_piece
     piece_points: I32  # (e, 2) first point (a multiple of L) and count
-    piece_ball: F64  # (e, 4) bounding ball in the frame (bodies) or world (shapes)
+    piece_ball: F64  # (e, 4) bounding sphere in the frame (bodies) or world (shapes)
     points: F64  # (n, 3)
-    points32: F32  # (n / L, 3, L) the same
-    # motion
-    reach: F64  # (k, dof) how far a body's points move per unit of each joint, at most
-    pair_reach: F64  # (p, dof) the same for the relative motion of a pair
-    rate: F32  # both again, rounded up
-    pair_rate: F32
+    points32: F32  # (n / L, 3, L) `points` as float32
+    # motion bounds
+    reach: F64  # (k, dof) upper bound of the motion of a body's points per unit of each joint
+    pair_reach: F64  # (p, dof) upper bound of the relative motion of a pair per unit of each joint
+    rate: F32  # `reach`, rounded up to float32
+    pair_rate: F32  # `pair_reach`, rounded up to float32
 
 
 class Names(NamedTuple):
-    """What the numbers of a pack stand for."""
+    """Names of the bodies and objects that the indices of a `Pack` refer to."""
 
     bodies: tuple[str, ...]
     objects: tuple[str, ...]
 
 
 def pack(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
-    """The kernel's view of a scene for the joints of one group; the other joints stay where they are."""
+    """Convert a scene and a robot part to kernel arrays.
+
+    Joints outside the group stay at the scene's positions.
+    """
     objects = tuple(object_part(item) for item in scene.objects.values())
     names = tuple(scene.objects)
     margin = np.where(
@@ -105,11 +111,15 @@ def pack(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
     ), Names(robot.bodies, names)
 
 
-_worlds: Kept[dict[str, NDArray]] = Kept(8)
+_worlds: LruCache[dict[str, NDArray]] = LruCache(8)
 
 
 def _first_pieces(objects: Sequence[ObjectPart], first: int) -> I32:
-    """The first exact piece of each world shape, where the world's pieces begin at one."""
+    """Return the index (o + 1,) of the first exact piece of each world shape.
+
+    Args:
+        first: index of the first world piece.
+    """
     ends = [first]
     for part in objects:
         ends += (part.pieces_end + ends[-1]).tolist()
@@ -117,7 +127,7 @@ def _first_pieces(objects: Sequence[ObjectPart], first: int) -> I32:
 
 
 def _world(objects: Sequence[ObjectPart]) -> dict[str, NDArray]:
-    """The pack's arrays that do not depend on the robot."""
+    """Return the arrays of a `Pack` that do not depend on the robot."""
     lows = [part.low for part in objects]
     boxes, child = box_tree(
         np.vstack(lows) if lows else np.zeros((0, 3)),
@@ -148,7 +158,10 @@ def _world(objects: Sequence[ObjectPart]) -> dict[str, NDArray]:
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
-    """(bodies, objects) whose contact is ignored: only what is named in the scene can be."""
+    """Return a mask (bodies, objects) of pairs whose contact is ignored.
+
+    Contact is ignored only for pairs that the scene names.
+    """
     ignored = np.zeros((len(bodies), len(objects)), bool)
     body = {name: k for k, name in enumerate(bodies)}
     item = {name: o for o, name in enumerate(objects)}

@@ -1,6 +1,6 @@
 """Which pairs of bodies touch in which of very many configurations: pair by pair, 16 at a time.
 
-`check_block` stops a lane at its first contact. Here every pair is asked by itself, which costs nothing but
+`_check_arrays` stops a lane at its first contact. Here every pair is asked by itself, which costs nothing but
 a few numbers in the head of the pack: it is made to list that one pair only.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.block import EVERY, EXACT, PROVE, ask, handle_of, ints, lanes_of
+from armcell.collision.kernel.block import EVERY, EXACT, PROVE, check_block, handle_of, ints, lanes_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.frames import workspace
 from armcell.collision.kernel.layout import NEAR, PAIR, PAIRS
@@ -44,7 +44,7 @@ def _ask_pairs(handle, pairs, q, masks):
             I[NEAR] = np.int32(first_near + pairs[p])
             # A proof over an interval without any width is the question for the configuration itself, and
             # goes on to the end for every lane.
-            masks[p, block] = np.uint16(ask(k, EVERY, np.int64(EXACT | PROVE)))
+            masks[p, block] = np.uint16(check_block(k, EVERY, np.int64(EXACT | PROVE)))
     I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
 
 

@@ -147,7 +147,7 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
 
 @njit(cache=True)
 def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Pairs of bodies; True where nothing is left to find out. See `check_block`."""
+    """Pairs of bodies; True where nothing is left to find out. See `_check_arrays`."""
     for pair in range(I[PAIRS]):
         i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
         si, sj = I[BODY_SPHERE] + 4 * i, I[BODY_SPHERE] + 4 * j

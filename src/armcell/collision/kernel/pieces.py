@@ -1,4 +1,4 @@
-"""Exact pieces: the convex solids of the kernel's second tier, as arrays."""
+"""Exact pieces: the convex solids for the kernel's exact tests, as arrays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.convex import convex_pieces
 from armcell.collision.kernel import gjk
-from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.simd import L
 from armcell.collision.shapes import is_convex
 from armcell.core import Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
@@ -23,7 +23,7 @@ I32 = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Corners of convex hulls: how many each piece has (e,), and all of them (n, 3)."""
+    """Vertices of convex hulls: number of vertices per piece (e,), and all vertices (n, 3)."""
 
     count: I32
     points: F64
@@ -31,8 +31,11 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Convex solids in one frame: kinds (e,), sizes (e, 3), poses (e, 12) as rows of 3x4, bounding balls
-    (e, 4), corners of those that are hulls."""
+    """Convex solids in one frame, as arrays.
+
+    Kinds (e,), sizes (e, 3), poses (e, 12) as rows of a 3x4 matrix, bounding spheres (e, 4), and the vertices
+    of the solids that are convex hulls.
+    """
 
     kind: I32
     size: F64
@@ -41,7 +44,7 @@ class Pieces:
     corners: Corners
 
     def moved(self, T: F64) -> Pieces:
-        """Placed in another frame by T (4, 4)."""
+        """Return the pieces with their poses premultiplied by T (4, 4)."""
         pose = np.empty((len(self.kind), 3, 4))
         own = self.pose.reshape(-1, 3, 4)
         pose[:, :, :3] = T[:3, :3] @ own[:, :, :3]
@@ -50,7 +53,10 @@ class Pieces:
 
 
 def pieces_of(shapes: Sequence[tuple[Shape, F64]]) -> Pieces:
-    """The pieces of shapes with their poses (4, 4); a mesh that is not convex is several."""
+    """Return the exact pieces of shapes with poses (4, 4).
+
+    A nonconvex mesh yields several pieces.
+    """
     every = [(_piece(part), T) for shape, T in shapes for part in convex_parts(shape)]
     return Pieces(
         np.array([p[0] for p, _ in every], np.int32),
@@ -79,11 +85,11 @@ def _concatenated(every: Sequence[Corners]) -> Corners:
     return Corners(np.concatenate([c.count for c in every]), np.concatenate([c.points for c in every]))
 
 
-_joined: Kept[dict[str, NDArray]] = Kept(16)
+_joined: LruCache[dict[str, NDArray]] = LruCache(16)
 
 
 def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
-    """All pieces one after another, as the pack names them."""
+    """Concatenate pieces into the arrays of a `Pack`."""
     every = (NO_PIECES, *parts)
     corners = tuple(p.corners for p in every)
     return {
@@ -96,8 +102,8 @@ def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
 
 
 def _in_lanes(every: Corners) -> dict[str, NDArray]:
-    """Corners as the pack names them."""
-    padded = -(-every.count // L) * L  # the kernel reads L points at a time
+    """Return hull vertices as arrays of a `Pack`, padded to whole SIMD lanes."""
+    padded = -(-every.count // L) * L  # the kernel reads L points at once
     first = np.concatenate([[0], np.cumsum(padded)[:-1]]) if len(padded) else np.zeros(0)
     begin = np.concatenate([[0], np.cumsum(every.count)[:-1]]) if len(padded) else np.zeros(0)
     index = np.repeat(begin - first, padded) + np.arange(padded.sum())
@@ -111,12 +117,12 @@ def _in_lanes(every: Corners) -> dict[str, NDArray]:
 
 
 def convex_parts(shape: Shape) -> tuple[Shape, ...]:
-    """Convex shapes whose union holds a shape."""
+    """Return convex shapes whose union contains a shape."""
     return convex_pieces(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:
-    """Kind and three numbers of a convex shape, as gjk wants them."""
+    """Return the kind and the three size values of a convex shape for the kernel's GJK."""
     match shape:
         case Mesh():
             return gjk.POINTS, [0.0, 0.0, 0.0]
@@ -136,7 +142,7 @@ def solid(shape: Shape) -> tuple[int, list[float]]:
 
 
 def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
-    """Kind, size, bounding ball (4,) in the shape's own frame, corners (n, 3)."""
+    """Return kind, size, bounding sphere (4,) in the shape's frame, and hull vertices (n, 3)."""
     kind, size = solid(shape)
     points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     if isinstance(shape, Plane):
@@ -148,7 +154,7 @@ def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
 
 @lru_cache(maxsize=1024)
 def hull_points(mesh: Mesh) -> F64:
-    """Corners (n, 3) of a mesh's convex hull."""
+    """Return the vertices (n, 3) of a mesh's convex hull."""
     from scipy.spatial import ConvexHull
 
     return mesh.vertices[ConvexHull(mesh.vertices).vertices]

@@ -1,4 +1,4 @@
-"""What the group's joints move, as the kernel wants it: frames, bodies with their spheres, pairs, reach."""
+"""Kernel data of the robot: frames, bodies with sphere covers, pairs, and motion bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel import near
 from armcell.collision.kernel.cover import GROUP, Cover, bounding_sphere, cover
-from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of
 from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
 from armcell.core.geometry import local_bounds
@@ -28,15 +28,15 @@ I32 = NDArray[np.int32]
 
 FINGER_OVERSHOOT = 0.003  # [m]
 LINK_OVERSHOOT = 0.010
-OBJECT_OVERSHOOT = 0.005  # of a held object, or this share of its largest extent, whichever is more:
-OBJECT_SHARE = 1 / 15  # a crate needs no finer cover than a cube, and fitting one would take a minute
+OBJECT_OVERSHOOT = 0.005  # [m] for held objects, or `OBJECT_SHARE` of the largest extent if that is larger:
+OBJECT_SHARE = 1 / 15  # a large object needs no finer cover, and fitting one would take a minute
 
 REVOLUTE_KIND = 1  # as in frames
 
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
-    """The pack's arrays that do not depend on the world, the names of the bodies, their exact pieces."""
+    """The arrays of a `Pack` that do not depend on the world, with body names and exact pieces."""
 
     bodies: tuple[str, ...]
     arrays: dict[str, Any]
@@ -45,16 +45,19 @@ class RobotPart:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A link or held object: spheres (s, 5), their groups (g, 4) with sizes (g,), pieces; in its frame."""
+    """Sphere cover and exact pieces of a link or held object, in its own frame.
 
-    around: F64  # (4,) one sphere around all
+    Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
+    """
+
+    around: F64  # (4,) bounding sphere of the body
     spheres: F64
     groups: F64
     sizes: list[int]
     pieces: Pieces
 
     def placed(self, T: F64) -> _Placed:
-        """The body in a frame of the group, where T (4, 4) is its pose."""
+        """Return the body's data in a frame of the group, where T (4, 4) is the body's pose."""
 
         def at(spheres: F64) -> F32:
             out = spheres.copy()
@@ -71,7 +74,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A body in a frame of the group, as the pack has it."""
+    """Cover and pieces of a body in a frame of the group, in the format of a `Pack`."""
 
     around: F32
     sphere: F32
@@ -81,12 +84,12 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """The frames that the group's joints move, merged with everything that other joints hold in place.
+    """Frames that the group's joints move; other joints are merged into fixed transforms.
 
     Attributes:
-        above: the frames from the world's down to each.
-        arm: [m] from each frame's parent to its origin.
-        arrays: the frames as the pack has them.
+        above: for each frame, the frames from the world's child down to it.
+        arm: distance [m] from the origin of each frame's parent to its own origin.
+        arrays: the frames in the format of a `Pack`.
     """
 
     above: list[list[int]]
@@ -94,20 +97,23 @@ class _Chain:
     arrays: dict[str, Any]
 
 
-UP = np.float32(1 + 1e-6)  # rounding to float32 may not shrink a cover
-_parts: Kept[RobotPart] = Kept(8)
-_chains: Kept[_Chain] = Kept(32)
-_bodies: Kept[_Body] = Kept(512)
-_placed: Kept[_Placed] = Kept(512)
-_pieces_joined: Kept[Pieces] = Kept(32)
-_pairs_found: Kept[I32] = Kept(32)
-_near_found: Kept[tuple[I32, dict[str, I32]]] = Kept(32)
-_reaches: Kept[F64] = Kept(1024)
-_moving: Kept[NDArray[np.bool_]] = Kept(32)
+UP = np.float32(1 + 1e-6)  # rounding to float32 must not shrink a cover
+_parts: LruCache[RobotPart] = LruCache(8)
+_chains: LruCache[_Chain] = LruCache(32)
+_bodies: LruCache[_Body] = LruCache(512)
+_placed: LruCache[_Placed] = LruCache(512)
+_pieces_joined: LruCache[Pieces] = LruCache(32)
+_pairs_found: LruCache[I32] = LruCache(32)
+_near_found: LruCache[tuple[I32, dict[str, I32]]] = LruCache(32)
+_reaches: LruCache[F64] = LruCache(1024)
+_moving: LruCache[NDArray[np.bool_]] = LruCache(32)
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
-    """Kept for the last few robots and states of the joints that the group does not move."""
+    """Return the kernel data of the robot, cached by robot and positions of the other joints.
+
+    Positions of the group's joints do not matter.
+    """
     model = scene.model
     rest = np.delete(scene.positions, model.columns(joint_names))
     key = (
@@ -150,27 +156,28 @@ class _Builder:
         }
         return RobotPart(tuple(b for b, _ in bodies), arrays, pieces)
 
-    # --- kinematics: only the group's joints are left, everything else is merged ---
+    # --- kinematics: only the group's joints remain, all others are merged ---
     def _frames(self) -> None:
         tree = self.tree
         self.parent, self.fixed, self.kind, self.column = [0], [np.eye(4)[:3].ravel()], [0], [0]
         self.multiplier, self.offset = [1.0], [0.0]
         self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
         self.adjustable: set[int] = set()  # links that a joint outside the group moves within their frame
+        # (the frame may be the world)
         rest = tree.link_transforms(self.scene.positions)
-        # T_parent_link where it is now, of every joint's links: the rigid inverse of the one times the other
+        # current T_parent_link of every joint: the inverse of the parent's pose times the link's pose
         turn = rest[tree.parent, :3, :3].transpose(0, 2, 1)
         relative = np.tile(np.eye(4), (len(tree.parent), 1, 1))
         relative[:, :3, :3] = turn @ rest[1:, :3, :3]
         relative[:, :3, 3:] = turn @ (rest[1:, :3, 3:] - rest[tree.parent, :3, 3:])
-        stiff = np.asarray(tree.kind) == 0  # without the rounding, which depends on where the arm is
+        stiff = np.asarray(tree.kind) == 0  # exact values: the rounding above depends on the arm's positions
         relative[stiff] = tree.T_parent_joint[stiff]
         for j in range(len(tree.parent)):
             frame, T = self.of_link[int(tree.parent[j])]
             column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
-            if column is None:  # not moved by the group: where it is now
+            if column is None:  # the group does not move this joint, so it keeps its current position
                 self.of_link[j + 1] = (frame, T @ relative[j])
-                if frame > 0 and (tree.kind[j] or int(tree.parent[j]) in self.adjustable):
+                if tree.kind[j] or int(tree.parent[j]) in self.adjustable:
                     self.adjustable.add(j + 1)
                 continue
             A = _turned_to_z(*tree.axis[j].tolist())
@@ -205,8 +212,8 @@ class _Builder:
         fingers = {f for g in self.model.grippers.values() for f in g.finger_links}
         bodies: list[tuple[str, int]] = []  # name, frame
         placed: list[tuple[_Body, F64]] = []  # and T_frame_body
-        # Bodies that other joints (a gripper) or a grasp place: to work out what they can meet anew each time
-        # would take longer than it saves.
+        # False for bodies whose pose in their frame depends on other joints (a gripper, a resting arm) or on
+        # a grasp: computing for each new pose which bodies they can meet takes longer than it saves.
         self.placed_for_good: list[bool] = []
         padding: list[float] = []
         for link in self.model.links.values():
@@ -267,8 +274,10 @@ class _Builder:
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
     ) -> tuple[I32, dict[str, I32]]:
-        """Pairs that can meet, and their groups that can. Not looked for again where only bodies that are not
-        placed for good are elsewhere."""
+        """Return the pairs of bodies that can meet, and the tables of their groups that can meet.
+
+        The result is cached for all poses of bodies that are not placed for good.
+        """
         pairs = self._pairs(bodies)
         key = (
             self.chain,
@@ -280,7 +289,7 @@ class _Builder:
 
         def look() -> tuple[I32, dict[str, I32]]:
             meeting = self._near(bodies, arrays, pairs)
-            # Pairs that cannot meet need no checking; nor do groups of the first body that meet nothing.
+            # Leave out pairs that cannot meet, and groups of the first body that meet no group of the second.
             some = [p for p, groups in enumerate(meeting) if groups.any()]
             return pairs[some], _near_tables(arrays["body_groups"], pairs[some], [meeting[p] for p in some])
 
@@ -289,7 +298,7 @@ class _Builder:
     def _near(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
     ) -> list[NDArray[np.bool_]]:
-        """Per pair (g, h): which groups of the second body each group of the first can meet."""
+        """Return for each pair a mask (g, h): which groups of the two bodies can meet."""
         found = []
         for i, j in pairs:
             branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
@@ -303,7 +312,10 @@ class _Builder:
         return found
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
-        """The frames below the nearest common one, down to each of two frames."""
+        """Return the frames from the nearest common frame down to each of two frames.
+
+        The common frame itself is not included.
+        """
         a, b = self.chain.above[f], self.chain.above[e]
         common = 0
         while common < min(len(a), len(b)) and a[common] == b[common]:
@@ -337,7 +349,13 @@ class _Builder:
         return near.which_meet(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """(groups, columns) as `_reach`, for groups (g, 4) in the frame at the end of a branch."""
+        """Return motion bounds (groups, columns) like `_reach`, for the groups of one body.
+
+        Args:
+            branch: frames from the common frame down to the body's frame.
+            columns: joint columns of the result.
+            groups: (g, 4) spheres in the body's frame.
+        """
         radius = np.linalg.norm(groups[:, :3], axis=1) + groups[:, 3]
         reach = np.zeros((len(groups), len(columns)))
         for frame in reversed(branch):
@@ -352,7 +370,7 @@ class _Builder:
 
     # --- motion bounds ---
     def _reach(self, bodies: list[tuple[str, int]]) -> F64:
-        """Joint by joint, the largest distance (bodies, dof) a body's point can be from the joint's axis."""
+        """Return upper bounds (bodies, dof) of each body's motion per unit of each joint."""
         reach = np.zeros((len(bodies), self.dof))
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
             reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
@@ -373,19 +391,22 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Largest absolute value of a frame's joint."""
+        """Return the largest absolute joint position of a frame's joint within its limits."""
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
-        """Only joints above exactly one of the two bodies move them against each other."""
+        """Return upper bounds (pairs, dof) of each pair's relative motion per unit of each joint.
+
+        Only joints above exactly one of the two bodies move them relative to each other.
+        """
         key = (self.chain, tuple(frame for _, frame in bodies), pairs.tobytes())
         i, j = pairs.T
         moves = _moving.get(key, lambda: self._moves([frame for _, frame in bodies], i, j))
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """(pairs, dof) whether a joint moves two bodies against each other."""
+        """Return a mask (pairs, dof): which joints move the two bodies relative to each other."""
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
             above[k, self.chain.above[frame]] = True
@@ -400,14 +421,14 @@ def _ends(sizes: Iterable[int]) -> I32:
 
 @lru_cache
 def _turned_to_z(x: float, y: float, z: float) -> F64:
-    """(4, 4) the rotation that takes z to a joint's axis."""
+    """Return the transform (4, 4) that rotates the z axis to a joint's axis."""
     A = np.eye(4)
     A[:3, :3] = SO3.between((0.0, 0.0, 1.0), (x, y, z)).matrix
     return A
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
-    """The groups that meet as the pack wants them (see there)."""
+    """Return the tables of groups that can meet, in the format of a `Pack`."""
     first, groups, counts, others = [0], [], [], []
     for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
         count = meets.sum(axis=1)
@@ -434,7 +455,7 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
-    """Covers and pieces of shapes with poses (4, 4) and overshoots [m]."""
+    """Return the sphere cover and exact pieces of shapes with poses (4, 4) and overshoots [m]."""
     spheres, groups, sizes = [], [], []
     for shape, T, overshoot in shapes:
         found: Cover = cover(shape, overshoot)

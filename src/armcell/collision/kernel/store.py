@@ -1,4 +1,4 @@
-"""What is worked out once per machine: arrays on disk, by the hash of what they were made from."""
+"""Disk cache of computed arrays, keyed by a hash of their inputs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 
 
 def key_of(*parts: NDArray | str) -> str:
-    """A name, the same in every process for the same content."""
+    """Return a cache key that depends only on the content of its arguments."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
@@ -26,7 +26,10 @@ def key_of(*parts: NDArray | str) -> str:
 
 
 def recall(kind: str, key: str) -> dict[str, NDArray] | None:
-    """What was kept, or None where nothing readable is that only this user can have written."""
+    """Return cached arrays, or None if there is no readable and trusted file.
+
+    A file is trusted if only the current user can have written it.
+    """
     file = cache_root() / kind / f"{key}.npz"
     if not trusted_file(file):
         return None
@@ -34,11 +37,15 @@ def recall(kind: str, key: str) -> dict[str, NDArray] | None:
         with np.load(file, allow_pickle=False) as stored:
             return dict(stored)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        return None  # not there, or cut off
+        return None  # the file is missing or truncated
 
 
 def keep(kind: str, key: str, **arrays: NDArray) -> None:
-    """Write arrays, whole or not at all; a folder that cannot be written only costs the time again."""
+    """Write arrays to the disk cache atomically.
+
+    If the folder is not writable, the function logs the error, and the next process computes the arrays
+    again.
+    """
     file = cache_root() / kind / f"{key}.npz"
     try:
         make(file.parent)

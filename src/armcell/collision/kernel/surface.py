@@ -1,4 +1,4 @@
-"""Points on and in solids: what a sphere cover has to hold, with a known bound on the gaps."""
+"""Surface and interior points of solids that a sphere cover must contain."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, Poin
 
 Array = NDArray[np.float64]
 
-SECTIONS = 48  # of round shapes
+SECTIONS = 48  # number of facets around round shapes
 
 
 def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
-    """Vertices (v, 3), faces (f, 3) and how far the true surface is outside the triangles [m]."""
-    import trimesh  # slow to load, and not needed where covers come from the disk
+    """Return a shape's vertices (v, 3), faces (f, 3), and gap to the true surface [m].
+
+    The gap is the largest distance by which the true surface is outside the triangles.
+    """
+    import trimesh  # slow to import, and not needed if the covers are in the disk cache
 
     match shape:
         case Mesh():
@@ -46,10 +49,10 @@ def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
 
 
 def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """The surface cut into triangles (m, 3, 3) with no edge longer than `edge` [m], by halving longest edges.
+    """Split a surface into triangles (m, 3, 3) with edges of at most `edge` [m].
 
-    A ball is convex, so it holds a triangle if it holds its corners: covers need no margin for what lies
-    between sample points.
+    The algorithm halves the longest edges. A sphere is convex, so it contains a triangle if it contains its
+    vertices: covers need no margin between sample points.
     """
     left, done = vertices[faces], []
     while len(left):
@@ -66,9 +69,10 @@ def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> A
 
 
 def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """The surface in small triangles (m, 3, 3), without what lies inside another part of the same mesh.
+    """Return a surface as small triangles (m, 3, 3) without parts inside the same mesh.
 
-    Robot meshes are often several closed solids pushed into each other; the skin inside needs no cover.
+    Robot meshes often consist of several closed solids that intersect; the surface inside another solid needs
+    no cover.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -87,7 +91,7 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
     for part in names:
         elements = small_triangles(vertices, faces[part_of_face == part], edge)
         buried = np.zeros(len(elements), dtype=bool)
-        # A little outside the face: where two parts abut, the face between them is inside the other one.
+        # Test points slightly outside the face: where two solids abut, each face is inside the other solid.
         normal = np.cross(elements[:, 1] - elements[:, 0], elements[:, 2] - elements[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-18)
         points = elements.mean(axis=1) + 2e-4 * normal
@@ -103,7 +107,7 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
 
 
 def depths(points: Array, skin: Array) -> Array:
-    """Distance (m,) of points inside to the skin's triangles (k, 3, 3) [m]."""
+    """Return the distances (m,) [m] of interior points to the surface triangles (k, 3, 3)."""
     corners, index = np.unique(np.round(skin.reshape(-1, 3), 9), axis=0, return_inverse=True)
     model = triangle_model(corners, index.reshape(-1, 3).astype(np.int32))
     point, radius = coal.Sphere(1e-6), 1e-6
@@ -118,7 +122,7 @@ def depths(points: Array, skin: Array) -> Array:
 
 
 def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
-    """Points (m, 3) of a grid that are inside the solid."""
+    """Return the points (m, 3) of a regular grid that are inside a solid."""
     low, high = vertices.min(0), vertices.max(0)
     axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -226,7 +226,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @njit(cache=True)
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Bodies against the world; True where nothing is left to find out. See `check_block`."""
+    """Bodies against the world; True where nothing is left to find out. See `_check_arrays`."""
     for body in range(I[BODIES] - 1, -1, -1):  # the tip's bodies first: they touch most often
         f = I[I[FRAME] + body]
         if f == 0:

@@ -1,4 +1,4 @@
-"""What stands in the world, as the kernel wants it: shapes in world coordinates."""
+"""Kernel data of world objects: shapes in world coordinates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel.box_tree import HUGE
 from armcell.collision.kernel.cloud_part import Cloud, cloud_of
-from armcell.collision.kernel.kept import Kept
+from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of, solid
 from armcell.core import Mesh, Plane, Shape
 from armcell.core.geometry import local_bounds
@@ -24,30 +24,30 @@ I32 = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class ObjectPart:
-    """The convex shapes of one object in the world (o of them).
+    """Kernel data of the convex shapes of one world object (o shapes).
 
-    What has very many parts, and a mesh that is not convex, is one shape: the box around it, with a cloud.
+    A point cloud, an octree, or a nonconvex mesh counts as one shape: its bounding box, with a cloud.
     """
 
     kind: I32  # (o,)
     pose: F32  # (o, 12) rows of T_shape_world
     size: F32  # (o, 3)
-    planes: F32  # (n, 4) of hulls
+    planes: F32  # (n, 4) face planes of convex hulls
     planes_end: I32  # (o,)
-    low: F64  # (o, 3) boxes in the world
-    high: F64
+    low: F64  # (o, 3) lower corners of the world bounding boxes
+    high: F64  # (o, 3) upper corners
     pieces: Pieces
     pieces_end: I32  # (o,)
-    cloud: I32  # (o,) which of `clouds` it is the box of, or -1
+    cloud: I32  # (o,) index in `clouds` of the cloud whose bounding box the shape is, or -1
     clouds: tuple[Cloud, ...]
 
 
-_parts: Kept[ObjectPart] = Kept(512)
+_parts: LruCache[ObjectPart] = LruCache(512)
 _of_object: WeakKeyDictionary[CollisionObject, ObjectPart] = WeakKeyDictionary()
 
 
 def object_part(item: CollisionObject) -> ObjectPart:
-    """Kept for all objects of the same shapes at the same place."""
+    """Return the kernel data of an object, cached for objects with the same shapes and pose."""
     found = _of_object.get(item)
     if found is None:
         shapes = tuple((shape, T.matrix.tobytes()) for shape, T in item.shapes)
@@ -100,7 +100,7 @@ def _object_part(item: CollisionObject) -> ObjectPart:
 
 @lru_cache(maxsize=1024)
 def _hull_planes(mesh: Mesh) -> F64:
-    """Outward normals and offsets (n, 4) of a mesh's hull."""
+    """Return the outward normals and offsets (n, 4) of the faces of a mesh's convex hull."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations  # n x + d <= 0 inside

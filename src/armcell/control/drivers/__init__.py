@@ -1,4 +1,4 @@
-"""Drivers by mode. Importing this package registers them."""
+"""Robot drivers by mode (sim, fake, real); importing this package registers them."""
 
 from armcell.control.drivers import fake, sim, ur
 

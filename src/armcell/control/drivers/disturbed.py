@@ -1,8 +1,7 @@
-"""The simulated robot with something wrong with it: encoders that are off, noise, latency, pushes, things
-that stand elsewhere.
+"""The simulated robot with disturbances: encoder offsets, noise, latency, pushes, moves.
 
-What physics does is true; what the driver says and takes is as a real controller's would be: joint positions
-in the encoders' frame, commands that act late. Object poses and slip stay true.
+The physics stays correct; the driver reads and commands joints as a real controller would, with joint
+positions in the encoders' frame and delayed commands. Object poses and slip are reported without error.
 """
 
 from __future__ import annotations
@@ -23,7 +22,10 @@ from armcell.scene import PlanningScene
 
 
 class DisturbedSim(SteppedSim):
-    """Physics with `Disturbances`. It plays nothing by itself: every command passes through them."""
+    """Simulation driver with `Disturbances`, which apply to every command and joint reading.
+
+    The driver does not implement `Player`, so that no command bypasses the disturbances.
+    """
 
     def __init__(self, scene: PlanningScene, options: DriverOptions, disturbances: Disturbances):
         super().__init__(scene, options)
@@ -34,14 +36,14 @@ class DisturbedSim(SteppedSim):
         self._offset = np.array([disturbances.joint_offsets.get(n, 0.0) for n in model.joint_names])
         self._offset_of = dict(zip(model.joint_names, self._offset.tolist(), strict=True))
         self._late: deque[tuple[int, tuple[str, ...], Array, Array]] = deque()
-        self._steps = 0  # taken so far
+        self._steps = 0  # physics steps since the start
         step = self._settings.timestep
-        self._pushes = [  # from which step, until which
+        self._pushes = [  # first step, end step, push
             (first := round(push.at / step), first + max(round(push.duration / step), 1), push)
             for push in disturbances.pushes
         ]
         self._moves = sorted(((round(move.at / step), move) for move in disturbances.moves), key=_step)
-        self._moved = 0  # how many of them
+        self._moved = 0  # number of applied displacements
 
     def __enter__(self) -> Self:
         super().__enter__()
@@ -49,14 +51,14 @@ class DisturbedSim(SteppedSim):
         self.world.set_positions(np.clip(self._scene.positions + self._offset, model.lower, model.upper))
         self._late.clear()
         self._steps = self._moved = 0
-        self._move()  # what stands elsewhere from the beginning, a camera may see before time passes
+        self._move()  # displacements at time 0: cameras may look before time passes
         return self
 
-    # --- what it says ---
+    # --- measurements ---
     def joint_state(self) -> JointState:
         state = self.world.joint_state()
         noise = np.zeros(len(self._offset))
-        if self.disturbances.joint_noise:  # of the time, not of how often it is asked
+        if self.disturbances.joint_noise:  # depends on the time, not on the number of calls
             rng = np.random.default_rng((self._options.seed, self._steps))
             noise = self._arm * rng.normal(0.0, self.disturbances.joint_noise, len(self._offset))
         return replace(state, positions=state.positions - self._offset + noise)
@@ -68,7 +70,7 @@ class DisturbedSim(SteppedSim):
     def _offsets(self, names: tuple[str, ...]) -> Array:
         return np.array([self._offset_of[n] for n in names])
 
-    # --- what it takes ---
+    # --- commands ---
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
@@ -85,7 +87,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """The commands whose time has come."""
+        """Send the delayed joint commands that are due to the simulation."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)
@@ -104,7 +106,7 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Steps at which something changes."""
+        """Yield the steps at which a command, a push or a displacement takes effect."""
         if self._late:
             yield self._late[0][0]
         for first, last, _ in self._pushes:
@@ -121,7 +123,7 @@ class DisturbedSim(SteppedSim):
                 forces[self.world.built.body[push.on], :3] += push.force
 
     def _move(self) -> None:
-        """What is to stand elsewhere by now."""
+        """Apply the object displacements that are due."""
         while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
             move = self._moves[self._moved][1]
             T = self.world.object_pose(move.object)

@@ -1,6 +1,6 @@
-"""The fake robot: follows every command exactly, without physics. For trying out plans and scripts.
+"""The fake robot: follows every command exactly, without physics, to test plans and scripts.
 
-A gripper that closes around an object holds it; one that opens leaves it where it is.
+A gripper that closes around an object holds it; when the gripper opens, the object stays at its pose.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer
 
-FINGER_SPEED = 0.1  # [m/s] of the opening
+FINGER_SPEED = 0.1  # [m/s] rate of the opening width
 
 
 @drivers.register("fake")
@@ -76,7 +76,7 @@ class FakeDriver(SeesNoContacts):
         return GripperReading(width, force, held[0] if held else None)
 
     def resume(self) -> None:
-        """As `Driver.resume`: nothing ever stops it."""
+        """Do nothing: no event ever stops the fake robot."""
 
     def wrench(self, gripper: str) -> Array:
         self._model.gripper(gripper)
@@ -104,7 +104,7 @@ class FakeDriver(SeesNoContacts):
         return self._tree.link_pose(self._q, self._model.gripper(gripper).tcp_link)
 
     def _between(self, gripper: str) -> str | None:
-        """The object whose bounding box holds the tcp point."""
+        """Return the object whose bounding box contains the TCP, or None."""
         point = self._tcp(gripper).translation
         for name, pose in self._poses.items():
             low, high = self._scene.object(name).bounds()
@@ -114,7 +114,7 @@ class FakeDriver(SeesNoContacts):
         return None
 
     def _blocked_width(self, gripper: str) -> float:
-        """Size [m] along the closing axis of the object between the fingers, 0 without one."""
+        """Return the size [m] of the object between the fingers along the closing axis, or 0."""
         item = self._held[gripper][0] if gripper in self._held else self._between(gripper)
         if item is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""The simulated robot: MuJoCo behind the Driver protocol."""
+"""The simulated robot: a Driver implementation on MuJoCo."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from armcell.core import SE3, ArmcellError, Contact, InputError, JointState, Pla
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer, PhysicsSettings, SimWorld, Targets
 
-PERIOD = 0.004  # [s] between commands, as nearly as whole physics steps allow
+PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
 
 class SteppedSim:
-    """Physics in lock-step (as fast as it can) or paced by the wall clock, told what to do every period."""
+    """Simulation driver that is commanded every period, in lock-step or paced by wall time.
+
+    Lock-step runs as fast as the computer allows.
+    """
 
     name = "sim"
     is_simulated = True
@@ -28,7 +31,7 @@ class SteppedSim:
         self._settings = options.physics or PhysicsSettings()
         self.period = max(round(PERIOD / self._settings.timestep), 1) * self._settings.timestep
         self._pacer = Pacer(options.time_scale)
-        self.world: SimWorld = None  # type: ignore[assignment]  # there from __enter__ on
+        self.world: SimWorld = None  # type: ignore[assignment]  # set by __enter__
 
     def __enter__(self) -> Self:
         o = self._options
@@ -41,7 +44,7 @@ class SteppedSim:
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Held by who reads joints and objects in another thread than the one that lets time pass."""
+        """Lock for reading joints and objects in a thread other than the one that advances time."""
         return self.world.lock
 
     @property
@@ -60,7 +63,7 @@ class SteppedSim:
     ) -> JointState:
         self.world.set_arm_target(joint_names, positions, velocities)
         q, v = np.array(positions, dtype=float), np.array(velocities, dtype=float)
-        return JointState.trusted(joint_names, q, v, time=self.now)  # the world has looked at them
+        return JointState.trusted(joint_names, q, v, time=self.now)  # validated by the world
 
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
         self.world.set_gripper_target(gripper, width, force)
@@ -83,7 +86,7 @@ class SteppedSim:
         self.world.set_arm_target(arm.joint_names, arm.positions)
 
     def resume(self) -> None:
-        """As `Driver.resume`: only physics that has diverged stops it for good."""
+        """Check that the simulation can continue; only diverged physics stops it permanently."""
         try:
             self._connected().check()
         except ArmcellError as error:
@@ -122,16 +125,16 @@ class SteppedSim:
 
 
 class SimDriver(SteppedSim):
-    """Physics that plays trajectories by itself."""
+    """Simulation driver that can also play trajectories itself (`Player`)."""
 
     def __init__(self, scene: PlanningScene, options: DriverOptions):
         super().__init__(scene, options)
-        self._played: tuple[Playback, float, Targets] | None = None  # of what, begun when [s]
+        self._played: tuple[Playback, float, Targets] | None = None  # playback, start time [s], its targets
 
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """See `control.driver.Player`."""
+        """Play a part of a trajectory in simulation; see `control.driver.Player`."""
         if self._played is None or self._played[:2] != (playback, began):
             self._played = playback, began, self._targets_of(playback, began)
         found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)
@@ -148,4 +151,4 @@ class SimDriver(SteppedSim):
         return Targets(wanted, timestep, round(period / timestep))
 
 
-drivers.register("sim")(SimDriver)  # not above the class: it would hide that it is one
+drivers.register("sim")(SimDriver)  # not a decorator: type checkers would lose the class

@@ -1,4 +1,4 @@
-"""The twin of a real robot: each motion is played in physics first, then watched against that."""
+"""Digital twin of a real robot: dry-runs each motion, then monitors the robot's deviation."""
 
 from armcell.control.twin.bands import ArmBands, TwinBands, learned
 from armcell.control.twin.guard import UNWATCHED, TwinGuard

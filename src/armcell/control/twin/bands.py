@@ -1,9 +1,10 @@
-"""How far a real arm may be from its twin: bands learned from motions during which nothing was wrong.
+"""Residual thresholds of a digital twin, learned from motions without faults.
 
-By arm and joint: position, velocity and motor current, each by what is left after the twin's prediction; by
-arm the mass on the flange that explains the currents best, and the network's round trip. An arm is a little
-behind its clock or before it (`lag`), and its currents are the twin's torques times a factor, plus friction,
-dry and viscous: all fitted. Currents ripple, so their deviation is the mean of the last looks; payloads stay.
+The thresholds ("bands") apply by arm and joint to position, velocity and motor current, each as the residual
+after the twin's prediction, and by arm to the flange mass that explains the currents best and to the network
+round trip. The fit includes each arm's time offset from its clock (`lag`). It models currents as a factor
+times the twin's torques plus Coulomb and viscous friction. Because currents ripple, their residual is a mean
+over the last samples, in which a payload error persists.
 """
 
 from __future__ import annotations
@@ -27,73 +28,81 @@ Array = NDArray[np.float64]
 FORMAT = 2
 WIDER, WIDER_VELOCITY, WIDER_CURRENT, WIDER_LOAD = 1.6, 2.0, 2.5, 2.0
 LEAST_POSITION, LEAST_VELOCITY, LEAST_SHARE = 0.004, 0.05, 0.06
-"""[rad], [rad/s], of the largest current: bands are no narrower."""
+"""Lower limits of the bands: [rad], [rad/s], and a fraction of the largest current."""
 LEAST_LOAD, LEAST_SPREAD = 0.7, 0.015
-"""[kg] that the load's band is at least; of the largest current: a joint's spread counts as no less."""
-LATER = 0.015  # [s] that a round trip may take longer than ever in clean motions
+"""Lower limits: load band [kg], and a joint's current spread as a fraction of the largest current."""
+LATER = 0.015  # [s] margin over the longest round trip of fault-free motions
 LEAST_SAMPLES = 200
-LASTING = 3  # looks in a row outside a band until something is done
-SMOOTHED = 25  # looks that a current's deviation is the mean of, and a load is reckoned from
-FEWEST = 10  # looks that a load is reckoned from as a motion begins
-EXPLAINED = 0.75  # of the currents' squared deviation, by a load that is claimed
-SLOWED = 0.3  # of the acceleration's largest effort that a slowed arm's may be wrong by
-SETTLED = 0.15  # [s] of a motion after which its speeds and currents count: they jump as it starts
-LAGS = (-0.05, 0.2)  # [s] between which the lag is
-CURRENT_LAGS = tuple(k * 0.004 for k in range(-10, 16))  # [s] that are tried
-LATE_TRIED = np.linspace(-1.0, 1.0, 9)  # shares of `Seen.late`
+LASTING = 3  # consecutive samples outside a band before the guard reacts
+SMOOTHED = 25  # samples in the mean current residual and in the load estimate
+FEWEST = 10  # samples in the load estimate at the start of a motion
+EXPLAINED = 0.75  # fraction of the squared current residual that a reported load must explain
+SLOWED = 0.3  # uncertainty of a slowed arm's effort, as a fraction of the largest acceleration effort
+SETTLED = 0.15  # [s] after the start of a motion: speeds and currents jump before
+LAGS = (-0.05, 0.2)  # [s] limits of the lag
+CURRENT_LAGS = tuple(k * 0.004 for k in range(-10, 16))  # [s] candidates
+LATE_TRIED = np.linspace(-1.0, 1.0, 9)  # candidate clock errors, as fractions of `Seen.late`
 LEAST_EFFORT, TOLD_APART = 10.0, 0.006
-"""[Nm] below which a joint's efforts tell little of its factor; of the largest singular value: what tells the
-parts of the currents apart less than that (a wrist's torque is almost all viscous) is not used."""
-CREEP = 0.02  # [rad/s] at which a joint's Coulomb friction has come to most of its size
+"""Limits of the current fit: the smallest effort [Nm] by which a joint's samples are scaled, and the relative
+singular-value cutoff of the least squares (a wrist's torque is almost entirely viscous)."""
+CREEP = 0.02  # [rad/s] at which Coulomb friction reaches 76 % of its final value (tanh)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One look at a moving arm."""
+    """One sample of a moving arm's measured state."""
 
-    clock: float  # [s] along the trajectory
-    scaling: float  # 0 to 1, of the speed
+    clock: float  # [s] time on the trajectory
+    scaling: float  # speed fraction, 0 to 1
     q: Array  # (n,) [rad]
     v: Array  # (n,) [rad/s]
     current: Array  # (n,) [A]
-    trip: float  # [s] shortest round trip of the last moments; NaN where not known
-    steady: bool = True  # the speed's scaling is not changing
-    late: float = 0.0  # [s] by which the clock may be wrong, either way
+    trip: float  # [s] shortest recent network round trip; NaN if unknown
+    steady: bool = True  # the speed scaling is constant
+    late: float = 0.0  # [s] largest error of the clock, in both directions
 
 
 @dataclass(frozen=True, eq=False)
 class ArmBands:
-    """Of one arm; arrays by joint."""
+    """Residual thresholds and fitted current model of one arm; arrays are indexed by joint."""
 
     lag: float  # [s]
     position: Array  # [rad]
     velocity: Array  # [rad/s]
     current_lag: float  # [s]
-    gain: Array  # [A/Nm] current per torque of the twin
+    gain: Array  # [A/Nm] current per simulated torque
     friction: Array  # [A]
     viscous: Array  # [A s/rad]
     offset: Array  # [A]
-    current: Array  # [A]; infinite where the robot tells no current
-    spread: Array  # [A] of what is left of single looks' currents
-    load: float  # [kg]; infinite where the robot tells no current
+    current: Array  # [A]; infinite if the robot reports no current
+    spread: Array  # [A] standard deviation of the current residual of single samples
+    load: float  # [kg]; infinite if the robot reports no current
     trip: float  # [s]
     samples: int
 
     def current_of(self, effort: Array, velocity: Array) -> Array:
-        """Motor currents (n,) [A] that the twin leads to expect."""
+        """Return the motor currents (n,) [A] that the twin predicts for efforts and velocities.
+
+        Args:
+            effort: simulated joint torques (n,) [Nm].
+            velocity: joint velocities (n,) [rad/s].
+        """
         rubbing = self.friction * np.tanh(velocity / CREEP) + self.viscous * velocity
         return self.gain * effort + rubbing + self.offset
 
     def deviations(
         self, seen: Seen, twin: Rehearsal, columns: Sequence[int], currents: deque[Array]
     ) -> dict[str, Array]:
-        """By kind, each joint's deviation in units of its band (n,); above 1 is outside. `timing` and `load`
-        are (1,), a load is negative where the arm carries less than its model says.
+        """Return the residuals by kind, in units of their bands (n,); above 1 is outside the band.
+
+        `timing` and `load` have shape (1,); a negative load means that the arm carries less than the model
+        says.
 
         Args:
-            columns: the arm's joints in the twin.
-            currents: (2, n) of the last looks of this motion, how far currents were off [A] and what a
-                kilogram adds [A/kg]; one is added.
+            seen: measured sample.
+            columns: indices of the arm's joints in the twin.
+            currents: last samples of this motion, each (2, n): current residual [A], and current per
+                additional kilogram [A/kg]. The method appends one sample.
         """
         at = list(columns)
         clocks = (
@@ -108,7 +117,7 @@ class ArmBands:
             "position": np.abs(seen.q - q) / self.position,
             "timing": np.array([0.0 if np.isnan(seen.trip) else seen.trip / self.trip]),
         }
-        if not seen.steady or seen.clock < SETTLED:  # speeds and currents are behind the scaling that is told
+        if not seen.steady or seen.clock < SETTLED:  # speeds and currents lag behind the reported scaling
             return found
         found["velocity"] = np.abs(seen.v - v * seen.scaling) / self.velocity
         if np.isfinite(self.current).all():
@@ -117,13 +126,19 @@ class ArmBands:
             )
             off = seen.current - self.current_of(effort, v * seen.scaling)
             currents.append(np.stack([off, self.gain * kilo]))
-            # Slower than planned, acceleration takes less; of what is held, and of rotors, that is not known.
+            # At reduced speed, acceleration needs less torque; for held objects and rotors the model
+            # does not know by how much.
             swing = np.abs(twin.demand.swing[:, at]).max(axis=0)
             found |= self._of_currents(currents, (1.0 - seen.scaling**2) * SLOWED * np.abs(self.gain) * swing)
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Kinds `current` and `load`, as far as the looks suffice. Expected currents: in doubt (n,) [A]."""
+        """Return the residuals of kind `current` and `load` that the number of samples permits.
+
+        Args:
+            looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
+            doubt: uncertainty of the predicted currents (n,) [A].
+        """
         found: dict[str, Array] = {}
         if len(looks) == SMOOTHED:
             wrong = np.abs(np.mean(looks, axis=0)[0]) - doubt
@@ -133,7 +148,7 @@ class ArmBands:
             load = explaining(off, kilo, self.spread)
             doubted = explaining(np.broadcast_to(doubt, off.shape), np.abs(kilo), self.spread)
             mean, left = (np.sum((np.mean(x, axis=0) / self.spread) ** 2) for x in (off, off - load * kilo))
-            explained = left <= (1.0 - EXPLAINED) * mean  # else it is a touch, a brake, anything
+            explained = left <= (1.0 - EXPLAINED) * mean  # else a contact, a brake or another cause
             sure = np.sign(load) * max(abs(load) - doubted, 0.0) if explained else 0.0
             found["load"] = np.array([sure / self.load])
         return found
@@ -141,15 +156,19 @@ class ArmBands:
 
 @dataclass(frozen=True, eq=False)
 class TwinBands:
-    """Of all arms of a cell, and of what they were learned on: other identities make them void."""
+    """Residual thresholds of all arms of a cell, and the identities for which they were learned.
+
+    Other identities (robot, physics, calibration) make the thresholds invalid.
+    """
 
     arms: Mapping[str, ArmBands]
-    identity: Mapping[str, str]  # by what it is of: robot, physics, real, calibration of each arm
+    identity: Mapping[str, str]  # keys: robot, physics, real, calibration of each arm
 
     def save(self, file: Path) -> None:
-        """
+        """Write the twin's residual thresholds to a JSON file.
+
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         arms = {
             name: {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(arm).items()}
@@ -163,9 +182,10 @@ class TwinBands:
 
     @staticmethod
     def load(file: Path) -> TwinBands:
-        """
+        """Read the twin's residual thresholds from a JSON file.
+
         Raises:
-            InputError: no such file, or not of this armcell.
+            InputError: the file does not exist, or its format is not the current one.
         """
         try:
             data = json.loads(file.read_text(encoding="utf-8"))
@@ -190,12 +210,12 @@ def _arm_of(entry: dict[str, Any]) -> ArmBands:
 
 
 def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) -> ArmBands:
-    """Bands of one arm.
+    """Fit the residual thresholds of one arm from recorded motions without faults.
 
     Args:
-        motions: each with its twin, the arm's columns in it, and what was seen.
+        motions: for each motion its dry run, the arm's columns in the dry run, and the measured samples.
     Raises:
-        InputError: too little was seen.
+        InputError: there are fewer than `LEAST_SAMPLES` samples.
     """
     rows = [(twin, list(columns), seen) for twin, columns, looks in motions for seen in looks]
     if len(rows) < LEAST_SAMPLES:
@@ -249,7 +269,13 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Factor, dry and viscous friction, offset of each joint (4, n); what is left of every look (k, n)."""
+    """Fit the linear current model of each joint by least squares.
+
+    Args:
+        current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].
+    Returns:
+        Parameters (4, n): torque factor, Coulomb friction, viscous friction, offset; residuals (k, n) [A].
+    """
     n = current.shape[1]
     out, left = np.zeros((4, n)), np.zeros_like(current)
     for i in range(n):
@@ -262,7 +288,10 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Largest size that LASTING looks in a row of a motion all had, (n,): one alone slows nothing."""
+    """Return the largest residual (n,) that lasts for LASTING consecutive samples of one motion.
+
+    A shorter peak does not count, because it would not slow the arm either.
+    """
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
         sizes = np.abs(left[first : first + length])
@@ -274,7 +303,7 @@ def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
-    """Largest mean of SMOOTHED looks in a row within a motion, (n,)."""
+    """Return the largest absolute mean over SMOOTHED consecutive samples of one motion (n,)."""
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
         sums = np.cumsum(np.vstack([np.zeros(left.shape[1]), left[first : first + length]]), axis=0)
@@ -286,7 +315,10 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Largest mass [kg] that explains SMOOTHED looks in a row within a motion, or the first of it."""
+    """Return the largest flange mass [kg] that explains any window of samples of one motion.
+
+    A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
+    """
     largest, first = 0.0, 0
     for length in lengths:
         for end in range(first + FEWEST, first + length + 1):

@@ -1,4 +1,7 @@
-"""The twin guard: refuses what touches in physics; slows, then stops an arm that is not where its twin is."""
+"""The twin guard: refuses motions that collide in simulation and stops deviating arms.
+
+An arm that deviates from its simulated twin is first slowed, then stopped.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +23,16 @@ from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 Array = NDArray[np.float64]
 
 SLOW_AFTER, STOP_AFTER = LASTING, 12
-"""Looks in a row outside a band until the arms are slowed, and until they are stopped."""
+"""Consecutive samples outside a band after which the guard slows the arms, and after which it stops them."""
 UNWATCHED = "motions are rehearsed, but not compared with the twin while they run: it has no bands yet"
-FAR = 3.0  # bands from the twin at which they are stopped as soon as they would be slowed
-SLOW = 0.25  # of the speed
-LATE = 0.02  # [s] by which the clock of a motion may be wrong whose points are sent
-STEADY = 0.002  # by which the scaling of the speed may differ from the last look's
+FAR = 3.0  # residual, in bands, at which the guard stops the arms instead of slowing them
+SLOW = 0.25  # speed fraction of slowed arms
+LATE = 0.02  # [s] largest clock error of a streamed motion
+STEADY = 0.002  # largest change of the speed scaling between two samples of constant speed
 
 
 class GuardedArm(Protocol):
-    """What the guard sees of a real arm."""
+    """Interface of a real arm, as the twin guard needs it."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -38,7 +41,7 @@ class GuardedArm(Protocol):
     def state(self) -> Any: ...
 
     @property
-    def time_of_state(self) -> float: ...  # [s, monotonic] when it was measured
+    def time_of_state(self) -> float: ...  # [s, monotonic] time of the measurement
 
     @property
     def scaling(self) -> float: ...
@@ -48,7 +51,7 @@ class GuardedArm(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion that was watched, for learning."""
+    """A recorded motion with its dry run, from which residual thresholds are learned."""
 
     arm: str
     twin: Rehearsal
@@ -57,13 +60,14 @@ class Motion:
 
 
 class TwinGuard:
-    """Of all arms of a driver.
+    """Monitors all arms of a driver against their simulated twin.
 
     Args:
-        stage: where motions are rehearsed.
-        bands: None: nothing is compared, only rehearsed.
-        learning: whether motions are kept in `motions`, to learn bands from.
-        note: told what the guard did: an arm's name, a kind, a text. It goes into the run's record.
+        stage: simulation in which motions are dry-run.
+        bands: residual thresholds; None: motions are dry-run but not compared while they run.
+        learning: True to keep the samples in `motions`, to learn thresholds from them.
+        note: called with (arm name, kind, text) for each action of the guard; the run's record shows the
+            text.
     """
 
     def __init__(
@@ -71,18 +75,19 @@ class TwinGuard:
         note: Callable[[str, str, str], None] = lambda arm, kind, text: None,
     ):  # fmt: skip
         self.stage, self.bands, self.learning, self.note = stage, bands, learning, note
-        self.trips: Mapping[str, Callable[[], float]] = {}  # shortest round trip of late [s], by arm
+        self.trips: Mapping[str, Callable[[], float]] = {}  # shortest recent round trip [s], by arm
         self.motions: list[Motion] = []
         self._twin: Rehearsal | None = None
         self._rehearsed: JointTrajectory | None = None
-        self._said = learning  # that nothing is compared
+        self._said = learning  # whether the UNWATCHED note was issued
 
     def check_calibration(self, found: Mapping[str, str]) -> None:
-        """
+        """Check that the residual thresholds belong to the calibration of the connected robots.
+
         Args:
-            found: checksum of each arm's calibration.
+            found: arm name to the checksum of its calibration.
         Raises:
-            InputError: the bands were learned with another robot, or before it was calibrated anew.
+            InputError: the thresholds were learned on another robot or before a new calibration.
         """
         for arm, now in found.items():
             then = None if self.bands is None else self.bands.identity.get(f"calibration.{arm}")
@@ -99,7 +104,13 @@ class TwinGuard:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Outcome | None:
-        """Play a trajectory in physics; why it must not be driven, or None."""
+        """Dry-run a trajectory in simulation; return the reason not to execute it, or None.
+
+        Args:
+            state: measured joint state at the start.
+            poses: T_world_object of the movable objects.
+            held: held objects and their grippers.
+        """
         self._rehearsed = trajectory
         self._twin = self.stage.play(trajectory, state, poses, held)
         outcome = self._twin.outcome
@@ -114,11 +125,15 @@ class TwinGuard:
         self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
         trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
-        """A motion under way, compared with its twin at every look at its clock.
+        """Return a handle that compares a running motion with its twin whenever its clock is read.
 
         Args:
-            sent_for: of a motion whose points are sent; None: the robot plays it and tells its own clock.
-            forced: what is felt decides on the way, so currents and speeds are not compared.
+            following: handle of the running motion.
+            arms: arms that execute the motion.
+            trip: called with the fault that stops the arms.
+            sent_for: setpoint history of a streamed motion; None: the robot plays the trajectory and reports
+                its own clock.
+            forced: True if measured forces modify the motion, so that currents and speeds are not compared.
         """
         twin = self._twin
         if twin is None or trajectory is not self._rehearsed:
@@ -130,7 +145,7 @@ class TwinGuard:
 
 
 class Watched:
-    """A motion that is compared with its twin. Passes everything on."""
+    """Handle of a motion that compares each arm with its twin and forwards all calls."""
 
     def __init__(
         self, guard: TwinGuard, following: Following, twin: Rehearsal, arms: list[GuardedArm],
@@ -146,12 +161,12 @@ class Watched:
         self._outside = dict.fromkeys(self._columns, 0)
         self._doubt: dict[str, tuple[str, str]] = dict.fromkeys(
             self._columns, ("", "")
-        )  # last outside: kind, text
+        )  # kind and text of the last sample outside a band
         self._worst: dict[str, tuple[float, str]] = dict.fromkeys(self._columns, (0.0, ""))
-        self._load = dict.fromkeys(self._columns, 0.0)  # [kg], the largest
+        self._load = dict.fromkeys(self._columns, 0.0)  # [kg] largest estimate
         self._currents = {name: deque[np.ndarray](maxlen=SMOOTHED) for name in self._columns}
-        self._scaling: dict[str, float] = {}  # at the last look
-        self._before: dict[str, float] = {}  # sliders as they were, once slowed
+        self._scaling: dict[str, float] = {}  # at the last sample
+        self._before: dict[str, float] = {}  # slider values before slowing
         self._stopped = self._told = False
 
     def clock(self) -> float:
@@ -174,11 +189,11 @@ class Watched:
     def cancel(self) -> None:
         self._following.cancel()
 
-    # --- looking ---
+    # --- comparison with the twin ---
     def _look(self, arm: GuardedArm, t: float) -> None:
         state, scaling = arm.state, arm.scaling
         q, v, current = (np.array(state.values[k]) for k in ("actual_q", "actual_qd", "actual_current"))
-        if self._sent_for is None:  # the robot plays it: its own clock stands in the very state
+        if self._sent_for is None:  # the robot plays the trajectory: its state contains its clock
             clock = float(state.output_double_register_24)
         else:
             clock, off = self._sent_for.at(arm.time_of_state)
@@ -205,7 +220,7 @@ class Watched:
         elif doubted in ("", *found):
             self._outside[arm.name], self._doubt[arm.name] = 0, ("", "")
             return
-        else:  # what was outside cannot be looked at while the speed changes: it is not cleared
+        else:  # a kind that is not observable while the speed changes is not cleared
             kind, text = doubted, before
         self._outside[arm.name] += 1
         count = self._outside[arm.name]
@@ -220,13 +235,16 @@ class Watched:
             }
             cure = cures.get(kind, "is it blocked, displaced, badly calibrated?")
             self._trip(Fault(arm.name, "twin deviation", f"{text} at {seen.clock:.2f} s", cure))
-            self._as_before()  # nothing moves before somebody has said so
+            self._as_before()  # safe: the arms stay stopped until the operator clears the fault
 
     def _worst_of(
         self, found: Mapping[str, Array], arm: GuardedArm, bands: ArmBands
     ) -> tuple[str, float, str]:
-        """Kind, how many bands, and a text. A load that explains the currents is told with whatever is worst:
-        an arm may also give way under it."""
+        """Return the kind of the largest residual, its size in bands, and a description.
+
+        The description also names a load that explains the currents, whatever kind is largest, because an
+        arm may also yield under an unknown load.
+        """
         kind = max(found, key=lambda each: float(np.abs(found[each]).max()))
         ratios = np.abs(found[kind])
         ratio, said = float(ratios.max()), []
@@ -250,7 +268,7 @@ class Watched:
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
 
     def _as_before(self) -> None:
-        """The sliders as they were before they were slowed."""
+        """Restore the speed sliders to their values before the guard slowed the arms."""
         for arm in self._arms:
             if arm.name in self._before:
                 arm.set_slider(self._before.pop(arm.name))

@@ -1,7 +1,8 @@
-"""What a mass on the flange adds to the joints' efforts; which mass, told by nobody, explains the currents.
+"""Flange load estimation: the mass that explains the motor currents of all joints best.
 
-Least squares on the dynamics, which are linear in a mass (Atkeson, An and Hollerbach, "Estimation of inertial
-parameters of manipulator loads and links", 1986): all joints together tell what no joint's band alone does.
+Least squares on the dynamics, which are linear in the mass (Atkeson, An and Hollerbach, "Estimation of
+inertial parameters of manipulator loads and links", 1986). Using all joints together reveals a load that no
+single joint's band reveals.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from armcell.model import Inertial, RobotModel
 
 Array = NDArray[np.float64]
 
-UNTOLD = 1.0  # [kg] of masses, standard deviation: where an arm hardly feels one, none is claimed
+UNTOLD = 1.0  # [kg] prior standard deviation of a mass: keeps poorly observable masses near 0
 
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """Efforts along a motion by rigid-body dynamics: those of one kilogram, and of acceleration."""
+    """Joint efforts along a motion: per kilogram of load, and for the arm's own acceleration."""
 
-    weight: Array  # (k, n) [Nm/kg] gravity of a mass at the flange
-    inertia: Array  # (k, n) [Nm/kg] what its acceleration takes at full speed
-    swing: Array  # (k, n) [Nm] what the arm's own acceleration takes at full speed
+    weight: Array  # (k, n) [Nm/kg] gravity torque of a mass at the flange
+    inertia: Array  # (k, n) [Nm/kg] torque to accelerate the mass at full speed
+    swing: Array  # (k, n) [Nm] torque to accelerate the arm itself at full speed
 
 
 def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Demand:
-    """Of a trajectory at some times (k,) [s]. The mass is a point at the origin of each arm's last link.
+    """Return the load and acceleration efforts of a trajectory at the times (k,) [s].
 
-    What is held is not in `swing`.
+    The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """
     names = trajectory.joint_names
     children = [model.joint(name).child for name in names]
@@ -41,7 +42,7 @@ def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Dema
     q, v, a = (np.array(column) for column in zip(*rows))
     still = np.zeros_like(q)
     rest, moving = [], []
-    for mass in (1.0, 2.0):  # torques are linear in it; with none, a robot without masses has no dynamics
+    for mass in (1.0, 2.0):  # torques are linear in it; 0 would fail for a robot without masses
         loads = [(link, Inertial(mass, SE3.identity(), np.zeros((3, 3)))) for link in last]
         dynamics = InverseDynamics(model, names, payloads=loads)
         rest.append(dynamics.torques(q, still, still))
@@ -51,13 +52,15 @@ def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Dema
 
 
 def explaining(wrong: Array, kilo: Array, spread: Array) -> float:
-    """Mass [kg] that explains currents best; its expected value if it was drawn with `UNTOLD`.
+    """Return the mass [kg] that explains the current residuals best.
+
+    The result is the expected value under a zero-mean normal prior with standard deviation `UNTOLD`.
 
     Args:
-        wrong: measured less expected currents of some looks (m, n) [A].
-        kilo: what one kilogram adds to them (m, n) [A/kg].
-        spread: of `wrong` in clean motions (n,) [A]. That errors of neighbouring looks are alike counts: the
-            looks weigh as one.
+        wrong: measured minus expected currents of m samples (m, n) [A].
+        kilo: current per kilogram of load (m, n) [A/kg].
+        spread: standard deviation of `wrong` in fault-free motions (n,) [A]. Errors of successive samples are
+            correlated, so all samples together weigh as one.
     """
     seen, sure = np.mean(wrong * kilo / spread**2, axis=0).sum(), np.mean((kilo / spread) ** 2, axis=0).sum()
     return float(seen / (sure + 1.0 / UNTOLD**2))

@@ -1,4 +1,4 @@
-"""The network's round trip to a robot, measured all the time on a connection of its own."""
+"""Continuous measurement of the network round trip to a robot, on a separate connection."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from collections import deque
 
 from armcell.control.ur_wire import rtde
 
-EVERY = 0.02  # [s] between an answer and the next question
-SHORTEST_OF = 5  # one late answer is a busy computer's, five in a row are the network's
+EVERY = 0.02  # [s] between an answer and the next request
+SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the network
 
 
 class Pinger:
-    """Asks a controller for its version, again and again: RTDE answers that at any time and moves nothing."""
+    """Measures the network round trip to a robot by repeated RTDE version requests.
+
+    A controller always answers these requests, and they do not move the robot.
+    """
 
     def __init__(self, host: str, port: int = rtde.PORT):
         self._address = (host, port)
@@ -25,9 +28,10 @@ class Pinger:
         self._open = False
 
     def start(self) -> None:
-        """
+        """Connect to the controller and start measuring in a thread.
+
         Raises:
-            OSError: nobody there.
+            OSError: no controller answers at this address.
         """
         self._socket = socket.create_connection(self._address, 3.0)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -36,7 +40,10 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Shortest of the last few round trips [s], the one under way among them; NaN before there are."""
+        """Return the shortest of the last few round trips [s]; NaN before there are enough.
+
+        A pending request counts with its current age.
+        """
         trips, asked = list(self._trips), self._asked
         if len(trips) < SHORTEST_OF:
             return math.nan
@@ -45,7 +52,7 @@ class Pinger:
 
     def _run(self) -> None:
         question, buffer = rtde.frame(rtde.CONTROLLER_VERSION, b""), bytearray()
-        with contextlib.suppress(OSError, rtde.RtdeError):  # a lost link is noticed by who drives
+        with contextlib.suppress(OSError, rtde.RtdeError):  # the driver detects a lost link
             while self._open:
                 self._asked = began = time.monotonic()
                 self._socket.sendall(question)

@@ -1,4 +1,4 @@
-"""A trajectory played in physics from the measured state: what will touch, and what is to be expected."""
+"""Dry run of a trajectory in simulation, from the measured state of the real robot."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """How a trajectory goes in physics, by its own clock; or why it must not be driven.
+    """Simulated course of a trajectory, or the reason for which it must not be executed.
 
     Attributes:
-        outcome: SUCCESS, or CONTROL_FAILED with what touched or where the arm did not follow.
+        outcome: SUCCESS, or CONTROL_FAILED with the bodies that touch or the joint that did not follow.
     """
 
     outcome: Outcome
@@ -35,19 +35,28 @@ class Rehearsal:
     demand: Demand
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Position, velocity and effort (n,) at a time [s], held at both ends."""
+        """Return simulated position, velocity and effort, each (n,), at a time [s].
+
+        Before the start and after the end, the nearest values apply.
+        """
         q, v, effort = self._between(t, self.positions, self.velocities, self.efforts)
         return q, v, effort
 
     def efforts_at(self, t: float, scaling: float) -> tuple[Array, Array]:
-        """Efforts (n,) [Nm] where the trajectory is at a time [s], played at a share of its speed; and what
-        one kilogram more on the flange adds (n,) [Nm/kg]."""
+        """Return simulated joint efforts at a reduced speed, and their increase per kilogram.
+
+        Args:
+            t: trajectory time [s].
+            scaling: speed fraction, 0 to 1, at which the trajectory is played.
+        Returns:
+            Efforts (n,) [Nm]; additional effort per kilogram on the flange (n,) [Nm/kg].
+        """
         of = self.demand
         effort, swing, weight, inertia = self._between(t, self.efforts, of.swing, of.weight, of.inertia)
         return effort - (1.0 - scaling**2) * swing, weight + scaling**2 * inertia
 
     def _between(self, t: float, *rows: Array) -> list[Array]:
-        """Rows (k, n) at a time [s]."""
+        """Interpolate each array (k, n) linearly at a time [s]; clamped at both ends."""
         k = int(np.searchsorted(self.times, t))
         if k == 0 or k == len(self.times):
             k = min(k, len(self.times) - 1)
@@ -57,11 +66,11 @@ class Rehearsal:
 
 
 class Stage:
-    """Where rehearsals are played: a physics world of the cell, put into the measured state each time.
+    """Physics simulation of the cell for dry runs, reset to the measured state for each one.
 
     Args:
-        scene: what stands in the cell.
-        settings: of the cell's physics.
+        scene: scene of the cell.
+        settings: physics settings of the cell.
     """
 
     def __init__(self, scene: PlanningScene, settings: PhysicsSettings):
@@ -70,7 +79,7 @@ class Stage:
         self._expected: set[tuple[str, str]] = set()
         self._watched: dict[str, tuple[str, ...]] = {}
 
-    # --- what the task says of contacts, as to a simulated robot ---
+    # --- expected contacts, as for a simulated robot ---
     def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None:
         pairs = {(body, other) for other in others}
         self._expected = self._expected | pairs if expected else self._expected - pairs
@@ -81,7 +90,7 @@ class Stage:
     def unwatch_object(self, name: str) -> None:
         self._watched.pop(name, None)
 
-    # --- playing ---
+    # --- simulation ---
     def play(
         self,
         trajectory: JointTrajectory,
@@ -89,12 +98,12 @@ class Stage:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Rehearsal:
-        """Play a trajectory.
+        """Simulate a trajectory from the measured state and return its dry run.
 
         Args:
-            state: all joints as measured.
+            state: measured state of all joints.
             poses: T_world_object of the movable objects.
-            held: object by the gripper that holds it; it goes along as if it were part of the hand.
+            held: gripper name to the held object, which is fixed to the hand.
         """
         from armcell.control.executor import execute
         from armcell.control.gate import UngatedMotion
@@ -146,7 +155,7 @@ class Stage:
             self._world.reset(scene)
         world = self._world
         for gripper, item in held.items():
-            if item in world.built.object_qpos:  # what is on a thread stays there
+            if item in world.built.object_qpos:  # a threaded part has none: it stays on its thread
                 world.fix_in_hand(item, gripper)
         for body, other in self._expected:
             world.monitor.allow(body, other)

@@ -1,4 +1,4 @@
-"""An emulated Universal Robots controller, for trying out clients without the robot."""
+"""Emulated Universal Robots controller, to test clients without a robot."""
 
 from armcell.control.ur_controller.controller import ControllerSettings, Rack, UrController
 from armcell.control.ur_controller.external_control import RemoteHost

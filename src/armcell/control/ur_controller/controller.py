@@ -1,4 +1,4 @@
-"""An emulated Universal Robots controller: one robot with all its ports; several may share one world."""
+"""Emulated Universal Robots controllers with all network ports; several can share one world."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import struct
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import BinaryIO
+from zlib import crc32
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from armcell.control.ur_controller.network import Network
 from armcell.control.ur_controller.plant import KinematicPlant, Plant
 from armcell.control.ur_controller.robot import Robot
 from armcell.control.ur_controller.rtde_server import RtdeServer
-from armcell.control.ur_controller.script_server import PRIMARY, REALTIME, SECONDARY, ScriptServer
+from armcell.control.ur_controller.script_server import ScriptServer
 from armcell.control.ur_wire.models import UrModel, ur_model
 from armcell.control.ur_wire.primary import Kinematics
 from armcell.control.ur_wire.rtde import PORT as RTDE
@@ -32,16 +33,17 @@ from armcell.core.checks import checked
 log = logging.getLogger(__name__)
 
 TRACE = struct.Struct("<B14d")
-"""A line of a trace: which arm, monotonic and robot's time [s], actual and target positions (6,) [rad]."""
+"""Trace record: arm index, monotonic time and robot time [s], actual and target positions (6,) [rad]."""
 
-MAX_LAG = 1.0  # [s] behind the wall clock that is caught up; what is beyond is lost
+IDLE = 1.0  # [s] without an RTDE client before a run counts as ended
+MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
 
 @dataclass(frozen=True)
 @checked()
 class ControllerSettings:
-    """One emulated controller."""
+    """Settings of one emulated controller."""
 
     model: str = "UR10"
     host: str = "127.0.0.2"
@@ -50,13 +52,22 @@ class ControllerSettings:
     start: tuple[float, ...] = HOME  # [rad]
     remote: bool = True
     powered: bool = True
-    external_control: RemoteHost | None = None  # of the URCap; None: it is not installed
+    external_control: RemoteHost | None = None  # remote host of the URCap; None: not installed
+    software: str | None = None  # such as "3.4"; None: the newest
 
 
-def factory_calibration(model: UrModel, seed: int | None) -> Kinematics:
-    """A robot's own geometry: nominal, or off by what manufacturing leaves (about 1 mm, 1 mrad)."""
-    if seed is None:
-        return model.dh
+def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> Kinematics:
+    """Return a robot's geometry: nominal, or with random manufacturing tolerances.
+
+    The tolerances are about 1 mm and 1 mrad.
+
+    Args:
+        seed: seed of the tolerances; None: the nominal geometry.
+        serial: serial number, from which the nominal geometry's checksums are derived.
+    """
+    if seed is None:  # clients interpret a checksum of zero as "no calibration"
+        checksums = tuple(crc32(f"{serial} {i}".encode()) for i in range(6))
+        return replace(model.dh, checksums=checksums)
     rng, n = np.random.default_rng(seed), model.dh
     shifted = [
         tuple(float(x + e) for x, e in zip(row, rng.normal(0.0, size, 6)))
@@ -66,17 +77,18 @@ def factory_calibration(model: UrModel, seed: int | None) -> Kinematics:
 
 
 class UrController:
-    """One controller: `before_step`, the plant's step, `after_step`, at its model's frequency."""
+    """One emulated controller with its robot and ports, stepped at its model's frequency."""
 
     def __init__(
         self, settings: ControllerSettings, selector: selectors.BaseSelector, plant: Plant | None = None
     ):
         model = ur_model(settings.model)
+        model = model if settings.software is None else model.with_software(settings.software)
         self.settings = settings
         self.network = Network(selector)
         self.robot = Robot(
             model, plant or KinematicPlant(settings.start), settings.serial,
-            factory_calibration(model, settings.calibration_seed),
+            factory_calibration(model, settings.calibration_seed, settings.serial),
         )  # fmt: skip
         self.robot.remote = settings.remote
         if not settings.powered:
@@ -85,15 +97,21 @@ class UrController:
         try:
             self._rtde = RtdeServer(self.robot, self.network, host, RTDE)
             self._external = ExternalControl(self.robot, self.network, settings.external_control)
-            self._dashboard = DashboardServer(self.robot, self.network, host, self._external, DASHBOARD)
             self._gripper = GripperServer(self.robot, self.network, host)
-            self._script = ScriptServer(self.robot, self.network, host, (PRIMARY, SECONDARY, REALTIME))
+            self._script = ScriptServer(self.robot, self.network, host)
+            # Last: when the dashboard answers, all other ports are open.
+            self._dashboard = DashboardServer(self.robot, self.network, host, self._external, DASHBOARD)
         except BaseException:
             self.network.close()
             raise
 
+    @property
+    def in_use(self) -> bool:
+        """Whether an RTDE client is connected, or only an injected network fault disconnects it."""
+        return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
+
     def step(self) -> None:
-        """One control step of everything."""
+        """Run one control step of the program, the plant and the ports."""
         self._external.step()
         self.robot.before_step()
         self.robot.plant.step(self.robot.period)
@@ -107,12 +125,15 @@ class UrController:
 
 
 class Rack:
-    """Controllers that run together in one thread, paced by the wall clock.
+    """Several emulated controllers that run in one thread, paced by wall time.
 
-    All have the same control period; those behind physics share one world.
+    All controllers have the same control period; controllers with physics share one world.
 
+    Args:
+        trace: file for records in the format `TRACE`.
+        reset_between_runs: reset arms and objects to their start once all RTDE clients have disconnected.
     Raises:
-        InputError: controllers of different periods.
+        InputError: the controllers have different control periods.
     """
 
     def __init__(
@@ -120,8 +141,10 @@ class Rack:
         settings: Sequence[ControllerSettings],
         plants: Sequence[Plant | None] = (),
         trace: BinaryIO | None = None,
+        reset_between_runs: bool = False,
     ):
-        self._trace = trace
+        self._trace, self._reset_between_runs = trace, reset_between_runs
+        self._used_at: float | None = None  # [s] time of the last client; None: no client since a reset
         self._selector = selectors.DefaultSelector()
         self.controllers: list[UrController] = []
         try:
@@ -134,22 +157,24 @@ class Rack:
         if len({c.robot.period for c in self.controllers}) != 1:
             self.close()
             raise InputError("controllers of one rack have the same control period")
-        self.lost = 0.0  # [s] of wall time that could not be kept up with
+        self.lost = 0.0  # [s] of wall time that the emulation skipped
         self._stop = threading.Event()
         self._opened = False
 
     def open(self) -> None:
-        """Open the ports; whoever connects is served as soon as `run` goes on. `run` does this itself."""
+        """Open the ports; `run` serves clients that connect. `run` also calls this method."""
         if not self._opened:
             self._opened = True
             for controller in self.controllers:
-                controller.step()  # compiles, on the first run on a machine: not with clients who wait
+                controller.step()  # triggers compilation on a machine's first run, before clients wait
             for controller in self.controllers:
                 controller.network.open()
 
     def run(self) -> None:
-        """Serve until `stop`. The controllers' cycles are not in step, as real ones' are not: each begins a
-        part of a period after the one before.
+        """Serve clients until `stop`.
+
+        The controllers' cycles are evenly offset within a period, because real controllers are not
+        synchronized either.
         """
         self.open()
         turn, due = 0, time.monotonic()
@@ -162,16 +187,26 @@ class Rack:
                 controller.step()
                 if self._trace is not None:
                     self._write(controller)
+                if self._reset_between_runs:
+                    self._reset_when_idle(now)
                 turn, due = (turn + 1) % len(self.controllers), due + part
                 if now - due > MAX_LAG:
                     self.lost += now - due
                     due = now
             wait = max(due - time.monotonic(), 0.0)
             frozen = any(c.network.faults.frozen for c in self.controllers)
-            if frozen:  # unread data would wake the selector at once
+            if frozen:  # unread data would wake the selector immediately
                 time.sleep(min(wait, 0.002))
             for key, _ in self._selector.select(0.0 if frozen else wait):
                 key.data()
+
+    def _reset_when_idle(self, now: float) -> None:
+        if any(c.in_use for c in self.controllers):
+            self._used_at = now
+        elif self._used_at is not None and now - self._used_at > IDLE:
+            self._used_at = None
+            for controller in self.controllers:
+                controller.robot.plant.reset()
 
     def _write(self, controller: UrController) -> None:
         index, robot = self.controllers.index(controller), controller.robot

@@ -1,6 +1,6 @@
-"""The controller's dashboard port (29999): a line in, a line out.
+"""Dashboard port (29999) of the emulated controller: one answer line per command line.
 
-Commands that begin with `armcell` are ours: what hands, buttons and cables do to a real robot.
+Commands that begin with `armcell` are extensions: they emulate hands, buttons and cables of a real robot.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ HELP = f"""\
 armcell protective stop | safeguard stop | safeguard reset | emergency stop | emergency release
 armcell local | remote
 armcell move joint <0-5> <rad>
+armcell push <fx> <fy> <fz>
 armcell speed <0..1>
 armcell fault drop <s> | freeze <s> | delay <s> | garbage <messages> | none
 armcell pose <object>
+armcell reset
 {WORDS}
 armcell messages"""
 
@@ -137,6 +139,8 @@ class DashboardServer:
                 q[int(joint)] += float(angle)
                 r.displace(q)
                 return f"moved {JOINTS[int(joint)]}"
+            case ["push", *force]:
+                r.hand = np.array([float(x) for x in force]).reshape(3)
             case ["speed", fraction]:
                 r.slider = float(np.clip(float(fraction), 0.0, 1.0))
             case ["fault", "drop", seconds]:
@@ -146,11 +150,14 @@ class DashboardServer:
             case ["fault", "delay", seconds]:
                 faults.delay = float(seconds)
             case ["fault", "garbage", count]:
-                faults.garbage = int(count) + 1  # this answer's own message goes through as one of them
+                faults.garbage = int(count) + 1  # plus 1, because the answer to this command counts
             case ["fault", "payload" | "offset" | "block" | "arm", *_]:
                 r.plant = set_fault(r.plant, words[1:])
             case ["fault", "none"]:
                 faults.delay, faults.garbage = 0.0, 0
+            case ["reset"]:
+                r.plant.reset()
+                return "the arms and their world are back at their start"
             case ["pose", name]:
                 return " ".join(f"{x:.6f}" for x in r.plant.object_pose(name))
             case ["messages"]:

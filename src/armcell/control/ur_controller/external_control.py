@@ -1,7 +1,7 @@
-"""UR's URCap "External Control": a program on the pendant whose text is asked of a computer.
+"""Emulation of UR's URCap "External Control": a pendant program with text from a host.
 
-The computer's script sender (port 50002 of UR's ROS drivers) gets the line `request_program` and answers with
-URScript; that program then connects back to the computer's reverse, trajectory and script command ports.
+The host's script sender (port 50002 of UR's ROS drivers) receives the line `request_program` and answers with
+URScript; that program then connects back to the host's reverse, trajectory and script command ports.
 
 Source: UniversalRobots/Universal_Robots_Client_Library, doc/architecture/script_sender.rst.
 """
@@ -19,22 +19,23 @@ from armcell.core import InputError
 NAME = "external_control.urp"
 SCRIPT_SENDER = 50002
 LAST_LINE = b"# NODE_CONTROL_LOOP_ENDS"
-PATIENCE = 2.0  # [s] for the first byte
-SILENCE = 0.3  # [s] without another byte: the text is whole
+PATIENCE = 2.0  # [s] to wait for the first byte
+SILENCE = 0.3  # [s] without another byte before the text counts as complete
 
 
 @dataclass(frozen=True)
 class RemoteHost:
-    """What the URCap's installation page asks for: where the script sender is."""
+    """Address of the script sender, as entered on the URCap's installation page."""
 
     address: str
     port: int = SCRIPT_SENDER
 
     @staticmethod
     def parse(text: str) -> RemoteHost:
-        """
+        """Parse the address of a script sender: ADDRESS or ADDRESS:PORT.
+
         Raises:
-            InputError: not ADDRESS or ADDRESS:PORT.
+            InputError: the text has neither form.
         """
         address, _, port = text.partition(":")
         if not address or (port and not (port.isdigit() and 0 < int(port) < 65536)):
@@ -43,7 +44,7 @@ class RemoteHost:
 
 
 class ExternalControl:
-    """The pendant's program `external_control.urp`: `load` it, `play` it."""
+    """The pendant program `external_control.urp`, which a dashboard client loads and plays."""
 
     def __init__(self, robot: Robot, network: Network, remote: RemoteHost | None):
         self._robot, self._network, self._remote = robot, network, remote
@@ -52,7 +53,7 @@ class ExternalControl:
         self._size, self._since = 0, 0.0
 
     def load(self, name: str) -> bool:
-        """Whether there is such a program: only with a remote host, and only this one."""
+        """Load the External Control program; return False without a remote host or for another name."""
         if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
             return False
         self._robot.end_program()
@@ -60,7 +61,10 @@ class ExternalControl:
         return True
 
     def play(self) -> bool:
-        """Ask for the program; it starts when it has come."""
+        """Request the program from the remote host; return False if the request fails.
+
+        The program starts when its text has arrived.
+        """
         if (
             not self.loaded
             or self._remote is None
@@ -80,13 +84,13 @@ class ExternalControl:
         return True
 
     def stop(self) -> None:
-        """Do not wait for a program any more."""
+        """Stop waiting for the program that was requested from the remote host."""
         if self._link is not None:
             self._link.close()
             self._link = None
 
     def step(self) -> None:
-        """To be called once a control step."""
+        """Receive a requested program and start it when it is complete; call once per control step."""
         link, now = self._link, self._robot.time
         if link is None:
             return

@@ -1,7 +1,8 @@
-"""The socket of a gripper's URCap (port 63352), in Robotiq's words: `SET POS 255 FOR 100 GTO 1`, `GET POS`.
+"""Emulated socket of a gripper's URCap (port 63352), with Robotiq's text protocol.
 
-Source: the 2F gripper's manual and public clients of this port. POS 0 is open, 255 closed; OBJ is 0 while it
-moves, 2 when something stopped it closing, 3 when it has arrived.
+Commands are lines such as `SET POS 255 FOR 100 GTO 1` and `GET POS`. POS 0 is open, 255 closed; OBJ is 0
+during motion, 2 if an object stopped the closing motion, 3 at the target. Source: the 2F gripper's manual
+and public clients of this port.
 """
 
 from __future__ import annotations

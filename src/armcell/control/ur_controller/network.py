@@ -1,4 +1,4 @@
-"""Sockets of the emulated controller, in one thread, with faults on demand."""
+"""Non-blocking sockets of the emulated controller, in one thread, with fault injection."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ import numpy as np
 from armcell.core import ArmcellError
 from armcell.core.endpoints import Endpoint, listen, reserve
 
-BACKLOG = 8  # connections that wait to be accepted
-MAX_WAITING = 1 << 20  # bytes a client may be behind before it is cut off
+BACKLOG = 8  # largest number of connections waiting to be accepted
+MAX_BEHIND = 1 << 15  # unsent bytes per client above which state messages are skipped
+MAX_WAITING = 1 << 20  # unsent bytes per client above which the client is disconnected
 
 
 @dataclass
 class Faults:
-    """What is wrong with the network. Times are of the monotonic clock."""
+    """Injected network faults; times are on the monotonic clock."""
 
-    frozen_until: float = 0.0  # nothing comes or goes
+    frozen_until: float = 0.0  # no data is sent or received
     refused_until: float = 0.0  # new connections are closed
-    delay: float = 0.0  # [s] of everything sent
-    garbage: int = 0  # so many next messages are random bytes
+    delay: float = 0.0  # [s] delay of all sent data
+    garbage: int = 0  # number of coming messages to replace by random bytes
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     @property
@@ -38,7 +39,7 @@ class Faults:
 
 
 class Link:
-    """One TCP connection."""
+    """One TCP connection with buffers for received and unsent data."""
 
     def __init__(self, sock: socket.socket, network: Network):
         sock.setblocking(False)
@@ -47,6 +48,11 @@ class Link:
         self.received = bytearray()
         self._out: list[tuple[float, bytes]] = []
         self._waiting = 0
+
+    @property
+    def behind(self) -> bool:
+        """Whether the client reads too slowly, so that periodic state messages should be skipped."""
+        return self._waiting > MAX_BEHIND
 
     def send(self, data: bytes) -> None:
         if self.open:
@@ -79,7 +85,7 @@ class Link:
             self._out.pop(0)
 
     def read(self) -> None:
-        """Take in what has arrived; a frozen network leaves it lying."""
+        """Move the received data into the buffer; close the link if the other side closed it."""
         try:
             data = self.socket.recv(65536)
         except BlockingIOError:
@@ -99,16 +105,16 @@ class Link:
 
 
 class Network:
-    """Listening ports and connections of one controller.
+    """Listening ports and connections of one emulated controller.
 
     Attributes:
-        endpoints: of the ports that are taken.
+        endpoints: endpoints of the listening ports.
     """
 
     def __init__(self, selector: selectors.BaseSelector):
         self.faults = Faults()
         self._selector = selector
-        self._ports: dict[socket.socket, Callable[[], None]] = {}  # and what accepts a connection
+        self._ports: dict[socket.socket, Callable[[], None]] = {}  # port -> accepting function
         self.endpoints: list[Endpoint] = []
         self.links: dict[Link, Callable[[Link], None] | None] = {}
 
@@ -116,10 +122,14 @@ class Network:
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
         service: str,
     ) -> int:  # fmt: skip
-        """Take a port, to be served from `open` on; returns its number.
+        """Reserve a port, to be served after `open`, and return its number.
 
+        Args:
+            begin: called with each new connection.
+            on_data: called after data has arrived on a connection.
+            service: name of the service, for messages.
         Raises:
-            ArmcellError: the port is taken.
+            ArmcellError: the port is in use, or the address does not belong to this machine.
         """
         try:
             sock = reserve(host, port)
@@ -147,13 +157,13 @@ class Network:
         return self.endpoints[-1].port
 
     def open(self) -> None:
-        """Accept connections at all ports from now on."""
+        """Start accepting connections on all reserved ports of the controller."""
         for sock, accept in self._ports.items():
             listen(sock, BACKLOG)
             self._selector.register(sock, selectors.EVENT_READ, accept)
 
     def connect(self, host: str, port: int) -> Link | None:
-        """A connection out, as a program's socket_open makes it; None when nobody answers."""
+        """Open an outgoing connection, for URScript's socket_open; None if the host does not answer."""
         try:
             sock = socket.create_connection((host, port), timeout=0.05)
         except OSError:
@@ -183,7 +193,7 @@ class Network:
             link.flush()
 
     def drop(self, seconds: float) -> None:
-        """Cut every connection; new ones are refused for a while [s]."""
+        """Close every connection and refuse new ones for a time [s]."""
         self.faults.refused_until = time.monotonic() + seconds
         for link in list(self.links):
             link.close()

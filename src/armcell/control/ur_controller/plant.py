@@ -1,4 +1,4 @@
-"""What moves behind the emulated controller: joints that follow exactly, or physics."""
+"""Simulated arms for the emulated controller: kinematics with servo lag, or MuJoCo physics."""
 
 from __future__ import annotations
 
@@ -15,61 +15,91 @@ from armcell.sim import SimWorld
 Array = NDArray[np.float64]
 
 NOTHING = (np.zeros(3), np.zeros(3), np.zeros(3))
-ABOUT_Z = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # from a model's base_link to the controller's base
-SERVO_LAG = 0.008  # [s] by which a UR's joints follow their target, about
+ABOUT_Z = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # controller's base in the model's base_link
+SERVO_LAG = 0.008  # [s] approximate lag of a UR's joints behind their target
 
 
 class Plant(Protocol):
-    """One arm's joints, and its gripper where it has one."""
+    """Simulated joints and gripper of one arm.
+
+    Attributes:
+        resets: number of resets to the start.
+    """
+
+    resets: int
+
+    def reset(self) -> None:
+        """Reset the joints to their initial state, and the whole world if several arms share one."""
+        ...
 
     def read(self) -> tuple[Array, Array, Array]:
-        """Positions, velocities, efforts (6,)."""
+        """Return joint positions [rad], velocities [rad/s] and efforts [Nm], each (6,)."""
         ...
 
     def command(self, q: Array, v: Array, period: float) -> None:
-        """Where the joints shall be a control period [s] from now, and how fast."""
+        """Set the joint targets for one control period [s] from now: positions and velocities (6,)."""
         ...
 
     def step(self, dt: float) -> None:
-        """Let a control period [s] pass. Of arms that share a world each lets its part of it pass."""
+        """Advance the simulation by a control period [s]; several arms in one world share the time.
+
+        Each of n arms advances the world by 1/n of the period.
+        """
         ...
 
     def displace(self, q: ArrayLike) -> None:
-        """Put the joints elsewhere, as a hand does."""
+        """Move the joints to other positions, as a person moving the arm by hand would."""
         ...
 
-    def contact(self) -> str | None:
-        """A touch of something unexpected since the last call."""
+    def contact(self, hand: bool = True) -> str | None:
+        """Return a description of an unexpected contact of the arm since the last call, or None.
+
+        Args:
+            hand: whether contacts of the hand count.
+        """
         ...
 
     def wrench(self) -> tuple[Array, Array, Array]:
-        """Force [N] and torque [Nm] on the hand by touches, about a point [m]; in the base frame."""
+        """Return the contact force [N] and torque [Nm] on the hand, and the reference point [m].
+
+        All three are (3,) vectors in the base frame.
+        """
         ...
 
     def drive_gripper(self, opening: float, force: float) -> None:
-        """Towards an opening (0..1 of the widest; 0 grasps) with a part (0..1) of the largest force."""
+        """Move the gripper to an opening with a limited force.
+
+        Args:
+            opening: 0..1 of the largest opening; 0 grasps.
+            force: 0..1 of the largest force.
+        """
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Opening (0..1 of the widest) and whether something is held."""
+        """Return the opening (0..1 of the largest) and whether the gripper holds an object."""
         ...
 
     def object_pose(self, name: str) -> list[float]:
-        """x, y, z [m] and rotation vector [rad] of an object in the world.
+        """Return an object's world pose: x, y, z [m] and rotation vector [rad].
 
         Raises:
-            ValueError: there is none of that name.
+            ValueError: no object has this name.
         """
         ...
 
 
 class KinematicPlant:
-    """Joints that follow their targets with a UR's lag; no physics."""
+    """Simulated joints that follow their targets with a UR's servo lag, without physics."""
 
     def __init__(self, q: ArrayLike):
-        self._q, self._v = np.array(q, dtype=float), np.zeros(6)
-        self._target = self._q.copy()
+        self._start = np.array(q, dtype=float)
+        self.resets = -1
+        self.reset()
+
+    def reset(self) -> None:
+        self.displace(self._start)
         self._opening, self._wanted = 1.0, 1.0
+        self.resets += 1
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._q, self._v, np.zeros(6)
@@ -87,7 +117,7 @@ class KinematicPlant:
         self._q, self._v = np.array(q, dtype=float), np.zeros(6)
         self._target = self._q.copy()
 
-    def contact(self) -> str | None:
+    def contact(self, hand: bool = True) -> str | None:
         return None
 
     def wrench(self) -> tuple[Array, Array, Array]:
@@ -104,9 +134,9 @@ class KinematicPlant:
 
 
 class SharedWorld:
-    """A physics world with one or several arms of it, each driven by a controller of its own.
+    """A physics world with one or several arms, each driven by its own emulated controller.
 
-    Between two commands of a controller its joints' targets go evenly from one to the next, as a drive's do.
+    Between two commands of a controller, joint targets are interpolated linearly, as in a real drive.
     """
 
     def __init__(self, world: SimWorld, groups: Sequence[str]):
@@ -114,8 +144,14 @@ class SharedWorld:
         self.plants = [WorldPlant(self, group) for group in groups]
         self._owed = 0.0  # [s]
 
+    def reset(self) -> None:
+        """Reset all arms and objects of the world to their initial state."""
+        self.world.reset()
+        for plant in self.plants:
+            plant.follow_reset()
+
     def advance(self, dt: float) -> None:
-        """Let the world's time pass [s]; what is less than a step of it is kept for the next time."""
+        """Advance the physics world by `dt` [s]; a remainder below one time step is carried over."""
         self._owed += dt
         step = self.world.timestep
         while self._owed >= step - 1e-9:
@@ -126,7 +162,7 @@ class SharedWorld:
 
 
 class WorldPlant:
-    """One arm of a physics world, with its gripper."""
+    """One arm of a physics world, with its gripper, for an emulated controller."""
 
     def __init__(self, shared: SharedWorld, group: str):
         self._shared, self.world = shared, shared.world
@@ -139,11 +175,21 @@ class WorldPlant:
         self._links = set(world.robot.group(group).link_names)
         self.tool_link = world.robot.joints[self._names[-1]].child
         self._base = world.robot.joints[self._names[0]].parent
-        self._seen = 0
+        self._hand = set(self._gripper.hand_links) if self._gripper else set()
+        self.resets = -1
+        self.follow_reset()
+
+    def reset(self) -> None:
+        self._shared.reset()
+
+    def follow_reset(self) -> None:
+        """Resume from the initial state after the shared world was reset."""
+        self.resets += 1
+        self._seen, self._force = 0, 0.0
         self._rest()
-        movable = tuple(world.built.object_qpos)
-        for link in self._gripper.hand_links if self._gripper else ():
-            world.monitor.allow(link, movable)  # a gripper is there to touch what can be moved
+        movable = tuple(self.world.built.object_qpos)
+        for link in self._hand:
+            self.world.monitor.allow(link, movable)  # a gripper may touch movable objects
 
     def read(self) -> tuple[Array, Array, Array]:
         state = self.world.joint_state()
@@ -166,8 +212,8 @@ class WorldPlant:
         return self._from + share * (self._to - self._from)
 
     def aim(self, time: float) -> None:
-        """Give the world the targets for a time of it [s]."""
-        over = time > self._begun + 1.5 * self._span  # no command came: the target stands
+        """Set the arm's joint targets in the physics world, interpolated for a world time [s]."""
+        over = time > self._begun + 1.5 * self._span  # no new command: hold the target
         self.world.set_arm_target(self._names, self._aimed(time), np.zeros(6) if over else self._speed)
 
     def step(self, dt: float) -> None:
@@ -179,11 +225,12 @@ class WorldPlant:
         self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
         self._rest()
 
-    def contact(self) -> str | None:
+    def contact(self, hand: bool = True) -> str | None:
+        links = self._links if hand else self._links - self._hand
         new = self.world.monitor.unwanted[self._seen :]
         self._seen += len(new)
         for touch in new:
-            if self._links & {touch.body_a, touch.body_b}:
+            if links & {touch.body_a, touch.body_b}:
                 return f"{touch.body_a} touched {touch.body_b}"
         return None
 

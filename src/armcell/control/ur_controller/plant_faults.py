@@ -1,4 +1,4 @@
-"""Faults of an emulated arm, on demand: a payload nobody told of, a joint that is off, or blocked."""
+"""Injected faults of an emulated arm: unknown payload, joint offset, blocked joint."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm non
 
 
 class FaultyPlant:
-    """A plant with something wrong; without any fault it passes everything on."""
+    """Wrapper of a plant that injects faults; without a fault it forwards every call."""
 
     def __init__(self, plant: Plant):
         self._plant = plant
         self._offset = np.zeros(6)
-        self._blocked: dict[int, float] = {}  # joint -> where it stands [rad]
+        self._blocked: dict[int, float] = {}  # joint -> blocked position [rad]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._plant, name)
 
     def command(self, q: Array, v: Array, *more: Any) -> None:
         q, v = np.array(q, dtype=float) + self._offset, np.array(v, dtype=float)
-        if not hasattr(self._plant, "world"):  # without physics it simply stays; physics knows how to block
+        if not hasattr(self._plant, "world"):  # physics blocks the joint itself
             for joint, at in self._blocked.items():
                 q[joint], v[joint] = at, 0.0
         self._plant.command(q, v, *more)
 
     def offset(self, joint: int, angle: float) -> None:
-        """A joint is an angle [rad] from where it is told to be."""
+        """Add a constant error [rad] to a joint's commanded position."""
         self._offset[joint] = angle
 
     def block(self, joint: int) -> None:
-        """A joint does not move any more, whatever its motor does."""
+        """Block a joint at its current position, regardless of its motor."""
         self._blocked[joint] = float(self._plant.read()[0][joint])
         if hasattr(self._plant, "world"):
             world: Any = self._plant
             world.world.block(world.world.robot.joint_names[world._columns[joint]])
 
     def payload(self, mass: float) -> None:
-        """A mass [kg] hangs on the last link, which the controller knows nothing of.
+        """Attach a mass [kg] to the last link without informing the controller.
 
         Raises:
-            ValueError: this arm has no physics that would feel it.
+            ValueError: the arm has no physics, so the mass would have no effect.
         """
         if not hasattr(self._plant, "world"):
             raise ValueError("no physics")
@@ -56,13 +56,13 @@ class FaultyPlant:
 
 
 def set_fault(plant: Any, words: list[str]) -> Any:
-    """The plant (a `Plant`) with a fault more; "arm none" gives the one without.
+    """Return the plant (a `Plant`) with one more fault; "arm none" returns the original plant.
 
     Raises:
-        ValueError: no such fault.
+        ValueError: the words name no fault.
     """
     if words == ["arm", "none"]:
-        return plant._plant if isinstance(plant, FaultyPlant) else plant  # what was hung on or blocked stays
+        return plant._plant if isinstance(plant, FaultyPlant) else plant  # masses and blocks stay
     faulty = plant if isinstance(plant, FaultyPlant) else FaultyPlant(plant)
     match words:
         case ["payload", mass]:

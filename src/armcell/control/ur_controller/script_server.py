@@ -1,96 +1,127 @@
-"""The primary, secondary and realtime ports (30001 to 30003): URScript in, the robot's state out."""
+"""Primary, secondary and real-time ports: receive URScript, send robot state and messages.
+
+Ports 30001 to 30003 accept programs; ports 30011 to 30013 send the same data and are read-only.
+"""
 
 from __future__ import annotations
 
-import struct
+from dataclasses import dataclass, field
 from functools import partial
 
+from armcell.control.ur_controller.client_state import ClientState
 from armcell.control.ur_controller.network import Link, Network
-from armcell.control.ur_controller.programs import run_script
+from armcell.control.ur_controller.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, Text
+from armcell.control.ur_controller.programs import run_command, run_script
 from armcell.control.ur_controller.robot import Robot
 from armcell.control.ur_controller.urscript.parser import MAX_SCRIPT, depth_after
-from armcell.control.ur_wire import primary
-from armcell.control.ur_wire.modes import RuntimeState, SafetyMode
+from armcell.control.ur_wire import robot_messages
 
-PRIMARY, SECONDARY, REALTIME = 30001, 30002, 30003
-STATE_PERIOD = 0.1  # [s] of primary and secondary
+PORTS = PRIMARY, SECONDARY, REALTIME = 30001, 30002, 30003
+READ_ONLY = 10  # offset of the read-only port's number
+STATE_PERIOD = 0.1  # [s] between states on the primary and secondary ports
+READ_ONLY_CODE = 210  # UR error code: commands over a read-only connection
+
+
+@dataclass
+class _Client:
+    kind: int  # PRIMARY, SECONDARY or REALTIME
+    read_only: bool
+    lines: list[str] = field(default_factory=list)
+    depth: int = 0
 
 
 class ScriptServer:
-    def __init__(self, robot: Robot, network: Network, host: str, ports: tuple[int, int, int]):
-        self._robot, self._network = robot, network
-        self._text: dict[Link, tuple[list[str], int]] = {}
-        self._watching: dict[Link, bool] = {}  # realtime or not
+    def __init__(
+        self, robot: Robot, network: Network, host: str, ports: tuple[int, int, int] = PORTS
+    ):  # fmt: skip
+        self._robot, self._network, self._state = robot, network, ClientState(robot)
+        self._clients: dict[Link, _Client] = {}
         self._next = 0.0
-        for name, port in zip(("primary", "secondary", "real-time"), ports, strict=True):
-            begin = partial(self._begin, realtime=name == "real-time")
-            network.listen(host, port, begin, self._data, f"script, {name}")
+        self._popups = 0
+        for name, kind, port in zip(("primary", "secondary", "real-time"), PORTS, ports, strict=True):
+            for read_only in (False, True):
+                begin = partial(self._begin, kind=kind, read_only=read_only)
+                service = f"{name}, read-only" if read_only else f"script, {name}"
+                number = port + READ_ONLY if read_only and port else port
+                network.listen(host, number, begin, self._data, service)
+        robot.listeners.append(self._announce)
 
-    def _begin(self, link: Link, realtime: bool) -> None:
-        self._watching[link] = realtime
-        if not realtime:
+    def _begin(self, link: Link, kind: int, read_only: bool) -> None:
+        self._clients[link] = _Client(kind, read_only)
+        if kind != REALTIME:
             v = self._robot.model.version
-            link.send(primary.version_message(self._now_us(), "URControl", v[:3], v[3]))
+            link.send(robot_messages.version(self._state.now_us, "URControl", v[:3], v[3]))
+            link.send(self._state.primary())
 
     def _data(self, link: Link) -> None:
-        lines, depth = self._text.get(link, ([], 0))
+        client = self._clients.get(link)
+        if client is None:
+            return
         while b"\n" in link.received:
             raw, _, rest = bytes(link.received).partition(b"\n")
             link.received[:] = rest
             line = raw.decode("utf-8", "replace").rstrip("\r")
-            lines.append(line)
-            depth = depth_after(line, depth)
-            if depth == 0:
-                text, lines = "\n".join(lines), []
+            client.lines.append(line)
+            client.depth = depth_after(line, client.depth)
+            if client.depth == 0:
+                text, client.lines = "\n".join(client.lines), []
                 if text.strip():
-                    self._run(text)
-        self._text[link] = (lines, depth)
-        if len(link.received) + sum(map(len, lines)) > MAX_SCRIPT:
+                    self._run(link, client, text)
+        if len(link.received) + sum(map(len, client.lines)) > MAX_SCRIPT:
             link.close()
 
-    def _run(self, text: str) -> None:
+    def _run(self, link: Link, client: _Client, text: str) -> None:
         robot = self._robot
-        if not robot.remote_or_cb3:
-            robot.popup("script refused: the robot is in local control")
+        if robot.remote_or_cb3 and not client.read_only:
+            if not run_command(robot, text):
+                run_script(robot, self._network, text)
             return
-        run_script(robot, self._network, text)
+        why = "this port is read-only" if client.read_only else "the robot is in local control"
+        robot.popup(f"script refused: {why}")
+        if client.kind == PRIMARY:
+            level = robot_messages.WARNING
+            link.send(robot_messages.error_code(self._state.now_us, READ_ONLY_CODE, 0, level, why))
 
-    def _now_us(self) -> int:
-        return int(self._robot.time * 1e6)
+    def _announce(self, notice: Notice) -> None:
+        """Send an event to the primary clients as the message that a real controller sends."""
+        message = self._message(notice)
+        for link, client in self._clients.items():
+            if client.kind == PRIMARY:
+                link.send(message)
+
+    def _message(self, notice: Notice) -> bytes:
+        now = self._state.now_us
+        match notice:
+            case Text(text):
+                return robot_messages.text(now, text)
+            case ProgramState(started, name):
+                return robot_messages.key(now, f"PROGRAM_XXX_{'STARTED' if started else 'STOPPED'}", name)
+            case ScriptFault(_, line, column, code):
+                return robot_messages.runtime_exception(now, line, column, code)
+            case Popup(text, title, warning, error):
+                self._popups += 1
+                return robot_messages.popup(now, title, text, warning, error, self._popups)
+            case SafetyChange(mode):
+                return robot_messages.safety_mode(now, int(mode))
 
     def send_state(self) -> None:
-        """To be called once a control step."""
-        r = self._robot
-        due = r.time >= self._next
+        """Send the robot state: primary and secondary at 10 Hz, real-time every control step.
+
+        A client that does not read its data, such as ur_rtde's script client, is skipped while it is behind.
+        """
+        now = self._robot.time
+        due = now >= self._next - 1e-9
         if due:
-            self._next = r.time + STATE_PERIOD
-        for link, realtime in list(self._watching.items()):
+            self._next = max(self._next + STATE_PERIOD, now)
+        slow = fast = b""
+        for link, client in list(self._clients.items()):
             if not link.open:
-                del self._watching[link]
-                self._text.pop(link, None)
+                del self._clients[link]
+            elif link.behind:
+                continue
+            elif client.kind == REALTIME:
+                fast = fast or self._state.realtime()
+                link.send(fast)
             elif due:
-                link.send(self._realtime() if realtime else self._state())
-
-    def _state(self) -> bytes:
-        r, limit = self._robot, self._robot.model.max_position
-        mode = primary.mode_package(
-            self._now_us(), r.mode >= 4, r.safety in (6, 7), r.safety is SafetyMode.PROTECTIVE_STOP,
-            r.runtime is RuntimeState.PLAYING, r.runtime is RuntimeState.PAUSED,
-            max(int(r.mode), 0), r.slider, r.scaling,
-        )  # fmt: skip
-        kind = primary.ROBOT_TYPES[r.model.name.removesuffix("e")]
-        configuration = primary.configuration_package(
-            [(-limit, limit)] * 6, r.model.velocity, [r.model.acceleration] * 6, r.dh, kind
-        )
-        return primary.robot_state([mode, r.dh.pack(), configuration])
-
-    def _realtime(self) -> bytes:
-        """The layout of the realtime port: int32 size, then doubles (139 in all), time first."""
-        r, s = self._robot, self._robot.setpoint
-        q, v, _ = r.plant.read()
-        values = [0.0] * 139
-        values[0] = r.time
-        for start, six in ((1, s.q), (7, s.v), (31, q), (37, v), (55, r.tcp_pose(q))):
-            values[start : start + 6] = [float(x) for x in six]
-        values[94], values[117] = float(r.mode), r.scaling
-        return struct.pack(">i139d", 4 + 8 * 139, *values)
+                slow = slow or self._state.primary()
+                link.send(slow)

@@ -1,4 +1,4 @@
-"""URScript's socket functions: connections a program opens from the robot."""
+"""URScript's socket functions: TCP connections that a program opens from the robot."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ Wait = Generator[None, None, Any]
 
 def socket_functions(
     robot: Robot, network: Network
-) -> tuple[dict[str, Callable[..., Wait]], dict[str, Callable[..., Any]]]:
-    """(those that wait, those that answer at once) for one program; its end closes the sockets."""
+) -> tuple[dict[str, Callable[..., Wait]], dict[str, Callable[..., Any]], Callable[[], None]]:
+    """Return URScript's socket functions for one program.
+
+    Returns:
+        Functions that take time (generators), functions that return immediately, and a function that closes
+        all sockets of the program.
+    """
     links: dict[str, Link] = {}
 
     def close_all() -> None:
         for link in links.values():
             link.close()
-
-    robot.on_program_end(close_all)
 
     def alive(name: str) -> Link | None:
         link = links.get(name)
@@ -41,19 +44,23 @@ def socket_functions(
         return True
 
     def _receive(name: str, count: int, timeout: float) -> Wait:
-        """`count` bytes, or None when they have not come in time (0: wait for ever)."""
+        """Receive `count` bytes from a socket; None after the timeout [s], where 0 means no limit."""
         end = robot.time + timeout
         while True:
             link = links.get(name)
             if link is None:
+                yield  # a loop that reads a closed socket must not block the controller
                 return None
             if len(link.received) >= count:
                 data = bytes(link.received[:count])
                 del link.received[:count]
                 return data
-            if not link.open or (timeout > 0 and robot.time > end - 0.5 * robot.period):
+            closed = not link.open
+            if not closed and timeout > 0 and robot.time > end - 0.5 * robot.period:
                 return None
             yield
+            if closed:
+                return None
 
     def socket_read_binary_integer(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
         data = yield from _receive(name, 4 * int(number), timeout)
@@ -75,6 +82,7 @@ def socket_functions(
                 return ""
             yield
         if link is None or b"\n" not in link.received:
+            yield
             return ""
         line, _, rest = bytes(link.received).partition(b"\n")
         link.received[:] = rest
@@ -91,11 +99,64 @@ def socket_functions(
         if link is not None:
             link.close()
 
-    waiting = (socket_open, socket_read_binary_integer, socket_read_byte_list, socket_read_line)
-    return {f.__name__: f for f in waiting}, {
+    def socket_read_string(
+        name: str = "socket_0", prefix: str = "", suffix: str = "", interpret_escape: bool = False,
+        timeout: float = 2.0,
+    ) -> Wait:  # fmt: skip
+        """Return the received text, or only the text between a prefix and a suffix."""
+        begin, stop, end = str(prefix).encode(), str(suffix).encode(), robot.time + timeout
+        while True:
+            link = links.get(name)
+            found = _between(link.received, begin, stop) if link is not None else None
+            if link is not None and found is not None:
+                return found.decode("utf-8", "replace")
+            if timeout > 0 and robot.time > end - 0.5 * robot.period:
+                return ""
+            yield
+            if link is None or not link.open:
+                return ""
+
+    def socket_read_ascii_float(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
+        """Return the numbers of a text such as `(1.5, 2, 3)`, preceded by their count."""
+        text = yield from socket_read_string(name, "(", ")", False, timeout)
+        try:
+            values = [float(part) for part in text.split(",")] if text else []
+        except ValueError:
+            values = []
+        return Vec((len(values), *values)) if len(values) == int(number) else Vec([0] + [0] * int(number))
+
+    def socket_set_var(variable: str, value: int, name: str = "socket_0") -> None:
+        _send(name, f"SET {variable} {int(value)}\n".encode())
+
+    def socket_get_var(variable: str, name: str = "socket_0") -> Wait:
+        _send(name, f"GET {variable}\n".encode())
+        line = yield from socket_read_line(name)
+        return int(line.rsplit(" ", 1)[-1]) if line.rsplit(" ", 1)[-1].lstrip("-").isdigit() else 0
+
+    waiting = (
+        socket_open, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string,
+        socket_read_ascii_float, socket_get_var,
+    )  # fmt: skip
+    instant: dict[str, Callable[..., Any]] = {
         "socket_close": socket_close,
+        "socket_set_var": socket_set_var,
         "socket_send_int": lambda value, name="socket_0": _send(name, struct.pack(">i", int(value))),
         "socket_send_byte": lambda value, name="socket_0": _send(name, bytes([int(value) & 255])),
         "socket_send_string": lambda text, name="socket_0": _send(name, str(text).encode()),
         "socket_send_line": lambda text, name="socket_0": _send(name, f"{text}\n".encode()),
     }
+    return {f.__name__: f for f in waiting}, instant, close_all
+
+
+def _between(received: bytearray, begin: bytes, stop: bytes) -> bytes | None:
+    """Remove the text between two marks from the buffer and return it; None if incomplete.
+
+    Without marks, all received data is returned.
+    """
+    first = received.find(begin)
+    last = received.find(stop, first + len(begin)) if stop else len(received)
+    if not received or first < 0 or last < 0:
+        return None
+    text = bytes(received[first + len(begin) : last])
+    del received[: last + len(stop)]
+    return text

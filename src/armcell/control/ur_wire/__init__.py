@@ -1,1 +1,1 @@
-"""What goes over the wire between a Universal Robots controller and its clients, for both ends."""
+"""Universal Robots wire protocols: messages between a controller and its clients."""

@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of a UR arm from its DH parameters, in the controller's base frame."""
+"""Forward and inverse kinematics of a UR arm from DH parameters, in the controller's base."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def frames_of(dh: Kinematics, q: ArrayLike) -> Array:
-    """T_base_i (7, 4, 4) of the base and the six DH frames."""
+    """Return T_base_i (7, 4, 4) of the base and the six DH frames."""
     T, all_frames = np.eye(4), [np.eye(4)]
     for theta, a, d, alpha, position in zip(dh.theta, dh.a, dh.d, dh.alpha, np.asarray(q), strict=True):
         c, s, ca, sa = np.cos(theta + position), np.sin(theta + position), np.cos(alpha), np.sin(alpha)
@@ -24,7 +24,11 @@ def frames_of(dh: Kinematics, q: ArrayLike) -> Array:
 
 
 def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Array:
-    """Geometric Jacobian (6, 6) of the flange, or of a point fixed to it [m, base frame]."""
+    """Return the geometric Jacobian (6, 6) of the flange or of a point fixed to it, base frame.
+
+    Args:
+        tip: the point (3,) [m, base frame]; None: the flange's origin.
+    """
     frames = frames_of(dh, q)
     point = frames[6, :3, 3] if tip is None else np.asarray(tip)
     axes = frames[:6, :3, 2]
@@ -32,24 +36,33 @@ def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Arra
 
 
 def pose_of(T: Array) -> list[float]:
-    """UR's pose: x, y, z [m] and rotation vector [rad]."""
+    """Return a transform (4, 4) as a UR pose: x, y, z [m] and rotation vector [rad]."""
     return [*T[:3, 3], *SE3.from_matrix(T).rotation.log()]
 
 
 def matrix_of(pose: ArrayLike) -> Array:
-    """The matrix (4, 4) of a UR pose."""
+    """Return the transform (4, 4) of a UR pose (x, y, z [m], rotation vector [rad])."""
     values = np.asarray(pose, dtype=float)
     return SE3(SO3.exp(values[3:6]), values[:3]).matrix
 
 
 def forward(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
-    """T_base_tcp (4, 4) with the tool's pose on the flange."""
+    """Return T_base_tcp (4, 4) for a TCP given as a UR pose in the flange frame."""
     return frames_of(dh, q)[6] @ matrix_of(tcp)
 
 
 def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike,
             iterations: int = 50, tolerance: float = 1e-7) -> Array | None:  # fmt: skip
-    """Joint positions (6,) near others, by damped Newton steps; None if it does not get there."""
+    """Return joint positions (6,) [rad] that reach a TCP pose, by damped Newton steps.
+
+    Args:
+        T_base_tcp: target (4, 4).
+        q_near: start of the iteration (6,) [rad]; the solution is usually near it.
+        tcp: UR pose of the TCP in the flange frame.
+        tolerance: largest pose error [m, rad].
+    Returns:
+        Joint positions (6,), or None if the iteration does not converge.
+    """
     T_flange = T_base_tcp @ np.linalg.inv(matrix_of(tcp))
     q = np.array(q_near, dtype=float)
     for _ in range(iterations):

@@ -1,4 +1,4 @@
-"""Names of a controller's modes, as RTDE numbers them and the dashboard spells them."""
+"""Robot, safety and runtime modes of a UR controller: RTDE numbers and dashboard names."""
 
 from __future__ import annotations
 
@@ -52,4 +52,4 @@ SAFETY_BITS = {
     SafetyMode.VIOLATION: 1 << 8 | 1 << 10,
     SafetyMode.FAULT: 1 << 9 | 1 << 10,
 }
-"""`safety_status_bits` of RTDE by safety mode."""
+"""RTDE `safety_status_bits` for each safety mode."""

@@ -1,6 +1,7 @@
 """RTDE frames: uint16 size (big-endian, header included), uint8 type, then the payload.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2.
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol versions 1 and 2. Variables that
+the guide omits (`tool_digital_output`, `tcp_offset`, ...) have the names that UR's client libraries use.
 """
 
 from __future__ import annotations
@@ -16,52 +17,63 @@ HEADER = struct.Struct(">HB")
 VERSION, CONTROLLER_VERSION, MESSAGE = ord("V"), ord("v"), ord("M")
 SETUP_OUTPUTS, SETUP_INPUTS = ord("O"), ord("I")
 START, PAUSE, DATA = ord("S"), ord("P"), ord("U")
-MAX_NAMES = 2048  # bytes of a list of names
+MAX_NAMES = 2048  # largest size of a list of names in bytes
 
 _CODES = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
     "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
 }  # fmt: skip
 
-_V6 = (
-    "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
-    "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose "
-    "target_TCP_speed joint_temperatures actual_joint_voltage tcp_offset actual_current_as_torque "
-    "ft_raw_wrench"
-)
-_DOUBLES = (
-    "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
-    "actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 "
-    "standard_analog_input1 standard_analog_output0 standard_analog_output1 tool_analog_input0 "
-    "tool_analog_input1 tool_output_current tool_temperature tcp_force_scalar payload io_current "
-    "joint_position_deviation_ratio collision_detection_ratio"
-)
+_OUTPUT_NAMES = {
+    "DOUBLE": """
+        timestamp actual_execution_time target_execution_time speed_scaling target_speed_fraction
+        actual_momentum actual_main_voltage actual_robot_voltage actual_robot_current io_current
+        standard_analog_input0 standard_analog_input1 standard_analog_output0 standard_analog_output1
+        tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature tcp_force_scalar payload
+        euromap67_24V_voltage euromap67_24V_current joint_position_deviation_ratio
+        collision_detection_ratio actual_robot_energy_consumed actual_robot_braking_energy_dissipated""",
+    "VECTOR3D": """
+        actual_tool_accelerometer elbow_position elbow_velocity payload_cog target_gravity""",
+    "VECTOR6D": """
+        target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current
+        actual_current_window actual_current_as_torque joint_control_output joint_temperatures
+        actual_joint_voltage actual_TCP_pose actual_TCP_speed actual_TCP_force actual_TCP_acceleration
+        target_TCP_pose target_TCP_speed target_TCP_acceleration tcp_offset ft_raw_wrench
+        wrench_calc_from_currents payload_inertia target_base_acceleration target_base_wrench""",
+    "VECTOR6INT32": "joint_mode",
+    "INT32": """
+        robot_mode safety_mode safety_status tool_output_voltage time_scale_source encoder0_raw
+        encoder1_raw""",
+    "UINT8": "tool_output_mode tool_digital_output0_mode tool_digital_output1_mode",
+    "UINT32": """
+        runtime_state robot_status_bits safety_status_bits analog_io_types tool_mode
+        tool_analog_input_types euromap67_input_bits euromap67_output_bits script_control_line
+        output_bit_registers0_to_31 output_bit_registers32_to_63
+        input_bit_registers0_to_31 input_bit_registers32_to_63""",
+    "UINT64": """
+        actual_digital_input_bits actual_digital_output_bits actual_configurable_digital_input_bits
+        actual_configurable_digital_output_bits control_step""",
+}
 
-_VECTORS = "actual_tool_accelerometer payload_cog elbow_position elbow_velocity"
-_INTS = "robot_mode safety_mode safety_status tool_output_voltage time_scale_source"
-_UINTS = (
-    "runtime_state robot_status_bits safety_status_bits analog_io_types tool_analog_input_types "
-    "output_bit_registers0_to_31 output_bit_registers32_to_63 "
-    "input_bit_registers0_to_31 input_bit_registers32_to_63"
-)
+
+def _registers(direction: str) -> dict[str, str]:
+    """Return the RTDE registers that have individual names, as name -> type.
+
+    Boolean registers 0 to 63 have no individual names: two 32-bit words transmit them.
+    """
+    return {
+        **{f"{direction}_bit_register_{i}": "BOOL" for i in range(64, 128)},
+        **{f"{direction}_int_register_{i}": "INT32" for i in range(48)},
+        **{f"{direction}_double_register_{i}": "DOUBLE" for i in range(48)},
+    }
+
 
 OUTPUTS: dict[str, str] = {
-    **dict.fromkeys(_V6.split(), "VECTOR6D"),
-    **dict.fromkeys(_DOUBLES.split(), "DOUBLE"),
-    **dict.fromkeys(_VECTORS.split(), "VECTOR3D"),
-    "payload_inertia": "VECTOR6D",
-    "joint_mode": "VECTOR6INT32",
-    **dict.fromkeys(_INTS.split(), "INT32"),
-    **dict.fromkeys(_UINTS.split(), "UINT32"),
-    "actual_digital_input_bits": "UINT64",
-    "actual_digital_output_bits": "UINT64",
-    "tool_mode": "UINT8",
-    "tool_output_mode": "UINT8",
-    **{f"{way}_int_register_{i}": "INT32" for way in ("input", "output") for i in range(48)},
-    **{f"{way}_double_register_{i}": "DOUBLE" for way in ("input", "output") for i in range(48)},
-    **{f"{way}_bit_register_{i}": "BOOL" for way in ("input", "output") for i in range(64, 128)},
+    **{name: kind for kind, names in _OUTPUT_NAMES.items() for name in names.split()},
+    **_registers("output"),
+    **_registers("input"),
 }
-"""What a controller can tell: name -> type."""
+"""Variables that a controller sends, in any published software version: name -> type."""
 
 INPUTS: dict[str, str] = {
     "speed_slider_mask": "UINT32",
@@ -79,15 +91,13 @@ INPUTS: dict[str, str] = {
     "input_bit_registers0_to_31": "UINT32",
     "input_bit_registers32_to_63": "UINT32",
     "external_force_torque": "VECTOR6D",
-    **{f"input_int_register_{i}": "INT32" for i in range(48)},
-    **{f"input_double_register_{i}": "DOUBLE" for i in range(48)},
-    **{f"input_bit_register_{i}": "BOOL" for i in range(64, 128)},
+    **_registers("input"),
 }
-"""What a client can set: name -> type."""
+"""Variables that a client can set: name -> type."""
 
 
 class RtdeError(ArmcellError):
-    """The bytes are not RTDE, or the other side refused."""
+    """The data is not RTDE, or the other side refused the request."""
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:
@@ -95,10 +105,10 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 
 
 def frames(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
-    """The complete frames at the buffer's beginning, which are taken off it.
+    """Remove the complete RTDE frames from the start of a buffer and yield (type, payload).
 
     Raises:
-        RtdeError: a size that no frame can have.
+        RtdeError: a frame has an invalid size.
     """
     while len(buffer) >= HEADER.size:
         size, kind = HEADER.unpack_from(buffer)
@@ -112,7 +122,7 @@ def frames(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
 
 
 class Recipe:
-    """Names of variables and how their values are laid out after the recipe's id."""
+    """An RTDE recipe: variable names and the binary layout of their values after the recipe ID."""
 
     def __init__(self, names: Sequence[str], types: Sequence[str]):
         self.names, self.types = tuple(names), tuple(types)
@@ -121,11 +131,11 @@ class Recipe:
 
     @property
     def size(self) -> int:
-        """Bytes of the values."""
+        """Size of the recipe's packed values in bytes."""
         return self._struct.size
 
     def pack(self, values: Iterable[Any]) -> bytes:
-        """Values in the recipe's order; vectors as sequences."""
+        """Encode the values of the RTDE recipe in its order; vectors are sequences."""
         flat: list[Any] = []
         for value, width in zip(values, self._widths, strict=True):
             if width == 1:
@@ -135,10 +145,10 @@ class Recipe:
         return self._struct.pack(*flat)
 
     def unpack(self, payload: bytes) -> dict[str, Any]:
-        """Values by name; vectors as tuples.
+        """Decode the values of the RTDE recipe into a dict by variable name; vectors are tuples.
 
         Raises:
-            RtdeError: wrong length.
+            RtdeError: the payload has the wrong length.
         """
         if len(payload) != self._struct.size:
             raise RtdeError(f"{len(payload)} bytes of data, the recipe has {self._struct.size}")
@@ -150,5 +160,26 @@ class Recipe:
 
 
 def split_names(text: bytes) -> list[str]:
-    """Names of a list; a comma at its end (ur_rtde sends one) counts for nothing."""
+    """Split a comma-separated list of RTDE variable names.
+
+    A trailing comma, as ur_rtde sends it, is ignored.
+    """
     return [name for name in text.decode("ascii", "replace").split(",") if name]
+
+
+def message_text(payload: bytes) -> str:
+    """Return the text of a client's RTDE message, prefixed with its source.
+
+    Layout: uint8 length, text, uint8 length, source, uint8 level.
+
+    Raises:
+        RtdeError: a length exceeds the payload.
+    """
+    parts, at = [], 0
+    for _ in range(2):
+        if at >= len(payload) or at + 1 + payload[at] > len(payload):
+            raise RtdeError("a text message with a wrong length")
+        parts.append(payload[at + 1 : at + 1 + payload[at]].decode("utf-8", "replace"))
+        at += 1 + payload[at]
+    text, source = parts
+    return f"{source}: {text}" if source else text

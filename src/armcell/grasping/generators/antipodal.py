@@ -1,8 +1,8 @@
-"""Grasps of any closed surface: pairs of points whose normals face each other within friction.
+"""Antipodal grasps of any closed surface: contact pairs whose normals oppose each other.
 
-Points are spread over the surface; from each a few rays go inwards within the friction cone, and where they
-leave is the other contact: the first way out holds a wall or a rim, the last one the whole. Around the line
-through a pair the hand may come from all sides. (Chen and Burdick 1993 for the condition.)
+Points are sampled on the surface; a few rays go inwards from each point within the friction cone. Where a ray
+leaves the solid is the second contact: the first exit grips a wall or rim, the last exit the whole object.
+The hand may approach from all directions around the line through a pair (condition: Chen and Burdick 1993).
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from armcell.scene import CollisionObject
 Array = NDArray[np.float64]
 
 SAMPLES = 350
-PAIRS = 90  # of contacts, from which the hand comes in
-TURNS = 8  # directions of approach around a pair
-CONE = 0.35  # tan of the angle between ray and normal: friction 0.35; the object's own is judged later
-DEPTHS = (0.0, 0.6)  # shares of the pads' reach that the contact is nearer to the tips than the tcp
+PAIRS = 90  # maximum number of contact pairs
+TURNS = 8  # approach directions around a pair
+# tan of the angle between ray and normal, for friction 0.35; the object's friction is checked later
+CONE = 0.35
+DEPTHS = (0.0, 0.6)  # offsets of the contact towards the fingertips, as fractions of the pads' reach
 THINNEST = 0.002  # [m]
 MOST_TRIANGLES = 40_000
 
 
 @generators.register("antipodal")
 def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Candidates from contact pairs on the triangles; the same every time."""
+    """Propose antipodal grasps from contact pairs on the triangles; deterministic."""
     rng = np.random.default_rng(0)
     found = Proposals()
     chosen = rng.permutation(len(surface.points))[:SAMPLES]
     start, normal = surface.points[chosen], surface.normals[chosen]
     rays = [-normal]
-    for _ in range(2):  # and two more each within the cone
+    for _ in range(2):  # two more rays per point within the cone
         aside = np.cross(normal, rng.normal(size=normal.shape))
         aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
         ray = -normal + CONE * np.sqrt(rng.uniform(size=(len(normal), 1))) * aside
@@ -68,11 +69,14 @@ def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _spread(pairs: list[tuple]) -> list[tuple]:
-    """At most `PAIRS` of them, all over the object: the squarest first, then what is farthest from those."""
+    """Select at most `PAIRS` contact pairs, well distributed over the object.
+
+    The pair with the best-opposed normals comes first, then always the pair farthest from those chosen.
+    """
     if len(pairs) <= PAIRS:
         return pairs
     at = np.array([np.concatenate([m / 0.02, c]) for m, c, _ in pairs])
-    other = at * np.array([1, 1, 1, -1, -1, -1])  # the same pair seen from its other end
+    other = at * np.array([1, 1, 1, -1, -1, -1])  # the same pair with swapped contacts
     square = np.array([s for _, _, s in pairs])
     chosen = [int(np.argmax(square))]
     far = np.full(len(pairs), np.inf)
@@ -84,7 +88,7 @@ def _spread(pairs: list[tuple]) -> list[tuple]:
 
 
 def _come_in(found: Proposals, n: int, middle: Array, closing: Array, hand: Hand, up: Array) -> None:
-    """The hand from all sides around a pair of contacts."""
+    """Add hand poses from all approach directions around a contact pair."""
     for k, approach in enumerate(around(closing, TURNS, -up)):
         for d, share in enumerate(DEPTHS):
             point = middle - approach * share * hand.pad[1, 1]

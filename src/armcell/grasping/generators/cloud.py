@@ -1,8 +1,8 @@
-"""Grasps of a cloud of points, after GPD (ten Pas and others 2017) without the learned part.
+"""Grasps of a point cloud, based on GPD (ten Pas et al. 2017) without its classifier.
 
-At points of the cloud a local frame is made of the normal and the direction in which the surface bends most
-and least; the hand comes along the normal, turned in steps and tilted, and closes across. Whether points are
-between the fingers, and how their normals stand, is judged like every other candidate.
+At points of the cloud, a local frame is formed from the normal and the directions of largest and smallest
+curvature. The hand approaches along the normal, rotated in steps and tilted, and closes across. The common
+grasp checks test whether points are between the fingers and whether their normals oppose each other.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
-SAMPLES = 60  # points at which a frame is made
-TURNS = 6  # of the hand about its approach, half a circle
-RADIUS = 0.015  # [m] around a point within which the surface bends
-DEPTHS = (0.008, 0.02, 0.035)  # [m] of the tcp below the point
+SAMPLES = 60  # number of local frames
+TURNS = 6  # hand orientations about the approach axis, over half a circle
+RADIUS = 0.015  # [m] neighborhood radius for the curvature
+DEPTHS = (0.008, 0.02, 0.035)  # [m] depths of the TCP below the point
 
 
 @generators.register("cloud")
 def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Candidates from local frames; needs points with normals only."""
+    """Propose grasps from local surface frames; needs only points with normals."""
     found, rng = Proposals(), np.random.default_rng(0)
     points, normals = surface.points, surface.normals
     for n, i in enumerate(_far_apart(points, SAMPLES, rng)):
         near = np.linalg.norm(points - points[i], axis=1) < RADIUS
         normal = normals[i]
-        # The eigenvectors of the neighbours' normals: the largest is the mean normal, the smallest the
-        # direction in which the surface does not bend (a cylinder's axis).
+        # Eigenvectors of the neighbors' normals: the largest is the mean normal, the smallest the direction
+        # without curvature (a cylinder's axis).
         _, axes = np.linalg.eigh(normals[near].T @ normals[near])
         axis = axes[:, 0] - (axes[:, 0] @ normal) * normal
         if np.linalg.norm(axis) < 1e-6:
@@ -52,7 +52,7 @@ def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array)
 
 
 def _far_apart(points: Array, count: int, rng: np.random.Generator) -> list[int]:
-    """Indices of points far from each other, the first at random."""
+    """Return indices of points far from each other (farthest point sampling, random start)."""
     chosen = [int(rng.integers(len(points)))]
     far = np.full(len(points), np.inf)
     while len(chosen) < min(count, len(points)):

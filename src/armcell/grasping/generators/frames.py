@@ -1,4 +1,4 @@
-"""Tcp poses from directions."""
+"""TCP poses from approach and closing directions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
-    """T_object_tcp (4, 4) from unit directions (3,), at right angles, and a point (3,) [m]."""
+    """Return T_object_tcp (4, 4) from orthogonal unit directions (3,) and a point (3,) [m]."""
     T = np.eye(4)
     T[:3, 0] = np.cross(closing, approach)
     T[:3, 1], T[:3, 2], T[:3, 3] = closing, approach, at
@@ -17,9 +17,12 @@ def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
 
 
 def around(axis: Array, count: int, first: Array) -> Array:
-    """Unit directions (count, 3) at right angles to `axis`, evenly around it, beginning near `first` (3,)."""
+    """Return unit directions (count, 3) evenly around `axis` and perpendicular to it.
+
+    The first direction is the one nearest to `first` (3,).
+    """
     start = first - (first @ axis) * axis
-    if np.linalg.norm(start) < 1e-6:  # `first` is along the axis: any will do
+    if np.linalg.norm(start) < 1e-6:  # `first` is parallel to the axis: use any perpendicular direction
         start = np.eye(3)[int(np.argmin(np.abs(axis)))]
         start = start - (start @ axis) * axis
     start = start / np.linalg.norm(start)

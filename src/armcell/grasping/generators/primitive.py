@@ -1,8 +1,7 @@
-"""Grasps of boxes, cylinders, capsules and spheres by what they are, their symmetry used.
+"""Grasps of boxes, cylinders, capsules and spheres, using their symmetry.
 
-Across each axis of a box the hand comes from the four faces and the four edges around it, also off the
-middle of a long side; a cylinder is held across its axis from all around, along its length, and at its ends;
-a sphere from all around.
+Box: across each axis, from the four faces and four edges around it, also off-center on long sides. Cylinder:
+across its axis from all directions, along its length, and at its ends. Sphere: from all directions.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
-LONG = 0.06  # [m] a side longer than this is also held off its middle
-STEP = 0.03  # [m] from there
-SIDES = 12  # directions around a cylinder
-TIP_INSIDE = 0.002  # [m] that the tcp is inside at least
+LONG = 0.06  # [m] longer sides are also held off-center
+STEP = 0.03  # [m] spacing of the off-center grasps
+SIDES = 12  # approach directions around a cylinder
+TIP_INSIDE = 0.002  # [m] minimum depth of the TCP inside the object
 
 
 @generators.register("primitive")
 def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Candidates for an object of one primitive shape; others are taken as their bounding box."""
+    """Propose grasps of an object with one primitive shape; others use their bounding box."""
     shape, T = item.shapes[0]
     R, found = T.rotation.matrix, Proposals()
     up_shape = R.T @ up
@@ -47,12 +46,12 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Of the tcp below the near face [m]: the middle, or as deep as the fingers are long."""
+    """Return the TCP's depth below the near face [m]: the center, limited by the finger length."""
     return max(min(half, hand.gripper.finger_depth), TIP_INSIDE)
 
 
 def _along(half: float) -> list[tuple[float, str]]:
-    """Places along a side: the middle, and both ways along a long one."""
+    """Return offsets [m] along a side, with their name suffixes; several for a long side."""
     if 2 * half <= LONG:
         return [(0.0, "")]
     reach = half - STEP / 2
@@ -72,7 +71,7 @@ def _box(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
             label = f"{_where(approach, up)} across {'xyz'[c]}"
             straight = turn % 2 == 0
             if not straight and reach > hand.gripper.finger_depth + TIP_INSIDE:
-                continue  # over an edge the fingers do not reach the middle
+                continue  # from an edge, the fingers do not reach the center
             for offset, at in _along(float(np.abs(side) @ half)) if straight else [(0.0, "")]:
                 point = approach * (_depth(reach, hand) - reach) + side * offset
                 for flip, mark in ((1.0, ""), (-1.0, " flipped")):
@@ -80,22 +79,26 @@ def _box(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
 
 
 def _round(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
-    """Around z, with half extents (radius, radius, half length)."""
+    """Add grasps of a body of revolution about z.
+
+    Args:
+        half: half extents (radius, radius, half length) [m].
+    """
     z = np.array([0.0, 0.0, 1.0])
     radius, length = float(half[0]), float(half[2])
-    for approach in around(z, SIDES, -up):  # across the axis, from all around
+    for approach in around(z, SIDES, -up):  # across the axis, from all directions
         closing = np.cross(z, approach)
         for offset, at in _along(length):
             point = approach * (_depth(radius, hand) - radius) + z * offset
             for flip, mark in ((1.0, ""), (-1.0, " flipped")):
                 name = f"{_where(approach, up)} {_compass(approach)}{at}{mark}"
                 found.add(name, tcp_pose(flip * closing, approach, point))
-        if 2 * length <= hand.gripper.max_width:  # a short one also over its ends
+        if 2 * length <= hand.gripper.max_width:  # short cylinders also across their ends
             point = approach * (_depth(radius, hand) - radius)
             found.add(
                 f"{_where(approach, up)} {_compass(approach)} over the ends", tcp_pose(z, approach, point)
             )
-    for approach in (z, -z):  # over an end, at angles all the same to a round thing but not to an arm
+    for approach in (z, -z):  # at an end; the rotation matters only for the arm
         point = approach * (_depth(length, hand) - length)
         for k, closing in enumerate(around(z, SIDES, np.eye(3)[0])):
             found.add(f"{_where(approach, up)} at {360 // SIDES * k} deg", tcp_pose(closing, approach, point))
@@ -118,7 +121,7 @@ def _sphere(found: Proposals, radius: float, hand: Hand, up: Array) -> None:
 
 
 def _where(approach: Array, up: Array) -> str:
-    """Where the hand comes from, in words."""
+    """Describe the approach direction in words, e.g. "top" or "from below"."""
     down = float(-approach @ up)
     if down > 0.95:
         return "top"

@@ -1,4 +1,4 @@
-"""Inverse kinematics: `ik_solver` gives the solver that fits a group of a robot."""
+"""Inverse kinematics solvers; `ik_solver` selects the best solver for a planning group."""
 
 from __future__ import annotations
 
@@ -14,13 +14,18 @@ from armcell.model import RobotModel
 def ik_solver(
     model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
 ) -> IKSolver:
-    """The solver for a planning group and a link (its tip by default): analytic where the arm allows it.
+    """Return the inverse kinematics solver for a planning group: analytic if possible.
 
-    Made once and kept: models are frozen.
+    The solver is cached, because robot models are immutable.
 
+    Args:
+        model: the robot.
+        group: name of the planning group.
+        tip_link: link to place; by default the group's tip link.
+        settings: tolerances and limits of the search.
     Raises:
-        UnknownNameError: no such group or link.
-        InputError: the group has no tip and no link is named, or none of its joints moves the link.
+        UnknownNameError: the group or link does not exist.
+        InputError: the group has no tip link and `tip_link` is None, or no joint of the group moves the link.
     """
     kind = AnalyticIK if is_analytic(model, group, tip_link) else NumericIK
     return kind(model, group, tip_link, settings)

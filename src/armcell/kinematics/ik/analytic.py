@@ -1,4 +1,7 @@
-"""Analytic inverse kinematics for arms built like those of Universal Robots: every branch, exactly."""
+"""Analytic inverse kinematics for arms with the kinematic structure of Universal Robots.
+
+The solver finds all (up to eight) solution branches exactly.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,10 @@ Array = NDArray[np.float64]
 
 
 class AnalyticIK(IKSolver):
-    """Up to eight solutions, nearest to the reference first.
+    """An analytic IK solver: up to eight solutions, nearest to the reference first.
 
     Raises:
-        InputError: the chain is not built like a UR arm.
+        InputError: the kinematic structure of the chain is not that of a UR arm.
     """
 
     method = "analytic"
@@ -49,7 +52,10 @@ class AnalyticIK(IKSolver):
 
 
 def is_analytic(model: RobotModel, group: str, tip_link: str | None = None) -> bool:
-    """Whether the chain of a group is built like a UR arm, wherever the robot's other joints are."""
+    """Return whether a planning group's chain has the structure of a UR arm.
+
+    The result is True only if it does not depend on the positions of the robot's other joints.
+    """
     names, tip = model.group(group).joint_names, tip_of(model, group, tip_link)
     tree = kinematic_tree(model)
     columns, others = set(model.columns(names)), set(other_columns(model, names, tip))

@@ -1,4 +1,4 @@
-"""Numeric inverse kinematics for any chain: damped least squares from good seeds."""
+"""Numeric inverse kinematics for any chain: damped least squares from many seeds."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from armcell.kinematics.ik.solver import IKSolver, Prepared
 
 Array = NDArray[np.float64]
 
-TABLED = 64  # of the tabled seeds, the nearest; what is left of the allowed seeds is random
-BATCH = 4  # solutions looked for at a time
-BARREN = 32  # seeds that found nothing new after something had been found: that was all
+TABLED = 64  # maximum number of precomputed seeds, nearest first; the remaining seeds are random
+BATCH = 4  # number of solutions per call of the compiled search
+BARREN = 32  # the search ends after that many seeds without a new solution, if it has found one
 
 
 class NumericIK(IKSolver):
-    """Descents from the reference, from the tabled poses nearest to the goal, then from random seeds."""
+    """A numeric inverse kinematics solver that runs damped least squares from many seeds.
+
+    The seeds are the reference, then the precomputed poses nearest to the goal, then random positions.
+    """
 
     method = "numeric"
 
@@ -55,7 +58,10 @@ class NumericIK(IKSolver):
         return nearer
 
     def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
-        """Seeds (k, n), their scores (lowest first) and how many to try; `settings.seeds` in all."""
+        """Yield batches of IK seeds (k, n), their scores (lowest first), and how many to try.
+
+        All batches together contain at most `settings.seeds` tries.
+        """
         yield reference[None], np.zeros(1, np.float32), 1
         tabled = prepared.seeds
         scores = np.empty(len(tabled.positions), np.float32)

@@ -1,4 +1,4 @@
-"""What every inverse kinematics solver does: check the question, choose the answer, give the evidence."""
+"""Base class of the inverse kinematics solvers: input checks, choice of solution, diagnosis."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ Validity = Callable[[Array], bool]
 CLOSEST_SEEDS, CLOSEST_ITERATIONS = (
     12,
     200,
-)  # descents that look for the closest pose when there is no solution
-AT_LIMIT = 1e-3  # [rad or m] from a limit counts as at it
+)  # seeds and iterations of the search for the nearest reachable pose if there is no solution
+AT_LIMIT = 1e-3  # [rad or m] joints nearer to a limit count as being at the limit
 
 
 @dataclass(frozen=True)
 @checked()
 class IKSettings:
-    """Settings of the solvers. The analytic one needs none of them to find solutions."""
+    """Settings of the inverse kinematics solvers; the analytic solver needs no search settings."""
 
     position_tolerance: float = 1e-6  # [m]
     rotation_tolerance: float = 1e-6  # [rad]
-    max_iterations: int = 30  # per seed
-    seeds: int = 200  # descents before a pose counts as unreachable
-    solutions: int = 8  # distinct valid solutions to choose the nearest from, where there is a continuum
+    max_iterations: int = 30  # for each seed
+    seeds: int = 200  # number of seeds before a pose counts as unreachable
+    solutions: int = 8  # number of distinct valid solutions from which the nearest is chosen
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -51,24 +51,26 @@ class IKSettings:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What is worked out once: for the group's chain, with the robot's other joints where they are."""
+    """Precomputed data of an IK solver's chain for fixed positions of the robot's other joints."""
 
     chain: Chain
     seeds: Seeds
-    geometry: Array | None = None  # of the analytic solver
+    geometry: Array | None = None  # link dimensions for the analytic solver
 
 
 class IKSolver(ABC):
-    """Inverse kinematics of one group and tip link of a model. Holds no state that a caller could notice.
+    """An inverse kinematics solver for one planning group and tip link of a robot.
+
+    Apart from a cache, a solver has no state, so calls do not influence each other.
 
     Attributes:
         method: "analytic" or "numeric".
-        lower, upper: limits of the group's joints (n,), infinite where there are none.
-        columns: of the group's joints in the model's positions (n,).
+        lower, upper: limits of the group's joints (n,) [rad or m]; infinite for joints without limits.
+        columns: indices of the group's joints in the model's positions (n,).
     """
 
     method = ""
-    nearest_first = False  # whether `solutions` come in the order of their distance from the reference
+    nearest_first = False  # whether `solutions` are sorted by their distance from the reference
 
     def __init__(
         self, model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
@@ -90,32 +92,42 @@ class IKSolver(ABC):
 
     @property
     def prepared(self) -> Prepared:
-        """What the compiled functions take, with the robot's other joints where they were asked for last."""
+        """Precomputed data for the compiled IK functions, from the latest query.
+
+        The data depends on the positions of the robot's other joints in that query.
+        """
         return self._kept[1]
 
     @abstractmethod
     def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
-        """Distinct solutions (n,) for a goal (12,) in the chain's base frame; counts in `outside`, per joint,
-        those which only that joint's limits forbid."""
+        """Yield distinct IK solutions (n,) for a goal (12,), the tip pose in the chain's base frame.
+
+        The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
+        """
 
     def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
-        """A solution (n,) like q that is nearer to the reference, or q itself."""
+        """Return an inverse kinematics solution (n,) equivalent to `q` but nearer to the reference.
+
+        The default implementation returns `q` itself.
+        """
         return q
 
     def solutions(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
         equivalents: bool = False,
     ) -> Iterator[Array]:  # fmt: skip
-        """Distinct solutions (n,) within limits, each turned by whole turns towards the reference.
+        """Yield distinct inverse kinematics solutions (n,) within the joint limits.
+
+        Each solution is turned by full turns to be as near as possible to the reference.
 
         Args:
-            T_world_tip: wanted pose of the tip link.
-            reference: positions (dof,) of all joints; those outside the group stay there.
-            rng: where the numeric solver's last seeds come from.
-            equivalents: give after each solution also the others that differ from it by whole turns.
+            T_world_tip: desired pose of the tip link.
+            reference: positions (dof,) of all joints; joints outside the group stay at these positions.
+            rng: random generator for the numeric solver's random seeds.
+            equivalents: whether to yield, after each solution, also those that differ from it by full turns.
         Raises:
-            InputError: a number that is not finite, or positions of the wrong length.
+            InputError: a value is not finite, or `reference` has the wrong length.
         """
         prepared, goal, at = self._question(T_world_tip, reference)
         for q in self._search(prepared, goal, at, rng, {}):
@@ -124,7 +136,10 @@ class IKSolver(ABC):
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
     ) -> list[Array]:
-        """Up to `among` distinct solutions (n,), the nearest to the reference first; see `solutions`."""
+        """Return up to `among` distinct IK solutions (n,), nearest to the reference first.
+
+        See `solutions` for the arguments.
+        """
         at = np.asarray(reference, dtype=float)
         found = list(islice(self.solutions(T_world_tip, at, rng), among))
         return sorted(found, key=lambda q: float(np.linalg.norm(q - at[self.columns])))
@@ -136,19 +151,22 @@ class IKSolver(ABC):
         is_valid: Validity | None = None,
         rng: np.random.Generator | None = None,
     ) -> IKResult:
-        """The valid solution nearest to the reference.
+        """Return the valid inverse kinematics solution nearest to the reference.
 
         Args:
-            T_world_tip: wanted pose of the tip link.
-            reference: positions (dof,) of all joints; the group's are what the solution should be near to.
-            is_valid: whether group positions (n,) may be used (collision, say).
+            T_world_tip: desired pose of the tip link.
+            reference: positions (dof,) of all joints; the solution should be near the group's positions.
+            is_valid: function that returns whether group positions (n,) are valid, for example free of
+                collisions.
+            rng: random generator for the numeric solver's random seeds.
         Returns:
-            SUCCESS with `positions` (n,); NO_IK_SOLUTION with the closest found and in the evidence
-            `invalid_solutions` (how many `is_valid` refused) and `invalid`, or `closest_pose`,
-            `joints_at_limit`, `outside_limits` (solutions forbidden by a joint's limits, per joint),
-            `distance_m` of the goal from the first joint and `reach_m` of the arm.
+            SUCCESS with `positions` (n,), or NO_IK_SOLUTION with the nearest positions found. If `is_valid`
+                rejected solutions, the evidence contains their number `invalid_solutions` and the solutions
+                `invalid`. Otherwise it contains `closest_pose`, `joints_at_limit`, `outside_limits` (number
+                of solutions outside a joint's limits, by joint), `distance_m` (from the first joint to the
+                goal) and `reach_m` (of the arm).
         Raises:
-            InputError: a number that is not finite, or positions of the wrong length.
+            InputError: a value is not finite, or `reference` has the wrong length.
         """
         prepared, goal, at = self._question(T_world_tip, reference)
         best, least, valid = None, np.inf, 0
@@ -187,12 +205,17 @@ class IKSolver(ABC):
         self, q: Array, T_world_tip: SE3, iterations: int = 60, *, wish: Array | None = None,
         bounds: Array | None = None,
     ) -> tuple[float, float, bool]:  # fmt: skip
-        """One descent from q (dof,), changed in place: errors [m], [rad], and whether it converged.
+        """Run one numeric IK descent from `q` (dof,), which is changed in place.
 
         Args:
-            wish: (n,) how a redundant group's joints would like to change meanwhile; the part that leaves
-                the tip alone is done, where the pose is reached all the same.
-            bounds: (n, 2) that the group's joints keep to, instead of their limits.
+            q: initial positions of all joints; receives the result.
+            T_world_tip: desired pose of the tip link.
+            iterations: maximum number of iterations.
+            wish: desired change (n,) of a redundant group's joints; the solver applies its null-space part,
+                if the pose is still reached.
+            bounds: (n, 2) bounds of the group's joints that replace their limits.
+        Returns:
+            Position error [m], rotation error [rad], and whether the descent converged.
         """
         prepared, goal, at = self._question(T_world_tip, q)
         chain, s = prepared.chain, self.settings
@@ -209,7 +232,7 @@ class IKSolver(ABC):
         return position, angle, ok
 
     def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
-        """From `at` (n,), changed in place, as long as there is any progress."""
+        """Run one IK descent from `at` (n,), changed in place, as long as it makes progress."""
         n = len(at)
         return descend(
             chain.table, chain.bounds, goal, chain.scale, iterations, iterations,
@@ -218,7 +241,13 @@ class IKSolver(ABC):
         )[:3]  # fmt: skip
 
     def _question(self, T_world_tip: SE3, reference: ArrayLike) -> tuple[Prepared, Array, Array]:
-        """What is worked out once, the goal (12,) in the base frame, the reference of the group (n,)."""
+        """Check an IK query; return precomputed data, the goal (12,) and the group's reference (n,).
+
+        The goal is the pose of the tip in the chain's base frame.
+
+        Raises:
+            InputError: a value is not finite, or `reference` has the wrong length.
+        """
         positions = np.asarray(reference, dtype=float)
         if positions.shape != (self.model.dof,):
             raise InputError(
@@ -240,7 +269,7 @@ class IKSolver(ABC):
     def _closest(
         self, prepared: Prepared, goal: Array, at: Array, reference: Array, outside: dict[str, int]
     ) -> IKResult:
-        """Evidence for a pose out of reach: the nearest the tip can get to it, and its joints."""
+        """Return the failure result for an unreachable pose, with the nearest reachable pose."""
         chain, seeds = prepared.chain, prepared.seeds
         scores = np.empty(len(seeds.positions), np.float32)
         rank(seeds.poses, goal, chain.scale, scores)
@@ -285,7 +314,7 @@ class IKSolver(ABC):
         )
 
     def at_limit(self, q: Array) -> list[str]:
-        """Names of the group's joints that are at a limit in q (n,)."""
+        """Return the names of the group's joints that are at a limit (within 1e-3) in `q` (n,)."""
         near = np.minimum(q - self.lower, self.upper - q) < AT_LIMIT
         return [name for name, yes in zip(self.joint_names, near, strict=True) if yes]
 
@@ -295,11 +324,11 @@ def _counts(outside: dict[str, int]) -> str:
 
 
 def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
-    """The link to place: the one named, or the group's own tip.
+    """Return the link that an IK solver places: `tip_link`, or by default the group's tip link.
 
     Raises:
-        UnknownNameError: no such group or link.
-        InputError: the group is not a chain, so it has no tip of its own.
+        UnknownNameError: the group or link does not exist.
+        InputError: `tip_link` is None and the group is not a chain, so it has no tip link.
     """
     tip = tip_link or model.group(group).tip_link
     if tip is None:
@@ -309,7 +338,7 @@ def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
 
 
 def other_columns(model: RobotModel, joint_names: tuple[str, ...], tip_link: str) -> NDArray[np.int64]:
-    """Columns of the joints that move the tip but are not of the group."""
+    """Return the indices of the joints that move the tip link but are not in the group."""
     tree = kinematic_tree(model)
     moving = {int(tree.column[j]) for j in tree.path_to(tip_link) if tree.kind[j] != FIXED}
     return np.array(sorted(moving - set(model.columns(joint_names))), dtype=np.int64)

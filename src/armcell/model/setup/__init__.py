@@ -1,8 +1,9 @@
-"""Setting up a robot without a GUI: groups from the tree, MoveIt's files written and read."""
+"""Robot setup without a GUI: detect arms and grippers, read and write MoveIt configurations."""
 
 from armcell.model.setup import defaults
 from armcell.model.setup.chains import Chain, find_chains, with_groups
 from armcell.model.setup.folder import check_folder, write_folder, yaml_text
+from armcell.model.setup.launch import launch_files
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config, package_files
 from armcell.model.setup.semantics import described, parse_srdf, srdf_text
 from armcell.model.setup.urdf_text import UrdfPart, merged_urdf
@@ -16,6 +17,7 @@ __all__ = [
     "described",
     "find_chains",
     "is_moveit_config",
+    "launch_files",
     "merged_urdf",
     "package_files",
     "parse_srdf",

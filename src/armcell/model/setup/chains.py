@@ -1,4 +1,4 @@
-"""Arms and grippers, found in the tree of joints."""
+"""Detection of arms and grippers in a robot's joint tree, and planning groups for them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from armcell.model.robot import EndEffector, Group, Joint, RobotModel
 
 JAW = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pincer", re.IGNORECASE)
 TOOL = re.compile(r"tcp|tool|grasp|ee_link|end_effector|gripper$", re.IGNORECASE)
-HAND_AFTER = 3  # joints in a row, before what branches off them can be fingers
+HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fingers
 
 
 @dataclass(frozen=True)
 class Chain:
-    """One arm: the link it stands on, its driven joints, its tip; and the palm of the gripper it carries."""
+    """One detected arm: base link, tip link, actuated joints, and the palm of its gripper.
+
+    `palm` is None if the arm carries no gripper.
+    """
 
     base: str
     tip: str
@@ -25,10 +28,10 @@ class Chain:
 
 
 def find_chains(model: RobotModel) -> list[Chain]:
-    """The longest serial chains: an arm ends where the tree ends, or where fingers branch off.
+    """Return the arms of a robot: serial chains that end at a leaf link or before the fingers.
 
-    Joints in a row that lead to a branch with longer rows below are a torso, and belong to no arm. Rows less
-    than half as long as the longest (a head, a wheel) are left out.
+    Joints before a branch that leads to longer chains belong to a torso, not to an arm. Chains with fewer
+    than half as many joints as the longest chain (a head, a wheel) are left out.
     """
     found: list[Chain] = []
     _follow(model, model.root_link, found)
@@ -37,12 +40,15 @@ def find_chains(model: RobotModel) -> list[Chain]:
 
 
 def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
-    """The model with a planning group for every arm and gripper, and its end effectors.
+    """Return the robot with planning groups for its arms and grippers, and end effectors.
+
+    A robot with exactly two arms that share no joint also gets the group `both_arms`.
 
     Args:
-        prefixes: of the robots that it was put together from; groups are named by them.
+        model: the robot.
+        prefixes: name prefixes of the robots that `model` is composed of; group names start with them.
     Raises:
-        InputError: nothing moves.
+        InputError: the robot has no movable joint.
     """
     chains = find_chains(model)
     if not chains:
@@ -56,7 +62,7 @@ def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
             continue
         links = set(model.subtree(chain.palm)) - set(groups[arm].link_names)
         mount = model.parent_joint[chain.palm]
-        if not mount.movable:  # else the palm is the arm's last link, which the arm's group moves
+        if not mount.movable:  # otherwise the palm is the arm's last link and belongs to the arm's group
             links.add(chain.palm)
         groups[hand] = _hand(model, hand, links)
         parent = chain.palm if mount.movable else mount.parent
@@ -91,7 +97,7 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 # --- the tree ---
 def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
-    """Chains that begin at or below a link."""
+    """Append to `found` the arm chains that start at or below a link."""
     starts = _next_movable(model, link)
     if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
         return  # fingers without an arm
@@ -99,11 +105,11 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
         row, ends = _row(model, first)
         below = [_depth(model, j) for j in ends]
         if ends and not (len(row) >= HAND_AFTER and max(below) < len(row)):
-            _follow(model, row[-1].child, found)  # a torso: the arms are further down
+            _follow(model, row[-1].child, found)  # `row` is a torso: the arms are further down
             continue
         driven, jaws = row, ends
         while len(driven) > 1 and not ends and JAW.search(driven[-1].name + driven[-1].child):
-            jaws, driven = [driven[-1]], driven[:-1]  # one jaw moves, the other is part of the last link
+            jaws, driven = [driven[-1]], driven[:-1]  # gripper with one moving and one fixed jaw
         names = tuple(j.name for j in driven if j.actuated)
         if not names or all(JAW.search(j.name + j.child) for j in driven):
             continue
@@ -113,7 +119,7 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Movable joints one below the other from `first`, and those that branch off the last one's link."""
+    """Return the serial movable joints from `first` on, and the joints after the next branch."""
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
         row.append(ends[0])
@@ -121,7 +127,7 @@ def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
 
 
 def _next_movable(model: RobotModel, link: str) -> list[Joint]:
-    """The first movable joints below a link, along fixed ones."""
+    """Return the first movable joints below a link, skipping fixed joints."""
     found: list[Joint] = []
     rigid = {link}
     for joint in model.joints.values():
@@ -134,12 +140,12 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Movable joints in the longest row from a joint down."""
+    """Return the number of movable joints on the longest branch from `joint` down, inclusive."""
     return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:
-    """A link and what is fixed to it further down, in the tree's order."""
+    """Return a link and all links fixed to it further down, in tree order."""
     rigid = [link]
     for joint in model.joints.values():
         if not joint.movable and joint.parent in rigid:
@@ -148,7 +154,7 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def _common_link(model: RobotModel, links: list[str]) -> str:
-    """The lowest link that all of some links hang from (or are)."""
+    """Return the lowest common ancestor of some links; a link counts as its own ancestor."""
     trails = []
     for link in links:
         trail = [link]
@@ -159,7 +165,10 @@ def _common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """The palm of a gripper whose fingers do not move in this URDF: where several bodies branch off."""
+    """Return the palm of a gripper whose fingers are fixed in the URDF, or None.
+
+    The palm is the first link fixed below `last` with at least two branches that have collision geometry.
+    """
     for link in _rigid_below(model, last):
         branches = [
             j.child
@@ -172,7 +181,7 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def _tip(model: RobotModel, last: str, palm: str | None) -> str:
-    """The link that poses are given for: a tool frame, else the palm, else the end of the chain."""
+    """Return an arm's tip link: a tool frame if there is one, else the palm or the last link."""
     rigid = _rigid_below(model, last)
     frames = [n for n in rigid if n != last and not model.links[n].collisions and TOOL.search(n)]
     if palm is not None:
@@ -186,7 +195,11 @@ def _tip(model: RobotModel, last: str, palm: str | None) -> str:
 
 # --- names ---
 def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
-    """(arm, gripper) for every chain; with several, what their joints' names begin with is put before."""
+    """Return the group names (arm, gripper) of each chain; several chains get unique prefixes.
+
+    The prefix is the common beginning of the chain's joint names. If two prefixes are equal, numbers replace
+    them.
+    """
     prefixes = [_prefix(c.joints, robots) for c in chains] if len(chains) > 1 else [""]
     if len(set(prefixes)) < len(prefixes) or not all(prefixes[1:]):
         numbers = range(1, len(chains) + 1)
@@ -195,7 +208,7 @@ def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
-    """The prefix of the robot that joints belong to, or what all names begin with, up to an underscore."""
+    """Return the name prefix of an arm's robot, or the common beginning of its joint names."""
     for robot in sorted(robots, key=len, reverse=True):
         if robot and joints[0].startswith(robot):
             return robot

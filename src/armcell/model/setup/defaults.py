@@ -1,4 +1,4 @@
-"""What MoveIt's YAML files hold for a robot that has just been set up."""
+"""Default contents of MoveIt's YAML files for a robot that `armcell setup` configures."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ from armcell.model.robot import Group, RobotModel
 from armcell.model.setup.planners import PLANNERS, config_name, planner_configs
 
 VELOCITY, ACCELERATION = 1.0, 1.0
-"""[rad/s, rad/s^2 or m] MoveIt's time parameterization takes these where no limit is given
-(TimeOptimalTrajectoryGeneration: DEFAULT_VELOCITY_LIMIT, DEFAULT_ACCELERATION_LIMIT)."""
+"""Default velocity and acceleration [rad/s, rad/s^2; m/s, m/s^2] of a joint without limits.
+
+MoveIt's time parameterization uses the same values (TimeOptimalTrajectoryGeneration: DEFAULT_VELOCITY_LIMIT,
+DEFAULT_ACCELERATION_LIMIT).
+"""
 
 SOLVER = "kdl_kinematics_plugin/KDLKinematicsPlugin"
 MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def joint_limits(model: RobotModel) -> dict[str, Any]:
-    """joint_limits.yaml: velocities as in the URDF, accelerations (it has none) as MoveIt assumes."""
+    """Return joint_limits.yaml: the URDF's velocity limits and MoveIt's default accelerations.
+
+    URDF has no acceleration limits. Joint limits that the model does have take precedence over the defaults.
+    """
     joints = {}
     for name in model.movable_joint_names:
         limits = model.joints[name].limits
@@ -43,7 +49,7 @@ def _finite(value: float, otherwise: float) -> float:
 
 
 def kinematics(model: RobotModel) -> dict[str, Any]:
-    """kinematics.yaml: a solver for every chain."""
+    """Return kinematics.yaml: the KDL inverse kinematics solver for every group with a tip link."""
     solver = {
         "kinematics_solver": SOLVER,
         "kinematics_solver_search_resolution": 0.005,
@@ -53,7 +59,7 @@ def kinematics(model: RobotModel) -> dict[str, Any]:
 
 
 def ompl_planning(model: RobotModel) -> dict[str, Any]:
-    """ompl_planning.yaml: every planner for every group that has joints."""
+    """Return ompl_planning.yaml: all OMPL planners for every group that has joints."""
     data: dict[str, Any] = {"planner_configs": planner_configs()}
     for group in model.groups.values():
         if not group.joint_names:
@@ -69,9 +75,11 @@ def ompl_planning(model: RobotModel) -> dict[str, Any]:
 
 
 def moveit_controllers(model: RobotModel) -> dict[str, Any]:
-    """moveit_controllers.yaml: a trajectory controller for every arm, a gripper command for every gripper.
+    """Return moveit_controllers.yaml: one controller for each arm and each gripper.
 
-    A gripper with several driven joints gets a trajectory controller as well; groups made of others, none.
+    An arm gets a trajectory controller, a gripper with one actuated joint a gripper command. A gripper with
+    several actuated joints gets a trajectory controller as well. Groups that consist of other groups get no
+    controller.
     """
     hands = {e.group for e in model.end_effectors.values()}
     controllers: dict[str, Any] = {}
@@ -100,14 +108,14 @@ def moveit_controllers(model: RobotModel) -> dict[str, Any]:
 
 
 def _own(model: RobotModel, group: Group) -> bool:
-    """Whether no smaller group drives some of its joints."""
+    """Return whether no other planning group consists of only some of this group's joints."""
     return not any(
         g.joint_names and set(g.joint_names) < set(group.joint_names) for g in model.groups.values()
     )
 
 
 def pilz_cartesian_limits() -> dict[str, Any]:
-    """pilz_cartesian_limits.yaml, with the figures of MoveIt's assistant."""
+    """Return pilz_cartesian_limits.yaml with the default values of MoveIt's Setup Assistant."""
     return {
         "cartesian_limits": {
             "max_trans_vel": 1.0,  # [m/s]

@@ -1,4 +1,4 @@
-"""Writing a folder whole or not at all."""
+"""Atomic writing of a folder: either all files are written or nothing changes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from armcell.core import InputError
 
 
 def check_folder(folder: Path, force: bool = False) -> None:
-    """Say before the work is done that a folder cannot be written.
+    """Check in advance that `write_folder` can write a folder.
 
     Raises:
-        InputError: it is there and not empty (and not `force`), it is a file, or its parent is missing.
+        InputError: the folder is not empty (without `force`), is a file, has no parent folder, or its parent
+            is not writable.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError("is a file, a folder is needed", file=folder)
@@ -34,10 +35,14 @@ def check_folder(folder: Path, force: bool = False) -> None:
 
 
 def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) -> None:
-    """Write text files by their path in the folder. All of them, or nothing is changed.
+    """Write text files into a folder atomically: either all files or no changes.
 
-    A folder that is there keeps its other files; it is replaced in one step.
+    An existing folder keeps its other files and is replaced in one step.
 
+    Args:
+        folder: the folder to write.
+        files: text by path relative to the folder.
+        force: whether the folder may already contain files.
     Raises:
         InputError: see `check_folder`.
     """
@@ -66,7 +71,7 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists are indented below their key, as MoveIt's files have them; nothing is written as an alias."""
+    """A YAML writer in the style of MoveIt's files: lists indented below their key, no aliases."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -76,6 +81,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(data: Any, *comments: str) -> str:
-    """YAML with lines of comment above it."""
+    """Return data as YAML text, with comment lines at the top."""
     head = "".join(f"# {line}\n" for line in comments)
     return head + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)

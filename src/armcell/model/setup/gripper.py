@@ -1,4 +1,4 @@
-"""Parallel grippers: what robot.yaml says of them, measured on the meshes."""
+"""Detection of parallel grippers: derives robot.yaml's gripper parameters from the meshes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from armcell.model.robot import EndEffector, Gripper, Joint, RobotModel
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
-PALM_MARGIN = 0.005  # [m] that an object stays off the palm
-PAD = 0.01  # [m] above the tcp the fingers' inner faces count as pads
+PALM_MARGIN = 0.005  # [m] minimum distance of a grasped object from the palm
+PAD = 0.01  # [m] from the tcp toward the palm: range in which the fingers' inner faces count as pads
 STRAIGHT = 0.99  # cosine between the fingers' direction and the tcp frame's y
 
 
 def find_grippers(model: RobotModel) -> RobotModel:
-    """The model with a `Gripper` for each end effector that is one: two fingers that slide along the y axis
-    of a frame fixed to the palm, whose z axis points out of the hand. Others are left to the user."""
+    """Return the robot with a `Gripper` for each end effector that is a parallel gripper.
+
+    A parallel gripper has two fingers that slide along the y axis of a frame fixed to the palm; the z axis of
+    this frame points out of the hand. The user must describe other grippers.
+    """
     found = dict(model.grippers)
     for end in model.end_effectors.values():
         gripper = _parallel(model, end)
@@ -50,7 +53,7 @@ def _parallel(model: RobotModel, end: EndEffector) -> Gripper | None:
 
 
 def _frames(model: RobotModel, palm: str) -> list[str]:
-    """Links without geometry that are fixed to the palm, as a tcp frame is."""
+    """Return the links without collision geometry that are fixed below the palm: tcp candidates."""
     rigid = next(links for links in model.rigid_groups if palm in links)
     return [n for n in model.subtree(palm) if n in rigid and n != palm and not model.links[n].collisions]
 
@@ -65,16 +68,16 @@ def _measured(
         factor = joint.mimic.multiplier if joint.mimic else 1.0
         ways.append(T.rotation.matrix @ np.array(joint.axis) * factor)
         points.append(_corners(model, joint.child, T))
-    way = ways[0] - ways[1]  # of one finger against the other, per unit of the joint
+    way = ways[0] - ways[1]  # motion of one finger relative to the other, per unit of the joint
     speed = float(np.linalg.norm(way))
     if speed < 1e-6 or abs(way[1]) < STRAIGHT * speed or any(len(p) == 0 for p in points):
         return None
     if ways[0][1] < ways[1][1]:
-        points.reverse()  # the first opens towards +y now
+        points.reverse()  # so that the first finger opens toward +y
     pads = [p[p[:, 2] > -PAD] for p in points]
     reach = min(float(p[:, 2].max()) for p in points)
     if any(len(p) == 0 for p in pads) or reach <= 0:
-        return None  # z does not point out of the hand, or the frame lies beyond the fingers
+        return None  # z does not point out of the hand, or the frame is beyond the fingers
     driver = next(j for j in sliding if j.actuated)
     offset = max(float(pads[0][:, 1].min() - pads[1][:, 1].max()), 0.0)
     body = _corners(model, palm, T_tcp_palm)
@@ -98,7 +101,7 @@ def _measured(
 
 
 def _pose(model: RobotModel, base: str, tip: str) -> SE3:
-    """T_base_tip along fixed joints."""
+    """Return the pose of link `tip` in the frame of link `base`, with all joints at zero."""
     T = SE3.identity()
     for joint in model.chain(base, tip):
         T = T @ joint.T_parent_joint
@@ -106,7 +109,10 @@ def _pose(model: RobotModel, base: str, tip: str) -> SE3:
 
 
 def _corners(model: RobotModel, link: str, T: SE3) -> Array:
-    """Corners (n, 3) of a link's collision shapes, moved by T."""
+    """Return points (n, 3) [m] that bound a link's collision shapes, transformed by `T`.
+
+    A mesh contributes its vertices, another shape the corners of its bounding box.
+    """
     found = [np.zeros((0, 3))]
     for collision in model.links[link].collisions:
         if isinstance(collision.shape, Mesh):

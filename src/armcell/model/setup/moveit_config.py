@@ -1,4 +1,4 @@
-"""A MoveIt configuration package: a folder with an SRDF and YAML files under config/, read as it is."""
+"""MoveIt configuration packages: reads and writes the SRDF and the YAML files under config/."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from armcell.model.files import parse_xml, read_yaml
 from armcell.model.robot import RobotModel
 from armcell.model.setup.defaults import ACCELERATION, VELOCITY
 from armcell.model.setup.folder import write_folder, yaml_text
+from armcell.model.setup.launch import launch_files
 from armcell.model.setup.semantics import Element, parse_srdf, srdf_text
 from armcell.model.setup.urdf_text import find_meshes, xml_text
 from armcell.model.srdf import with_srdf_text
@@ -25,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 Data = dict[str, Any]
 
-# What is read, under which names it is found (the first that is there), whether MoveIt cannot do without.
+# Key: (possible file names, of which the first that exists is read; whether MoveIt requires the file).
 FILES: dict[str, tuple[tuple[str, ...], bool]] = {
     "joint_limits": (("joint_limits.yaml",), True),
     "kinematics": (("kinematics.yaml",), True),
@@ -60,20 +61,22 @@ CMAKE_LISTS = """cmake_minimum_required(VERSION 3.22)
 project({name})
 find_package(ament_cmake REQUIRED)
 ament_package()
-install(DIRECTORY config DESTINATION share/${{PROJECT_NAME}})
+install(DIRECTORY config launch DESTINATION share/${{PROJECT_NAME}})
 install(FILES .setup_assistant DESTINATION share/${{PROJECT_NAME}})
 """
 
 
 @dataclass(frozen=True, eq=False)
 class MoveItConfig:
-    """What a package says, whole (`srdf`, `files`), and what follows from it (`model` and the properties).
+    """The content of a MoveIt configuration package, and the robot model that it describes.
 
     Attributes:
-        model: the robot with groups, end effectors, named states, pairs and limits applied.
-        srdf: the SRDF's <robot> element, everything in it.
-        files: content of the YAML files by their key in `FILES`, as read; missing ones are not in it.
-        names: file names by the same key, and "srdf" and "urdf".
+        folder: the package's folder.
+        model: the robot with groups, end effectors, named states, disabled pairs and limits applied.
+        srdf: the SRDF's complete <robot> element.
+        urdf_text: the URDF, with xacro expanded and full paths of meshes beside it.
+        files: content of the YAML files that exist, by their key in `FILES`.
+        names: file names by the same keys, and by "srdf" and "urdf".
     """
 
     folder: Path
@@ -87,27 +90,29 @@ class MoveItConfig:
     def load(
         folder: str | Path, urdf: str | Path | None = None, allow_env: bool | None = None
     ) -> MoveItConfig:
-        """Read a package's folder.
+        """Read a MoveIt configuration package from its folder.
 
         Args:
-            urdf: the URDF or xacro file; by default what `.setup_assistant` names, or lies in config/.
-            allow_env: of xacro files, see `expand_xacro`.
+            folder: the package's folder.
+            urdf: the URDF or xacro file; by default the file that `.setup_assistant` names, or else the first
+                one in config/ or urdf/.
+            allow_env: whether xacro files may read environment variables, see `expand_xacro`.
         Raises:
-            InputError: a missing file, a name that the robot does not have, a value of the wrong type; with
-                the file and the key.
+            InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type;
+                the message names the file and key.
         """
         return _Reader(Path(folder), allow_env).read(None if urdf is None else Path(urdf))
 
-    # --- what planners and controllers ask for ---
+    # --- settings for planners and controllers ---
     @property
     def planner_configs(self) -> dict[str, dict[str, Any]]:
-        """Planner configurations by name: `type` and parameters, numbers as numbers."""
+        """OMPL planner configurations by name: `type` and parameters, numeric strings as numbers."""
         found = self._ompl().get("planner_configs") or {}
         return {name: {k: _number(v) for k, v in entry.items()} for name, entry in found.items()}
 
     @property
     def group_planning(self) -> dict[str, dict[str, Any]]:
-        """By planning group: its list `planner_configs` and keys as longest_valid_segment_fraction."""
+        """OMPL settings by planning group, such as `planner_configs` (a list of names)."""
         return {
             group: {k: _number(v) for k, v in entry.items()}
             for group, entry in self._ompl().items()
@@ -116,17 +121,17 @@ class MoveItConfig:
 
     @property
     def controllers(self) -> dict[str, dict[str, Any]]:
-        """Controllers by name: `type`, `action_ns`, `default`, `joints`."""
+        """MoveIt controllers by name, each with `type`, `action_ns`, `default` and `joints`."""
         return _controllers(_unwrapped(self.files.get("controllers", {})))
 
     @property
     def kinematics(self) -> Data:
-        """Solver settings by planning group."""
+        """Inverse kinematics solver settings from kinematics.yaml, by planning group."""
         return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
 
     @property
     def cartesian_limits(self) -> dict[str, float]:
-        """Of pilz_cartesian_limits.yaml, by its keys: parameters of the planners LIN and CIRC."""
+        """Cartesian limits of the Pilz planners LIN and CIRC, by key of pilz_cartesian_limits.yaml."""
         data = _unwrapped(self.files.get("pilz_cartesian_limits", {}), "robot_description_planning")
         return {key: float(value) for key, value in data.get("cartesian_limits", {}).items()}
 
@@ -135,21 +140,42 @@ class MoveItConfig:
 
     # --- writing ---
     def texts(self, package: str) -> dict[str, str]:
-        """The files of a package of that name, by their path in its folder."""
+        """Return the files of a MoveIt configuration package as text, by path in the package.
+
+        Args:
+            package: name of the ROS package.
+        """
         texts = {f"config/{self.names['srdf']}": srdf_text(self.srdf)}
         texts[f"config/{self.names['urdf']}"] = self.urdf_text
         for key, data in self.files.items():
             texts[f"config/{self.names[key]}"] = yaml_text(data)
         texts |= package_files(package, self.names["urdf"], self.names["srdf"])
+        texts |= launch_files(package, self.model.name, self.names, self.controllers)
         return texts
 
     def write(self, folder: str | Path, force: bool = False) -> None:
-        """Write the package: all of it or nothing. The URDF (a xacro expanded) goes to config/ as well."""
+        """Write the MoveIt configuration package atomically to a folder.
+
+        The folder's name becomes the package name. config/ also contains the URDF, with xacro expanded.
+
+        Raises:
+            InputError: see `check_folder`.
+        """
         write_folder(Path(folder), self.texts(Path(folder).resolve().name), force)
 
 
 def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
-    """What makes a folder a ROS 2 package that MoveItConfigsBuilder finds its files in."""
+    """Return the package.xml and other files that make a MoveIt configuration a ROS 2 package.
+
+    With these files (`.setup_assistant`, package.xml and CMakeLists.txt), MoveItConfigsBuilder finds the
+    package's configuration.
+
+    Args:
+        package: name of the ROS package.
+        urdf, srdf: file names in config/.
+    Returns:
+        Text by path relative to the package's folder.
+    """
     where = {
         "urdf": {"package": package, "relative_path": f"config/{urdf}"},
         "srdf": {"relative_path": f"config/{srdf}"},
@@ -162,12 +188,15 @@ def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
 
 
 def is_moveit_config(folder: Path) -> bool:
-    """Whether a folder looks like a MoveIt configuration package."""
+    """Return whether a folder contains `config/*.srdf*` or a `.setup_assistant` file."""
     return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
 
 
 def _unwrapped(data: Data, *inner: str) -> Data:
-    """The content of a parameter file: below ROS 2's node name, `ros__parameters` and known namespaces."""
+    """Return a ROS parameter file's content without the node names and namespaces around it.
+
+    ROS 2 files wrap parameters in a node name, `ros__parameters` and possibly a namespace in `inner`.
+    """
     while isinstance(data, dict) and len(data) == 1:
         key = next(iter(data))
         if key not in ("/**", "/move_group", "move_group", "ros__parameters", *inner):
@@ -177,7 +206,10 @@ def _unwrapped(data: Data, *inner: str) -> Data:
 
 
 def _number(value: Any) -> Any:
-    """YAML 1.1 reads 10e-10 as a text."""
+    """Return a numeric string from YAML as a float, any other value unchanged.
+
+    YAML 1.1 parses a number such as 10e-10 as a string.
+    """
     if isinstance(value, str):
         try:
             return float(value)
@@ -197,7 +229,7 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
 
 
 class _Reader:
-    """Carries the folder through the files, for messages."""
+    """A reader for one MoveIt configuration package; error messages contain the file and key."""
 
     def __init__(self, folder: Path, allow_env: bool | None = None):
         self.folder, self.allow_env = folder, allow_env
@@ -289,7 +321,7 @@ class _Reader:
     def text(self, file: Path) -> str:
         return urdf_text(file, self.allow_env, self.folder)
 
-    # --- values of the right type ---
+    # --- type checks ---
     def mapping(self, value: Any, file: Path, key: str) -> Data:
         if not isinstance(value, dict):
             raise InputError(f"is {_type(value)}, a mapping is needed", file=file, element=key)
@@ -314,7 +346,10 @@ class _Reader:
         return value
 
     def known_group(self, name: str, file: Path, model: RobotModel) -> bool:
-        """As MoveIt: settings of a group that the SRDF does not have are passed over."""
+        """Return whether the SRDF defines a planning group; if not, log a warning.
+
+        Like MoveIt, armcell ignores settings of undefined groups.
+        """
         if name not in model.groups:
             known = ", ".join(sorted(model.groups))
             logger.warning("%s: planning group %r is not in the SRDF (it has %s)", file, name, known)
@@ -342,7 +377,11 @@ class _Reader:
         return self.mapping(inner["joint_limits"] or {}, file, "joint_limits")
 
     def limited(self, model: RobotModel, data: Data, file: Path) -> RobotModel:
-        """Limits applied where they are tighter than the URDF's; wider ones are passed over and told."""
+        """Return the robot with limits from joint_limits.yaml that are tighter than the URDF's.
+
+        A wider velocity, acceleration or jerk limit is ignored with a warning. Joints without any velocity or
+        acceleration limit get MoveIt's defaults.
+        """
         joints = dict(model.joints)
         for name, entry in self.limits(data, file).items():
             limits = joints[name].limits
@@ -370,7 +409,7 @@ class _Reader:
                     )
                 limits = replace(limits, lower=low, upper=high)
             joints[name] = replace(joints[name], limits=limits)
-        for name, joint in joints.items():  # as MoveIt, where there is no limit
+        for name, joint in joints.items():  # MoveIt's defaults for joints without a limit
             velocity = VELOCITY if math.isinf(joint.limits.velocity) else None
             acceleration = ACCELERATION if math.isinf(joint.limits.acceleration) else None
             if joint.movable and (velocity or acceleration):
@@ -462,7 +501,7 @@ class _Reader:
 
 
 def _with_full_paths(text: str, file: Path) -> str:
-    """The URDF with meshes that lie beside it given by their full path."""
+    """Return the URDF text with absolute paths for meshes relative to the URDF's folder."""
     root = parse_xml(text, file)
     find_meshes(root, file.resolve().parent)
     return xml_text(root)

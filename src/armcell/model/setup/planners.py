@@ -1,10 +1,10 @@
-"""OMPL's planners as MoveIt's ompl_planning.yaml names them, with the parameters its assistant writes."""
+"""OMPL planners and their parameters, as MoveIt's Setup Assistant writes ompl_planning.yaml."""
 
 from __future__ import annotations
 
 from typing import Any
 
-_RANGE = {"range": 0.0}  # [rad] longest motion added to a tree; 0: OMPL chooses
+_RANGE = {"range": 0.0}  # [rad] longest motion that the planner adds to its tree; 0: OMPL chooses
 _BIAS = {"range": 0.0, "goal_bias": 0.05}
 _PIECES = {"border_fraction": 0.9, "failed_expansion_score_factor": 0.5, "min_valid_path_fraction": 0.5}
 _SPARSE = {"stretch_factor": 3.0, "sparse_delta_fraction": 0.25, "dense_delta_fraction": 0.001}
@@ -79,10 +79,10 @@ PLANNERS: dict[str, dict[str, Any]] = {
 
 
 def config_name(planner: str) -> str:
-    """`RRTConnect` -> `RRTConnectkConfigDefault`."""
+    """Return the MoveIt configuration name of an OMPL planner: `RRTConnectkConfigDefault`."""
     return f"{planner}kConfigDefault"
 
 
 def planner_configs() -> dict[str, dict[str, Any]]:
-    """The `planner_configs` block of ompl_planning.yaml."""
+    """Return the `planner_configs` block of ompl_planning.yaml for all known OMPL planners."""
     return {config_name(n): {"type": f"geometric::{n}", **values} for n, values in PLANNERS.items()}

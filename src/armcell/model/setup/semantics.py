@@ -1,4 +1,4 @@
-"""SRDF as a value: everything that the format can say, read and written without loss."""
+"""SRDF documents as immutable values that can be read and written without loss."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Attributes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Element:
-    """One XML element: its tag, attributes in order, and what is inside."""
+    """One XML element: tag, attributes in file order, child elements and text."""
 
     tag: str
     attributes: Attributes = ()
@@ -36,10 +36,10 @@ def element(tag: str, *inside: Element, **attributes: str) -> Element:
 
 
 def parse_srdf(text: str, file: Path) -> Element:
-    """The <robot> element of an SRDF.
+    """Return the <robot> element of an SRDF text.
 
     Raises:
-        InputError: broken XML, or another root element.
+        InputError: invalid XML, or the root element is not <robot>.
     """
     root = parse_xml(text, file)
     if root.tag != "robot":
@@ -54,7 +54,7 @@ def _value(node: etree._Element) -> Element:
 
 
 def srdf_text(robot: Element) -> str:
-    """The SRDF file."""
+    """Return the text of an SRDF file for a <robot> element."""
     return xml_text(_node(robot))
 
 
@@ -68,10 +68,12 @@ def _node(value: Element) -> etree._Element:
 
 
 def described(model: RobotModel) -> Element:
-    """What a model's groups, end effectors, named states and disabled pairs look like as SRDF.
+    """Return the SRDF of a robot: its groups, end effectors, named states and disabled pairs.
 
-    A group with a tip is written as a chain; "both_arms" and the like as subgroups where other groups make
-    it up; every mimic joint is passive; a robot whose root is not called "world" stands in that frame.
+    - A group with a base and a tip link becomes a chain.
+    - A group such as "both_arms" becomes a list of subgroups if the subgroups have the same joints.
+    - Every mimic joint becomes a passive joint.
+    - A robot whose root link is not "world" gets a fixed virtual joint to the frame "world".
     """
     parts: list[Element] = []
     for group in model.groups.values():
@@ -114,6 +116,6 @@ def _members(model: RobotModel, name: str) -> list[Element]:
     if len(smaller) > 1 and {j for g in smaller for j in g.joint_names} == set(group.joint_names):
         return [element("group", name=g.name) for g in smaller]
     links = [element("link", name=link) for link in group.link_names]
-    # A link brings the joint above it; those of joints without their link are named themselves.
+    # In SRDF a link includes its parent joint. Only joints without their child link need an element.
     brought = {model.parent_joint[n].name for n in group.link_names if n in model.parent_joint}
     return links + [element("joint", name=j) for j in group.joint_names if j not in brought]

@@ -1,4 +1,7 @@
-"""URDF files put together as text: everything in them is kept, names get prefixes, meshes stay findable."""
+"""Merging of URDF files as text, with name prefixes and resolvable mesh paths.
+
+Apart from simulator and driver elements of prefixed robots, the merged file contains every element.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ from armcell.model.files import parse_xml
 from armcell.model.urdf import urdf_text
 
 NOWHERE = Path("/")
-"""A folder to look from that no robot description lies above: what is found from here is installed."""
+"""A search folder with no robot description above it, so only installed packages resolve from it."""
 
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """A URDF or xacro file to build in: its prefix, and where its root link stands in the world."""
+    """A URDF or xacro file to merge: its name prefix and the pose of its root link in the world."""
 
     file: Path
     prefix: str = ""
@@ -32,13 +35,16 @@ class UrdfPart:
 def merged_urdf(
     parts: Sequence[UrdfPart], name: str | None = None, allow_env: bool | None = None
 ) -> tuple[str, str]:
-    """(name, text) of one URDF made of several; one part without a place is itself.
+    """Merge URDF or xacro files into one URDF and return its (robot name, text).
+
+    A fixed joint connects each robot to the link "world". A single robot without a pose stays unmounted.
 
     Args:
-        allow_env: of xacro files, see `expand_xacro`.
-
+        parts: the files, with prefixes and poses.
+        name: name of the merged robot; by default a combination of the robots' names.
+        allow_env: whether xacro files may read environment variables, see `expand_xacro`.
     Raises:
-        InputError: a file that cannot be read, two parts with the same names.
+        InputError: a file is not readable, or two parts have the same names.
     """
     if len({part.prefix for part in parts}) < len(parts):
         raise InputError(
@@ -71,7 +77,7 @@ def merged_urdf(
 
 
 def xml_text(root: etree._Element) -> str:
-    """An XML file, one element a line."""
+    """Return an XML document as indented text, one element per line."""
     etree.indent(root, "  ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
@@ -96,7 +102,10 @@ def _names(root: etree._Element) -> set[str]:
 
 
 def _prefix(root: etree._Element, prefix: str) -> None:
-    """A prefix before every name; what belongs to one simulator or driver is left out."""
+    """Put a prefix before every name in a URDF; remove simulator and driver elements.
+
+    The removed elements are `gazebo`, `transmission` and `ros2_control`.
+    """
     for tag in ("gazebo", "transmission", "ros2_control"):
         for found in root.findall(tag):
             root.remove(found)
@@ -110,7 +119,15 @@ def _prefix(root: etree._Element, prefix: str) -> None:
 
 
 def find_meshes(root: etree._Element, folder: Path) -> None:
-    """Meshes that are only found beside the URDF get their full path: the new file lies elsewhere."""
+    """Replace mesh paths that only `folder` can resolve by absolute paths.
+
+    A merged URDF is stored in another folder, where relative paths would not work. `package://` URIs of
+    installed packages stay unchanged.
+
+    Args:
+        root: the URDF's <robot> element, which is modified.
+        folder: folder of the original URDF.
+    """
     for mesh in (*root.iter("mesh"), *root.iter("texture")):
         uri = mesh.get("filename") or ""
         try:
@@ -122,7 +139,7 @@ def find_meshes(root: etree._Element, folder: Path) -> None:
         try:
             mesh.set("filename", resolve_uri(uri, folder).resolve().as_uri())
         except InputError:
-            continue  # a missing visual is a warning, a missing collision mesh an error, when it is loaded
+            continue  # loading reports it later: a missing visual mesh warns, a missing collision mesh fails
 
 
 def _mount(base: str, part: UrdfPart) -> etree._Element:

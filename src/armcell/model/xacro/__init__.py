@@ -1,4 +1,4 @@
-"""Xacro: macros, properties and expressions in robot descriptions, expanded without running code."""
+"""Safe xacro expansion: macros, properties and expressions, without running code."""
 
 from armcell.model.xacro.expand import ALLOW_ENV, expand_xacro
 

@@ -1,8 +1,8 @@
-"""Limits on the work and memory that a xacro file may cause.
+"""Limits on the work and memory that one xacro file may use.
 
-Each operation is charged to one budget per robot file, in proportion to its work, so a file that asks for
-too much fails after a few seconds wherever its loop is. Counting operations instead of reading a clock
-makes the same file pass or fail on every machine.
+Each operation costs a number of steps in proportion to its work, from one budget per robot file. A file that
+needs too much work therefore fails after a few seconds, wherever its loop is. Counting steps instead of
+measuring time makes the same file pass or fail on every machine.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-MAX_STEPS = 1_000_000  # the largest description of a vendor that we tried (two FR3 arms) takes 41,000
-MAX_CHARACTERS = 1_000_000  # of one string
-MAX_SIZE = 100_000  # of one value, see `size`
-MAX_BITS = 4096  # of one integer
-MAX_KEY_BITS = 60  # of an integer as a key: larger ones can be chosen to have equal hashes
-CHARACTERS = 64  # that count as much as one item
+MAX_STEPS = 1_000_000  # the largest vendor description that we tested (two FR3 arms) takes 41,000
+MAX_CHARACTERS = 1_000_000  # in one string
+MAX_SIZE = 100_000  # items in one value, see `size`
+MAX_BITS = 4096  # in one integer
+MAX_KEY_BITS = 60  # in an integer key: an attacker can choose larger keys with equal hashes
+CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """A xacro file that cannot be expanded, or that armcell refuses to expand."""
+    """An error in a xacro file, or a xacro feature that armcell refuses for safety."""
 
     def __init__(self, reason: str, cure: str | None = None):
         super().__init__(reason)
@@ -29,10 +29,12 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function that expressions may call, by `run(budget, *arguments, **keywords)`.
+    """A function that xacro expressions may call as `run(budget, *arguments, **keywords)`.
 
     Attributes:
-        type: for `isinstance`, where the function is a type's constructor.
+        name: name of the function in messages.
+        run: the implementation.
+        type: the Python type that the function constructs, for `isinstance`; None for other functions.
     """
 
     name: str
@@ -44,26 +46,26 @@ class Function:
 
 
 class Budget:
-    """Operations left for one robot file."""
+    """A limit on the number of operations for the expansion of one xacro robot file."""
 
     def __init__(self, steps: int = MAX_STEPS):
         self.left = steps
 
     def charge(self, steps: int) -> None:
-        """Count operations.
+        """Subtract operations from the budget of a xacro file.
 
         Raises:
-            XacroError: there were too many.
+            XacroError: the budget is exhausted.
         """
         self.left -= steps
         if self.left < 0:
             raise XacroError(f"it takes more than {MAX_STEPS:,} operations", "simplify the file")
 
     def made(self, value: Any) -> Any:
-        """Return a value that an expression made, after charging for its size.
+        """Return a value that a xacro expression created, after charging the budget for its size.
 
         Raises:
-            XacroError: the value is too large, or of a type that xacro does not have.
+            XacroError: the budget is exhausted, the value is too large, or xacro does not support its type.
         """
         if value is None or isinstance(value, bool | float):
             return value
@@ -72,13 +74,13 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return the number of items in a value, nested ones included; 64 characters count as one item.
+    """Return the number of items in a xacro value, including nested items.
 
-    Values are trees for this count: an item that is contained twice counts twice, since printing and
-    comparing take as long.
+    64 characters of a string count as one item. An item that occurs twice counts twice, because printing and
+    comparing it takes twice as long.
 
     Raises:
-        XacroError: the value is too large, or contains a type that xacro does not have.
+        XacroError: the value is too large, or xacro does not support its type.
     """
     total, left = 0, [value]
     while left:
@@ -106,10 +108,12 @@ def size(value: Any) -> int:
 
 
 def check_key(key: Any) -> None:
-    """Refuse a dictionary key whose hash can be chosen, which would make a dictionary slow.
+    """Reject xacro dictionary keys that are large integers, also inside tuples.
+
+    An attacker can choose large integers with equal hashes, which makes a dictionary slow.
 
     Raises:
-        XacroError: a large integer.
+        XacroError: an integer has more than 60 bits.
     """
     if isinstance(key, int) and key.bit_length() > MAX_KEY_BITS:
         raise XacroError(f"a key has more than {MAX_KEY_BITS} bits")
@@ -119,10 +123,10 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Refuse a repetition before it takes memory.
+    """Check that a repeated string or list in a xacro expression is not too long.
 
     Raises:
-        XacroError: the result would be too large.
+        XacroError: `items`, repeated `times` times, would be too long.
     """
     most = MAX_CHARACTERS if isinstance(items, str) else MAX_SIZE
     if len(items) * times > most:

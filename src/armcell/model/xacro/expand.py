@@ -1,13 +1,14 @@
-"""Expand a xacro file into URDF text, without running code from it.
+"""Xacro processor: expands a xacro file into URDF text without running code from the file.
 
-armcell has its own processor because the library `xacro` cannot be made safe from outside: it calls Python's
-`eval` in three places (expressions, `$(eval)`, units in YAML) behind a filter that a lambda passes, keeps its
-state in module variables, reads any file, parses entities, and expands without limit. Replacing those
-functions at run time would replace most of the library, and a renamed one would silently bring `eval` back.
-Tests compare both on the same files, element by element.
+armcell has its own processor because the library `xacro` cannot be made safe from outside. The library calls
+Python's `eval` in three places (expressions, `$(eval)`, units in YAML) behind a filter that a lambda
+bypasses; it keeps state in module variables, reads any file, parses entities and expands without limit.
+Replacing those functions at run time would replace most of the library, and after a renaming in the library
+`eval` would silently be active again. Tests compare the results of both processors on the same files, element
+by element.
 
-The processor reads the source tree and writes a new one. As in plain xacro, a text is expanded once, a macro
-sees the properties of its caller, and properties are evaluated at first use.
+The processor reads the source tree and writes a new tree. As in plain xacro, it expands each text once, a
+macro sees the properties of its caller, and a property is evaluated at its first use.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ from armcell.model.xacro.substitution import Substitution
 log = logging.getLogger(__name__)
 
 Element = etree._Element
-MAX_INCLUDES = 30  # files within files
-MAX_MACROS = 200  # macros within macros
-MAX_CALLS = 5000  # of Python's functions within each other; they take no C stack since Python 3.11
-MAX_REASON = 600  # characters of a message
+MAX_INCLUDES = 30  # depth of nested includes
+MAX_MACROS = 200  # depth of nested macro calls
+MAX_CALLS = 5000  # depth of nested Python calls, which use no C stack since Python 3.11
+MAX_REASON = 600  # characters in an error message
 ELEMENT_STEPS = 5
 MACRO_STEPS = 25
 ALLOW_ENV = "ARMCELL_ALLOW_ENV"
-"""Variable by which `armcell --allow-env` reaches the processes that a command starts."""
+"""Environment variable that passes `armcell --allow-env` on to the processes that a command starts."""
 
 
 def expand_xacro(
@@ -53,15 +54,16 @@ def expand_xacro(
     allow_env: bool | None = None,
     home: Path | None = None,
 ) -> str:
-    """Return the URDF text that a xacro file stands for.
+    """Expand a xacro file and return the URDF text.
 
     Args:
-        arguments: values of `$(arg NAME)`, as `name:=value` on xacro's command line.
-        allow_env: let the file read environment variables by `$(env)` and `$(optenv)`. None: only if
-            ARMCELL_ALLOW_ENV is set.
-        home: folder that all files of the robot are in; the file's package or folder by default.
+        file: the xacro file.
+        arguments: values for `$(arg NAME)`, like `name:=value` on xacro's command line.
+        allow_env: whether the file may read environment variables with `$(env)` and `$(optenv)`. None: only
+            if ARMCELL_ALLOW_ENV is set.
+        home: folder that contains all files of the robot; by default the file's package or folder.
     Raises:
-        InputError: with file, line and reason.
+        InputError: the expansion failed; the message contains file, line and reason.
     """
     if allow_env is None:
         allow_env = os.environ.get(ALLOW_ENV, "") not in ("", "0")
@@ -78,22 +80,22 @@ def expand_xacro(
 
 @dataclass(frozen=True, eq=False)
 class Macro:
-    """A macro's definition."""
+    """The definition of a xacro macro: its body and its parameters."""
 
     body: Element
     parameters: tuple[Parameter, ...]
 
 
 class _Expansion:
-    """One file's expansion: macros and properties are passed on by scope, all else is in here."""
+    """The state of one xacro file's expansion; macros and properties are in `Scope` objects."""
 
     def __init__(self, file: Path, arguments: dict[str, str], allow_env: bool, home: Path | None):
         self.file = file
         self.budget = Budget()
         self.files = RobotFiles(file, self.budget, home)
         self.substitution = Substitution(self.files, self.budget, arguments, allow_env)
-        self.reading = [self.files.main]  # the file, and those within each other that are being included
-        self.macros: list[str] = []  # names of those being expanded
+        self.reading = [self.files.main]  # stack of open files: the main file and its nested includes
+        self.macros: list[str] = []  # stack of the macros that are being expanded
         self.here: Element | None = None
 
     def document(self, root: Element) -> str:
@@ -106,7 +108,7 @@ class _Expansion:
         return etree.tostring(out, encoding="unicode")
 
     def failed(self, reason: str, cure: str | None = None) -> InputError:
-        """Return the error to raise, with the place that was being expanded."""
+        """Return the `InputError` to raise, with the xacro file, line and element being expanded."""
         file, line, label = self.file, None, None
         if self.here is not None:
             url = self.here.getroottree().docinfo.URL
@@ -121,7 +123,7 @@ class _Expansion:
         return self.substitution.resolve(inside, self.reading[-1].parent)
 
     def _names(self, names: Scope) -> dict[str, Any]:
-        """What every expression can use."""
+        """Return the functions, constants and namespaces that every xacro expression can use."""
 
         def say(level: int) -> Any:
             def run(budget: Budget, /, *arguments: Any, **_: Any) -> str:
@@ -155,7 +157,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """A path as written in the file that is being read."""
+        """Resolve a path in a xacro file relative to the file that is being read."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -170,17 +172,17 @@ class _Expansion:
         return text_of(evaluate_text(str(value), scope))
 
     def _children(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append the expansion of everything inside `source` to `out`."""
+        """Append the content of a xacro element to `out`, with macros and properties expanded."""
         self._words(source.text, out, scope)
         for child in source:
             self._child(child, out, macros, scope)
             self._words(child.tail, out, scope)
 
     def _words(self, text: str | None, out: Element, scope: Scope) -> None:
-        """Append text; white space between elements means nothing in a URDF."""
+        """Append text to a URDF element, with xacro expanded; skip text of only white space."""
         if text and not text.isspace():
             before = out[-1].tail if len(out) else out.text
-            self.budget.charge(len(before or "") // CHARACTERS)  # appending copies what is there
+            self.budget.charge(len(before or "") // CHARACTERS)  # appending copies the existing text
             _append_text(out, self._text(text, scope))
 
     def _child(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
@@ -201,7 +203,7 @@ class _Expansion:
             self._call(name, source, out, macros, scope)
 
     def _copy(self, tag: str, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append an element of the URDF with its content expanded."""
+        """Append a URDF element to `out`, with its attributes and content expanded by xacro."""
         try:
             made = etree.SubElement(out, tag, nsmap=_spaces(source))
         except ValueError:
@@ -210,7 +212,10 @@ class _Expansion:
         self._children(source, made, macros, scope)
 
     def _inside(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """As `_children`, but an <xacro:attribute> in it is lost, as in plain xacro."""
+        """Append the expanded content of a xacro element to `out`, but not to `out`'s attributes.
+
+        As in plain xacro, an <xacro:attribute> directly inside `source` has no effect on `out`.
+        """
         made = etree.Element("made")
         self._children(source, made, macros, scope)
         _move(made, out)
@@ -363,7 +368,10 @@ _DIRECTIVES = {
 
 @contextmanager
 def _deep_calls() -> Iterator[None]:
-    """Room for macros that loop by calling themselves: each level takes about ten of Python's frames."""
+    """Raise Python's recursion limit while xacro macros call themselves recursively.
+
+    Each level of a recursive macro takes about ten Python frames.
+    """
     before = sys.getrecursionlimit()
     sys.setrecursionlimit(max(before, MAX_CALLS))
     try:
@@ -376,11 +384,17 @@ def _deep_calls() -> Iterator[None]:
 def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
     stack.append(item)
     yield
-    stack.pop()  # not after an error: nothing goes on then
+    stack.pop()  # not needed after an error, which ends the expansion
 
 
 def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
-    """Find a macro, perhaps behind name spaces, with the scopes it is expanded in."""
+    """Find a macro by its name, which may contain namespaces, as in `ns.macro`.
+
+    Returns:
+        The macro scope and the property scope in which the macro must be expanded, and the macro.
+    Raises:
+        XacroError: the macro does not exist.
+    """
     try:
         found = macros.lookup(name)
     except KeyError:
@@ -397,7 +411,10 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """The scope of a macro's caller; that of an included file is its includer's."""
+    """Return the scope that `scope="parent"` sets: the scope of a macro's caller.
+
+    For an included file with a namespace, the caller is the file that includes it.
+    """
     target = scope.around
     if target is None or target.around is None:
         return scope
@@ -418,7 +435,7 @@ def _is_xacro(element: Element, attribute: str) -> bool:
 
 
 def _spaces(source: Element) -> Any:
-    """The XML name spaces of an element but xacro's."""
+    """Return the XML namespaces of an element, without xacro's namespace."""
     return {prefix: uri for prefix, uri in source.nsmap.items() if prefix != "xacro"}
 
 
@@ -440,7 +457,7 @@ def _append_text(out: Element, text: str) -> None:
 
 
 def _move(made: Element, out: Element) -> None:
-    """Move everything inside one element to the end of another."""
+    """Move the text and children of one XML element to the end of another XML element."""
     if made.text:
         _append_text(out, made.text)
     out.extend(list(made))
@@ -453,6 +470,6 @@ def _label(element: Element) -> str:
 
 
 def _one_line(text: str) -> str:
-    """A text from a file as a message can hold it: one line, no control characters."""
+    """Return a text as one printable line of at most 600 characters, for error messages."""
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     return line if len(line) <= MAX_REASON else line[: MAX_REASON - 3] + "..."

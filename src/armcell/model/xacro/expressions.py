@@ -1,9 +1,9 @@
-"""Evaluate the expressions in `${...}` of xacro files without Python's `eval`.
+"""Interpreter for the expressions in `${...}` of xacro files, without Python's `eval`.
 
-The text is parsed with `ast`, and this module interprets the nodes that it lists; every other node is
-refused. Values are plain data (numbers, texts, lists, tuples, dictionaries) and the functions of
-`functions.py`. No Python object with attributes of its own is ever a value, so there is nothing to climb
-from: an attribute is a key of a YAML dictionary, a name in a name space, or a listed method.
+The module parses the text with `ast`, interprets the node types that it lists, and rejects all others. Values
+are plain data (numbers, strings, lists, tuples, dictionaries) and the functions of `functions.py`. No value
+is a Python object with its own attributes, so an expression cannot reach Python's internals: an attribute is
+a key of a YAML dictionary, a name in a namespace, or a listed method.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ MAX_EXPRESSION = 10_000  # characters
 
 
 class Names(Protocol):
-    """Where an expression's names are looked up."""
+    """The names that a xacro expression can use."""
 
     def lookup(self, name: str) -> Any:
-        """Return a value, or raise KeyError."""
+        """Return the value of a name in a xacro expression, or raise KeyError."""
         ...
 
 
 class Dotted(dict[Any, Any]):
-    """A dictionary from YAML, whose keys are also attributes: `limits.lower`."""
+    """A dictionary from YAML whose keys are also accessible as attributes: `limits.lower`."""
 
 
 class NameSpace:
-    """Names behind a prefix, as `math.pi`."""
+    """A namespace for xacro expressions, such as `math` in `math.pi`."""
 
     def __init__(self, names: Mapping[str, Any]):
         self._names = names
@@ -51,7 +51,7 @@ class NameSpace:
 
 
 class _Local:
-    """Variables of a comprehension, in front of the names around it."""
+    """Names inside a comprehension of a xacro expression: loop variables, then the outer names."""
 
     def __init__(self, around: Names):
         self.around, self.values = around, {}
@@ -61,11 +61,15 @@ class _Local:
 
 
 def evaluate(text: str, names: Names, budget: Budget) -> Any:
-    """Return the value of an expression.
+    """Return the value of a xacro expression.
 
+    Args:
+        text: the expression, without `${` and `}`.
+        names: values of the names in the expression.
+        budget: remaining operations of the robot file.
     Raises:
-        XacroError: a syntax error, an unknown name, something that expressions may not do, a wrong type, or
-            more work than the budget allows.
+        XacroError: a syntax error, an unknown name, a forbidden operation, a wrong type, or more work than
+            the budget allows.
     """
     if len(text) > MAX_EXPRESSION:
         raise XacroError(f"an expression has more than {MAX_EXPRESSION:,} characters")
@@ -118,7 +122,7 @@ class _Evaluator:
     def attribute(self, node: ast.Attribute, names: Names) -> Any:
         value = self.value(node.value, names)
         if not node.attr.startswith("_"):
-            if hasattr(type(value), "lookup"):  # a name space
+            if hasattr(type(value), "lookup"):  # a namespace
                 try:
                     return value.lookup(node.attr)
                 except KeyError:
@@ -191,7 +195,11 @@ class _Evaluator:
         return answer
 
     def data(self, *values: Any) -> None:
-        """Charge for values that an operator looks at; name spaces have no operators."""
+        """Charge the budget for the size of the operands of a xacro expression's operator.
+
+        Raises:
+            XacroError: an operand is a namespace or another value that has no operators.
+        """
         for value in values:
             if not isinstance(value, int | float) and value is not None:
                 self.budget.charge(size(value))

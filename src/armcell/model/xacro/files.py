@@ -1,7 +1,7 @@
-"""Which files a robot description may read: those of its own packages.
+"""File access of robot descriptions, restricted to the robot's own packages.
 
-A description from another person could otherwise copy any YAML or XML file of this user into the robot, where
-a record, a served model or a written cell gives it away.
+Without the restriction, a description from another person could copy any YAML or XML file of the user into
+the robot model, and a record, a served model or a written cell would disclose its content.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from armcell.model.files import (
 from armcell.model.xacro.budget import Budget, XacroError, size
 from armcell.model.xacro.expressions import Dotted
 
-YAML_CHARACTERS = 4  # that count as one operation: the YAML parser is slow
+YAML_CHARACTERS = 4  # characters that count as one operation: the YAML parser is slow
 XML_CHARACTERS = 40
 UNITS = {
     "!radians": 1.0, "!degrees": 0.017453292519943295, "!meters": 1.0, "!millimeters": 0.001, "!foot": 0.3048,
@@ -36,12 +36,13 @@ UNITS = {
 
 
 class RobotFiles:
-    """Reads the files that a description names.
+    """A reader for the files that a robot description names, restricted to allowed folders.
 
     Args:
         main: the robot file.
-        home: folder that the robot's other files are in, where it is known; else the package of `main`, or
-            its folder.
+        budget: remaining operations of the robot file.
+        home: folder that contains the robot's other files, if known; otherwise the package of `main`, or its
+            folder.
     """
 
     def __init__(self, main: Path, budget: Budget, home: Path | None = None):
@@ -52,10 +53,10 @@ class RobotFiles:
         self._yaml: dict[Path, Any] = {}
 
     def find(self, package: str) -> Path:
-        """Return a package's folder, from which files may be read from now on.
+        """Return a ROS package's folder; xacro files may then read files in this package.
 
         Raises:
-            XacroError: there is no such package.
+            XacroError: the package does not exist.
         """
         try:
             found = find_package(package, self.main.parent)
@@ -65,12 +66,12 @@ class RobotFiles:
         return found.folder
 
     def checked(self, path: Path) -> Path:
-        """Return the file that a path leads to, links followed.
+        """Return a path with symlinks resolved, after checking that it is in the robot's packages.
 
         Raises:
-            XacroError: the file is not in one of the robot's packages.
+            XacroError: the file is outside the robot's packages, or `path` is not a valid path.
         """
-        if not str(path).isprintable():  # a message would send it to the terminal
+        if not str(path).isprintable():  # an error message would send control characters to the terminal
             raise XacroError(f"{str(path)!r} is not a path")
         try:
             real = path.resolve()
@@ -87,17 +88,26 @@ class RobotFiles:
         return real
 
     def xml(self, path: Path) -> etree._Element:
-        """Return an XML file's root element."""
+        """Return the root element of an XML file that a xacro file includes.
+
+        Raises:
+            XacroError: the file is outside the robot's packages.
+            InputError: the file is not readable or not valid XML.
+        """
         path = self.checked(path)
         text = read_text(path, MAX_TEXT_BYTES)
         self.budget.charge(len(text) // XML_CHARACTERS)
         return parse_xml(text, path)
 
     def yaml(self, path: Path, evaluate: Any) -> Any:
-        """Return a YAML file's content; its dictionaries have their keys as attributes, too.
+        """Return the content of a YAML file that a xacro file loads, with keys as attributes.
 
         Args:
-            evaluate: gives the value of an expression, for values with a unit.
+            path: the file.
+            evaluate: function that evaluates an expression, for values with a unit such as `!degrees`.
+        Raises:
+            XacroError: the file is outside the robot's packages.
+            InputError: the file is not readable or not valid YAML.
         """
         path = self.checked(path)
         if path not in self._yaml:
@@ -108,7 +118,7 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """YAML 1.1 as ROS reads it (`yes` is true), with xacro's units."""
+            """A YAML 1.1 loader like ROS's (`yes` is true) that understands xacro's units."""
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:
             if not isinstance(node, yaml.ScalarNode):
@@ -127,7 +137,7 @@ class RobotFiles:
             raise InputError(f"is not valid YAML: {error}", file=path) from None
 
     def _plain(self, value: Any) -> Any:
-        """Return YAML's value as xacro's: dictionaries with attributes, dates as text."""
+        """Convert YAML data to xacro values: dictionaries become `Dotted`, dates become strings."""
         self.budget.charge(1)
         if isinstance(value, dict):
             found = Dotted((key, self._plain(item)) for key, item in value.items())
@@ -141,7 +151,11 @@ class RobotFiles:
         return value
 
     def matching(self, pattern: Path) -> list[Path]:
-        """Return the files that a path with `*`, `?` or `[...]` stands for, sorted."""
+        """Return the sorted files that a path with wildcards (`*`, `?` or `[...]`) matches.
+
+        Raises:
+            XacroError: `..` follows a wildcard, or a match is outside the robot's packages.
+        """
         parts = pattern.parts
         first = next(i for i, part in enumerate(parts) if set(part) & set("*?["))
         if ".." in parts[first:]:

@@ -1,7 +1,8 @@
-"""Functions and methods that xacro expressions may call: those of plain xacro that cannot do harm.
+"""Functions and methods that xacro expressions may call: the harmless ones of plain xacro.
 
-Left out on purpose: whatever returns a Python type, module or object other than plain data (`type`, `vars`),
-whatever changes its argument (`append`, `update`), and sets, whose order differs from run to run.
+Excluded on purpose are functions that return a Python type, module or other object instead of plain data
+(`type`, `vars`), functions that change their argument (`append`, `update`), and sets, whose order differs
+from run to run.
 """
 
 from __future__ import annotations
@@ -15,14 +16,17 @@ from typing import Any
 
 from armcell.model.xacro.budget import MAX_SIZE, Budget, Function, XacroError, check_key, check_repeated, size
 
-MAX_WIDTH = 1000  # of a padded text
-MAX_DIGITS = 2000  # of an integer written as text
-MAX_ARGUMENT = 500  # of factorial, comb and perm
+MAX_WIDTH = 1000  # characters of a padded text
+MAX_DIGITS = 2000  # digits of an integer written as text
+MAX_ARGUMENT = 500  # largest argument of factorial, comb and perm
 PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?P<digits>\*|\d*))?")
 
 
 def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
-    """Make a Python function callable that takes no more time than its arguments are large."""
+    """Wrap a Python function for xacro expressions; each call charges the budget.
+
+    The budget assumes that the function's run time is at most proportional to the size of its arguments.
+    """
 
     def run(budget: Budget, /, *arguments: Any, **keywords: Any) -> Any:
         budget.charge(sum(size(argument) for argument in (*arguments, *keywords.values())))
@@ -32,10 +36,10 @@ def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function
 
 
 def text_of(value: Any) -> str:
-    """Return a value as text, as xacro writes it into the URDF.
+    """Return a xacro value as text, in the form in which xacro writes it into the URDF.
 
     Raises:
-        XacroError: a function or a name space has no text.
+        XacroError: the value is a function or a namespace, which have no text.
     """
     if isinstance(value, str):
         return value
@@ -46,10 +50,10 @@ def text_of(value: Any) -> str:
 
 
 def items_of(value: Any) -> Sequence[Any]:
-    """Return the items that a loop over a value visits.
+    """Return the items over which a loop in a xacro expression iterates.
 
     Raises:
-        XacroError: the value has no items.
+        XacroError: the value is not a string, list, tuple or dictionary.
     """
     if isinstance(value, str | list | tuple):
         return value
@@ -117,7 +121,7 @@ def _called(budget: Budget, function: Any, *arguments: Any) -> Any:
 
 
 def _keyed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`min`, `max` or `sorted`: their `key` is a function of ours."""
+    """Wrap `min`, `max` or `sorted` so that `key` accepts a function of a xacro expression."""
 
     def run(budget: Budget, /, *arguments: Any, key: Function | None = None, **keywords: Any) -> Any:
         of_item = None if key is None else functools.partial(_called, budget, key)
@@ -160,7 +164,7 @@ def _small(function: Callable[..., int]) -> Callable[..., int]:
 
 
 def _types() -> dict[str, Function]:
-    """Functions that are also the names of types."""
+    """Return the xacro functions that are also type names, such as `str` and `int`."""
     return {
         "str": plain("str", lambda value="": text_of(value), str),
         "int": plain("int", _int, int),
@@ -184,7 +188,10 @@ BASIC: dict[str, Any] = {
     "True": True,
     "False": False,
 }
-"""By name, as plain xacro has them without a prefix. `sorted` and `range` are deprecated there, not gone."""
+"""Functions and constants that need no prefix, as in plain xacro.
+
+Plain xacro still supports `sorted` and `range`, although they are deprecated.
+"""
 
 PYTHON: dict[str, Any] = {
     **BASIC,
@@ -201,7 +208,7 @@ PYTHON: dict[str, Any] = {
     "sum": plain("sum", _sum),
     "zip": plain("zip", lambda *lists: list(zip(*(items_of(each) for each in lists)))),
 }
-"""By name after `python.`"""
+"""Functions of the namespace `python`, by name."""
 
 MATH: dict[str, Any] = {
     **{name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")},
@@ -218,12 +225,15 @@ MATH: dict[str, Any] = {
     "prod": plain("prod", _prod),
     **{f.__name__: plain(f.__name__, _small(f)) for f in (math.factorial, math.comb, math.perm)},
 }  # fmt: skip
-"""By name after `math.`, and without a prefix."""
+"""Functions and constants of the namespace `math`, by name; also available without a prefix."""
 
 
 # --- text ---
 class _Formatter(string.Formatter):
-    """`str.format` for plain fields: `{0.attribute}` and `{0[item]}` would reach into Python's objects."""
+    """A safe `str.format` that supports plain fields only.
+
+    Fields such as `{0.attribute}` and `{0[item]}` would give access to Python's objects.
+    """
 
     def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
         if "." in field_name or "[" in field_name:
@@ -247,9 +257,13 @@ def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
 
 
 def percent(text: str, values: Any) -> str:
-    """Return `text % values` after checking the widths."""
+    """Return `text % values`, after checking the field widths and the result's size.
+
+    Raises:
+        XacroError: a field is too wide, a key contains parentheses, or the result would be too long.
+    """
     fields = list(PERCENT.finditer(text))
-    if any("(" in (field["key"] or "") for field in fields):  # Python counts parentheses, PERCENT does not
+    if any("(" in (field["key"] or "") for field in fields):  # unlike Python, PERCENT counts no parentheses
         raise XacroError("a key with parentheses is not supported")
     _check_widths(width for field in fields for width in (field["width"], field["digits"]))
     _check_filled(len(fields), values)
@@ -269,7 +283,7 @@ def _replace(text: str, old: str, new: str, count: int = -1) -> str:
 
 def _join(text: str, items: Any) -> str:
     found = items_of(items)
-    size(found)  # each item counts, also where they are all the same long text
+    size(found)  # counts every item, even if all items are the same long string
     check_repeated(text, len(found))
     return text.join(found)
 
@@ -311,16 +325,16 @@ METHODS: dict[type, dict[str, Callable[..., Any]]] = {
     },
     float: {"is_integer": float.is_integer},
 }  # fmt: skip
-"""By type and name; none changes its object."""
+"""Methods that expressions may call, by type and name; no method changes its object."""
 
 
 def method_of(value: Any, name: str) -> Function | None:
-    """Return the method of that name of a value, or None where expressions may not call one."""
+    """Return a method of a value for use in xacro expressions, or None if it is not allowed."""
     found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)
     return None if found is None else plain(name, functools.partial(found, value))
 
 
 def tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    """Split a text at each of the characters of `sep`, as `xacro.tokenize`."""
+    """Split a text at each character of `sep`, like `xacro.tokenize`."""
     items = re.split("[" + re.escape(sep) + "]", text) if sep else [text]
     return [item for item in items if item] if skip_empty else items

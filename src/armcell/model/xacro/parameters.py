@@ -1,4 +1,7 @@
-"""The attribute `params` of a macro: `name`, `name:=default`, `name:=^`, `name:=^|default`, `*block`."""
+"""Parser for the `params` attribute of a xacro macro.
+
+The supported forms are `name`, `name:=default`, `name:=^`, `name:=^|default` and `*block`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from dataclasses import dataclass
 from armcell.model.xacro.budget import XacroError
 
 MAX_PARAMETERS = 10_000  # characters
-# Every alternative is one character or one quoted text, so that no text takes long to match.
+# Every alternative is one character or one quoted text, so matching never backtracks for long.
 _WITH_DEFAULT = re.compile(
     r"\s*(?P<name>[^\s:=]+)\s*:?=\s*(?P<forward>\^\|?)?"
     r"(?P<default>\$\{.*?\}(?=\s|$)|\$\(.*?\)(?=\s|$)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*)(?=\s|$)"
@@ -18,11 +21,12 @@ _NAME = re.compile(r"\s*(?P<name>\S+)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a macro.
+    """A parameter of a xacro macro.
 
     Attributes:
-        default: text to evaluate in the caller's scope; None: the parameter must be given.
-        forwarded: takes the caller's property of the same name if there is one.
+        name: name of the parameter; a block parameter's name starts with `*`.
+        default: text that is evaluated in the caller's scope. None: the caller must pass the parameter.
+        forwarded: whether the parameter takes the caller's property of the same name, if it exists.
     """
 
     name: str
@@ -35,7 +39,7 @@ class Parameter:
 
 
 def parameters_of(text: str) -> tuple[Parameter, ...]:
-    """Return the parameters that a macro declares.
+    """Return the parameters that a macro's `params` attribute declares.
 
     Raises:
         XacroError: the text is too long.
@@ -46,7 +50,7 @@ def parameters_of(text: str) -> tuple[Parameter, ...]:
     while text[at:].strip():
         given = _WITH_DEFAULT.match(text, at)
         token = given or _NAME.match(text, at)
-        assert token is not None  # there is a character that is not white
+        assert token is not None  # the loop condition guarantees a character that is not white space
         at = token.end()
         if given is None:
             found.append(Parameter(token["name"]))

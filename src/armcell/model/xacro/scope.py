@@ -1,4 +1,4 @@
-"""Properties by scope, and the text in which they are used: `${...}` and `$(...)`."""
+"""Xacro scopes: properties by name, and evaluation of text with `${...}` and `$(...)`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armcell.model.xacro.expressions import Names, evaluate
 from armcell.model.xacro.functions import MAX_DIGITS, text_of
 
 TOKEN = re.compile(
-    r"(?P<escaped>\$\$+[{(])"  # $${ stands for ${
+    r"(?P<escaped>\$\$+[{(])"  # $${ is an escaped ${
     r"|\$\{(?P<expression>[^}]*)\}"
     r"|\$\((?P<extension>[^)]*)\)"
     r"|(?P<text>[^$]+|\$[^{($]+|\$$)"
@@ -21,12 +21,13 @@ Substitute = Callable[[str, "Scope"], str]
 
 
 class Scope:
-    """Properties, with those of the scope around it behind them.
+    """The properties of a xacro file or macro call, with lookup in the outer scopes.
 
     Args:
-        around: scope of the file or of the macro's caller; None for the names that every file has.
-        substitute: evaluates the inside of `$(...)`.
-        name_space: holds the properties of an included file with `ns`.
+        budget: remaining operations of the robot file.
+        substitute: function that evaluates the inside of `$(...)`.
+        around: the outer scope: that of the file or of the macro's caller. None for the built-in names.
+        name_space: whether the scope belongs to a file that is included with `ns`.
     """
 
     def __init__(
@@ -38,15 +39,15 @@ class Scope:
     ):
         self.budget, self.substitute, self.around, self.name_space = budget, substitute, around, name_space
         self.values: dict[str, Any] = {}
-        self._texts: set[str] = set()  # properties whose text is not evaluated yet
-        self._open: list[str] = []  # properties whose text is being evaluated
+        self._texts: set[str] = set()  # lazy properties that are not evaluated yet
+        self._open: list[str] = []  # lazy properties that are being evaluated
 
     def inner(self, name_space: bool = False) -> Scope:
         return Scope(self.budget, self.substitute, self, name_space)
 
     @property
     def outermost(self) -> Scope:
-        """The scope of the file itself."""
+        """The scope of the xacro file itself, outside all macros."""
         scope = self
         while scope.around is not None and scope.around.around is not None:
             scope = scope.around
@@ -62,11 +63,13 @@ class Scope:
         return scope
 
     def lookup(self, name: str) -> Any:
-        """Return a property's value; its text is evaluated at the first use, in the scope that holds it.
+        """Return the value of a xacro property, from this scope or an outer scope.
+
+        A lazy property's text is evaluated at its first use, in the scope that holds the property.
 
         Raises:
-            KeyError: there is no such property.
-            XacroError: the property is defined by itself.
+            KeyError: the property does not exist.
+            XacroError: the definition of the property refers to itself.
         """
         scope = self._holder(name)
         if scope is None:
@@ -84,7 +87,7 @@ class Scope:
         return scope.values[name]
 
     def put(self, name: str, value: Any, lazy: bool = False) -> None:
-        """Set a property; with `lazy` a text is evaluated at its first use."""
+        """Set a xacro property in this scope; if `lazy`, its text is evaluated at the first use."""
         value = literal(value)
         self.values[name] = value
         if lazy and isinstance(value, str):
@@ -100,10 +103,10 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Return what a text with `${...}` and `$(...)` stands for; a single expression keeps its type.
+    """Evaluate a xacro text with `${...}` and `$(...)`; a single expression keeps its type.
 
     Raises:
-        XacroError: see `evaluate`; a `$` that begins neither.
+        XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.
     """
     scope.budget.charge(1 + len(text) // 64)
     found, at = [], 0
@@ -128,12 +131,12 @@ def evaluate_text(text: str, scope: Scope) -> Any:
 
 
 def literal(value: Any) -> Any:
-    """Return the number or truth value that a property's text is, or the text."""
+    """Convert a xacro property's text to an int, float or bool if possible."""
     if not isinstance(value, str):
         return value
     if len(value) >= 2 and value[0] == value[-1] == "'":
         return value[1:-1]
-    if "_" in value or len(value) > MAX_DIGITS:  # Python would read 1_000 as a number
+    if "_" in value or len(value) > MAX_DIGITS:  # Python would parse 1_000 as a number
         return value
     for read in (int, float, truth):
         try:
@@ -144,12 +147,13 @@ def literal(value: Any) -> Any:
 
 
 def truth(value: Any, text: str | None = None) -> bool:
-    """Return the truth value of a condition.
+    """Return the boolean value of a condition in a xacro file.
 
     Args:
-        text: as written in the file, for the message.
+        value: the evaluated condition.
+        text: the condition as written in the file, for the error message.
     Raises:
-        XacroError: a text that is not a truth value.
+        XacroError: the value is a text other than true, false or an integer.
     """
     if not isinstance(value, str):
         return bool(value)
@@ -164,7 +168,7 @@ def truth(value: Any, text: str | None = None) -> bool:
 
 
 class Arguments:
-    """`$(arg NAME)` values as names of `$(eval ...)`."""
+    """The names available in xacro's `$(eval ...)`: built-in names and `$(arg NAME)` values."""
 
     def __init__(self, scope: Names, values: dict[str, str]):
         self.scope, self.values = scope, values
@@ -177,7 +181,7 @@ class Arguments:
 
 
 def typed(value: str) -> Any:
-    """Return a `$(arg)` value as a number or truth value where it is one."""
+    """Convert the value of a xacro `$(arg)` to an int, float or bool if possible."""
     if len(value) <= MAX_DIGITS:
         try:
             return float(value) if "." in value else int(value)

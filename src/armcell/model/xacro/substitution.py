@@ -1,4 +1,7 @@
-"""Substitution arguments: `$(arg)`, `$(find)`, `$(env)`, `$(optenv)`, `$(eval)`, `$(dirname)`, `$(cwd)`."""
+"""Xacro substitution arguments `$(arg)`, `$(find)`, `$(env)`, `$(eval)` and similar.
+
+The module also supports `$(optenv)`, `$(dirname)` and `$(cwd)`.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,13 @@ ENV_CURE = "if you trust this file: armcell --allow-env COMMAND ..., or allow_en
 
 
 class Substitution:
-    """Evaluates the inside of `$(...)`.
+    """An evaluator for the inside of xacro's `$(...)`.
 
     Args:
-        values: of `$(arg)`, by name; `<xacro:arg>` adds defaults.
-        allow_env: let the file read environment variables, which may hold secrets.
+        files: reader of the robot's files, which finds packages.
+        budget: remaining operations of the robot file.
+        values: values of `$(arg)` by name; `<xacro:arg>` adds defaults.
+        allow_env: whether the file may read environment variables, which may hold secrets.
     """
 
     def __init__(self, files: RobotFiles, budget: Budget, values: dict[str, str], allow_env: bool):
@@ -38,10 +43,14 @@ class Substitution:
         self._names = Arguments(NameSpace({**names, "True": True, "False": False}), values)
 
     def resolve(self, inside: str, folder: Path) -> str:
-        """Return the text that stands for `$(inside)`; `folder` is that of the file.
+        """Return the text that replaces the xacro substitution `$(inside)`.
 
+        Args:
+            inside: a command and its arguments, for example `find my_robot`.
+            folder: folder of the file that contains the text.
         Raises:
-            XacroError: an unknown command, argument or package; an environment variable without permission.
+            XacroError: the command, argument or package is unknown, or an environment variable is not
+                permitted.
         """
         command, _, rest = inside.strip().partition(" ")
         words = rest.split()

@@ -1,1 +1,1 @@
-"""Modules that stand where a script expects ROS's own: thin, everything is done on the bus."""
+"""Modules that replace those of ROS for scripts; all of them work on the armcell bus."""

@@ -1,6 +1,6 @@
-"""actionlib: SimpleActionClient and SimpleActionServer on the bus's actions.
+"""Shim of actionlib: SimpleActionClient and SimpleActionServer for the bus's actions.
 
-Source of names and behaviour: actionlib's documentation (docs.ros.org/en/noetic/api/actionlib).
+Source of names and behavior: actionlib's documentation (docs.ros.org/en/noetic/api/actionlib).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _seconds(duration: Any) -> float:
 
 
 class SimpleActionClient:
-    """One goal at a time; a new one replaces the last."""
+    """Action client with one goal at a time; a new goal replaces the previous one."""
 
     def __init__(self, ns: str, ActionSpec: Any):
         session = current_session()
@@ -41,7 +41,11 @@ class SimpleActionClient:
         self._session, self._sent = session, None
 
     def wait_for_server(self, timeout: Any = 0.0) -> bool:
-        """Whether somebody takes the goals; a timeout of 0 waits for ever, by the wall's clock."""
+        """Wait for the action's server; return whether it is available.
+
+        Args:
+            timeout: limit [s, wall clock] or Duration; 0 waits without limit.
+        """
         seconds = _seconds(timeout)
         give_up = time.monotonic() + seconds if seconds > 0 else None
         while not self._client.wait_for_server(CHECK):
@@ -79,7 +83,11 @@ class SimpleActionClient:
         return self.get_state()
 
     def wait_for_result(self, timeout: Any = 0.0) -> bool:
-        """Whether there is a result; a timeout of 0 waits for ever, by the cell's clock."""
+        """Wait for the goal's result; return whether it has arrived.
+
+        Args:
+            timeout: limit [s, cell clock] or Duration; 0 waits without limit.
+        """
         if self._sent is None:
             return False
         seconds = _seconds(timeout)
@@ -123,7 +131,7 @@ class SimpleActionClient:
 
 
 class SimpleActionServer:
-    """Serves an action by a callback that runs in a thread of its own."""
+    """Action server that runs its callback in a separate thread."""
 
     def __init__(
         self,
@@ -146,7 +154,9 @@ class SimpleActionServer:
 
     def start(self) -> None:
         if self._server is None:
-            server = BusServer(self._session.bus, self._name, self._type, self._execute)
+            server = BusServer(
+                self._session.bus, self._name, self._type, self._execute, accepts=self._callback is not None
+            )
             self._server = self._session.own(server)
 
     def _execute(self, goal: Goal) -> Done:
@@ -156,7 +166,7 @@ class SimpleActionServer:
             if self._callback is not None:
                 self._goal = goal
                 self._callback(self._session.messages.local(goal.message))
-                unsaid = "not set by the callback"  # actionlib: such a goal is aborted
+                unsaid = "not set by the callback"  # actionlib aborts a goal whose callback sets no result
             else:
                 self._next.append(goal)
                 if self._on_goal is not None:
@@ -184,7 +194,7 @@ class SimpleActionServer:
             return
         over = self._over.get(self._goal.id.id)
         if over is None:
-            return  # has ended already
+            return  # the goal has ended already
         self._ended[self._goal.id.id] = Done(state, self._result(result), text)
         if self._callback is None:
             over.set()
@@ -216,6 +226,7 @@ class SimpleActionServer:
 
     def accept_new_goal(self) -> Any:
         self._goal = self._next.pop(0)
+        self._goal.accept()
         return self._session.messages.local(self._goal.message)
 
     def register_goal_callback(self, cb: Callable[[], None]) -> None:

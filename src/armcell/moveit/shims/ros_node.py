@@ -1,4 +1,4 @@
-"""The node of rospy: errors, names, shutdown and time by the cell's clock."""
+"""Shim of rospy's node: exceptions, names, shutdown, and time by the cell's clock."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from armcell.ros.names import resolve
 
 
 class ROSException(Exception):
-    """Base of rospy's errors."""
+    """Base class of rospy's exceptions."""
 
 
 class ROSInterruptException(ROSException, KeyboardInterrupt):
-    """What waits was interrupted by the end of the program."""
+    """Error: a blocking call was interrupted because the program shuts down."""
 
 
 class ROSInitException(ROSException):
-    """A node that cannot be, or is not there yet."""
+    """Error: the node is not initialized, or cannot be initialized."""
 
 
 class ROSSerializationException(ROSException):
-    """A message that cannot be sent."""
+    """Error: a message cannot be serialized."""
 
 
 class TransportException(ROSException):
-    """A connection that failed."""
+    """Error: a connection failed."""
 
 
 class ServiceException(Exception):
-    """A service call that got no answer."""
+    """Error: a service call failed."""
 
 
 class ROSTimeMovedBackwardsException(ROSInterruptException):
-    """The simulation was reset while somebody slept."""
+    """Error: ROS time moved backwards (simulation reset) during a sleep."""
 
 
 # --- names and errors ---
 def resolved(name: str) -> str:
-    """A graph name; `~private` ones are below the node's."""
+    """Return a full graph name; `~private` names are below the node's name."""
     try:
         if name.startswith("~"):
             return resolve(name[1:].lstrip("/"), get_name())
@@ -62,7 +62,7 @@ def check_running() -> None:
 
 @contextlib.contextmanager
 def ros_errors(kind: type[Exception]) -> Any:
-    """armcell's errors as rospy's."""
+    """Convert armcell's exceptions in a `with` block to an exception of rospy."""
     try:
         yield
     except (ArmcellError, ServiceError) as error:
@@ -136,7 +136,7 @@ def spin() -> None:
     try:
         while not is_shutdown():
             current_session().shutting_down.wait(CHECK)
-        current_session().shut_down("signal")  # after a signal the hooks have not run yet
+        current_session().shut_down("signal")  # runs the hooks, which a signal does not run
     except KeyboardInterrupt:
         current_session().shut_down("interrupted")
 
@@ -151,7 +151,11 @@ def get_time() -> float:
 
 
 def sleep(duration: float | Duration) -> None:
-    """By the cell's clock, as with use_sim_time."""
+    """Sleep by the cell's clock, like ROS with use_sim_time.
+
+    Args:
+        duration: seconds or a Duration.
+    """
     seconds = duration.to_sec() if hasattr(duration, "to_sec") else float(duration)  # type: ignore[union-attr]
     if seconds > 0:
         wait_until(get_time() + seconds)
@@ -162,6 +166,7 @@ def wait_until(seconds: float) -> None:
     clock = session.bus.clock
     try:
         while not clock.wait_until(seconds, timeout=CHECK):
+            session.watch_other_end()
             if session.shutting_down.is_set() or not session.served.is_running:
                 session.shut_down("signal")
                 raise ROSInterruptException("ROS shutdown request")
@@ -183,7 +188,7 @@ class Rate:
         now = get_time()
         wake = self.last_time.to_sec() + self.sleep_dur.to_sec()
         if wake < now - self.sleep_dur.to_sec():
-            wake = now  # a period was missed: no burst
+            wake = now  # after a missed period, do not catch up with a burst
         if wake > now:
             wait_until(wake)
         self.last_time = Time.from_sec(wake)
@@ -226,7 +231,7 @@ class Timer(threading.Thread):
 
 
 class TimerEvent:
-    """When a timer should have called and when it did."""
+    """Expected and actual times of a timer's previous and current calls."""
 
     def __init__(
         self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any

@@ -1,4 +1,4 @@
-"""What rospy talks by: topics and services on the bus."""
+"""Shim of rospy's communication: publishers, subscribers and services on the bus."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from armcell.moveit.shims.ros_node import (
     spin,
 )
 
-QUEUE_SIZE = 100  # where a script gives none: rospy would block, or keep everything
+QUEUE_SIZE = 100  # default of this shim; without a queue size rospy blocks or queues without limit
 
 
 # --- topics ---
 class Publisher:
-    """Publishes on a topic of the bus."""
+    """Publisher of a topic on the bus."""
 
     def __init__(
         self, name: str, data_class: type, subscriber_listener: Any = None, tcp_nodelay: bool = False,
@@ -37,7 +37,7 @@ class Publisher:
             self._publisher = current_session().bus.advertise(self.name, self.type, latch)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """A message, or the fields to make one of."""
+        """Publish a message, or one made from the given field values."""
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == self.type:
             message = args[0]
         elif len(args) == 1 and not kwds and hasattr(args[0], "_type"):
@@ -46,7 +46,7 @@ class Publisher:
             message = self.data_class(*args, **kwds)
         if self._publisher.closed:
             raise ROSException("publish() to a closed topic")
-        # The script may go on with its message: what is on the bus is left alone.
+        # Publish a copy, because the script may change its message afterwards.
         with ros_errors(ROSSerializationException):
             self._publisher.publish(current_session().messages.local(message))
 
@@ -58,7 +58,7 @@ class Publisher:
 
 
 class Subscriber:
-    """Calls back with its own copy of each message, from a thread of its own."""
+    """Subscriber whose thread calls back with the script's own copy of each message."""
 
     def __init__(
         self, name: str, data_class: type, callback: Callable[..., None] | None = None,
@@ -116,7 +116,11 @@ def get_published_topics(namespace: str = "/") -> list[list[str]]:
 
 # --- services ---
 class Service:
-    """Serves: the handler may give a response, a list or tuple or dict of its fields, or one value."""
+    """Service server on the bus.
+
+    The handler may return a response message, a list, tuple or dict of its fields, or the value of its first
+    field.
+    """
 
     def __init__(
         self, name: str, service_class: Any, handler: Callable[[Any], Any], buff_size: int = 65536,
@@ -149,7 +153,7 @@ def _response(cls: Any, given: Any) -> Any:
 
 
 class ServiceProxy:
-    """Calls a service like a function."""
+    """Client that calls a service like a function."""
 
     def __init__(self, name: str, service_class: Any, persistent: bool = False, headers: Any = None):
         self.resolved_name, self.service_class = resolved(name), service_class

@@ -1,4 +1,4 @@
-"""rospy: nodes, topics, services, parameters, time and logging, on the in-process bus.
+"""Shim of rospy: nodes, topics, services, parameters, time and logging on the bus.
 
 Source of names, defaults and exceptions: rospy's documentation (docs.ros.org/en/noetic/api/rospy).
 """
@@ -107,7 +107,7 @@ def _log(level: str, message: Any, args: tuple[Any, ...]) -> None:
 
 
 def logdebug(msg: Any, *args: Any, **kwargs: Any) -> None:
-    """Not shown, as in ROS unless asked for."""
+    """Ignore a debug message; ROS does not show these by default either."""
 
 
 def loginfo(msg: Any, *args: Any, **kwargs: Any) -> None:
@@ -157,15 +157,15 @@ logout = loginfo
 
 
 def logdebug_throttle(period: float, msg: Any, *args: Any) -> None:
-    """Not shown."""
+    """Ignore a throttled debug message; debug messages are not shown."""
 
 
 def logdebug_once(msg: Any, *args: Any) -> None:
-    """Not shown."""
+    """Ignore a debug message that would be logged once; debug messages are not shown."""
 
 
 class _Exceptions:
-    """`rospy.exceptions`."""
+    """Namespace of the exceptions in `rospy.exceptions`."""
 
     ROSException, ROSInterruptException, ROSInitException = (
         ROSException,

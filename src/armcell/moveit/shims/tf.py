@@ -1,4 +1,4 @@
-"""tf: the older listener and broadcaster, on tf2's."""
+"""Shim of tf: the older listener and broadcaster, based on the tf2_ros shim."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Exception = TransformException
 
 
 class TransformListener:
-    """Looks transforms up as (x, y, z), (x, y, z, w)."""
+    """Transform listener that returns transforms as (x, y, z), (x, y, z, w)."""
 
     def __init__(self, *args: Any, **kwargs: Any):
         self._buffer = tf2_ros.Buffer()
@@ -66,7 +66,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Publishes one transform at a time."""
+    """Broadcaster that publishes one transform per call."""
 
     def __init__(self, queue_size: int = 100):
         self._broadcaster = tf2_ros.TransformBroadcaster()

@@ -1,4 +1,4 @@
-"""tf2_geometry_msgs: stamped values moved by a transform."""
+"""Shim of tf2_geometry_msgs: transforms stamped poses, points and vectors."""
 
 from __future__ import annotations
 

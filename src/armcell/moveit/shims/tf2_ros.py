@@ -1,6 +1,7 @@
-"""tf2_ros: a buffer that answers from /tf as it is on the bus, listeners and broadcasters.
+"""Shim of tf2_ros: buffer, listeners and broadcasters for /tf on the bus.
 
-The buffer keeps the newest transform of each frame, not their history: a lookup in the past gets the newest.
+The buffer stores the newest transform of each frame, not the history: a lookup in the past returns the newest
+transform.
 """
 
 from __future__ import annotations
@@ -22,27 +23,27 @@ MAX_DEPTH = 200
 
 
 class TransformException(Exception):
-    """Base of tf2's errors."""
+    """Base class of tf2's exceptions."""
 
 
 class LookupException(TransformException):
-    """A frame that nobody has published."""
+    """Error: a frame was never published on /tf or /tf_static."""
 
 
 class ConnectivityException(TransformException):
-    """Two frames without a way between them."""
+    """Error: no chain of transforms connects two frames."""
 
 
 class ExtrapolationException(TransformException):
-    """A time that is not known."""
+    """Error: no transform is known for the requested time."""
 
 
 class InvalidArgumentException(TransformException):
-    """A transform that cannot be."""
+    """Error: an object or transform is invalid."""
 
 
 class TimeoutException(TransformException):
-    """Nothing came in time."""
+    """Error: no transform arrived in time."""
 
 
 def _seconds(timeout: Any) -> float:
@@ -50,7 +51,7 @@ def _seconds(timeout: Any) -> float:
 
 
 class Buffer:
-    """Transforms by child frame."""
+    """Buffer with the newest transform of each child frame."""
 
     def __init__(self, cache_time: Any = None, debug: bool = True):
         self._session = current_session()
@@ -72,7 +73,11 @@ class Buffer:
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = 0.0
     ) -> Any:
-        """T_target_source, waiting for the frames up to a timeout."""
+        """Return T_target_source as a TransformStamped; waits for the frames up to `timeout` [s].
+
+        Raises:
+            TransformException: a frame does not exist, or the frames are not connected.
+        """
         T, stamp = self._wait(target_frame, source_frame, _seconds(timeout))
         schema = self._session.bus.schema
         header = schema.new("std_msgs/Header", stamp=stamp, frame_id=target_frame)
@@ -90,7 +95,12 @@ class Buffer:
     def transform(
         self, object_stamped: Any, target_frame: str, timeout: Any = 0.0, new_type: Any = None
     ) -> Any:
-        """A stamped pose, point or vector in another frame."""
+        """Transform a stamped pose, point or vector to another frame.
+
+        Raises:
+            TransformException: a frame is unknown, the frames are not connected, or the type is not
+                supported.
+        """
         from armcell.moveit.shims import tf2_geometry_msgs as convert
 
         found = self.lookup_transform(target_frame, object_stamped.header.frame_id, Time(), timeout)
@@ -139,7 +149,7 @@ class Buffer:
 
 
 class TransformListener:
-    """Fills a buffer from /tf and /tf_static."""
+    """Listener that fills a buffer from /tf and /tf_static."""
 
     def __init__(self, buffer: Buffer, queue_size: Any = None, **more: Any):
         session = current_session()
@@ -154,7 +164,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Publishes transforms."""
+    """Broadcaster for transforms on /tf."""
 
     TOPIC, LATCH = "/tf", False
 
@@ -170,7 +180,10 @@ class TransformBroadcaster:
 
 
 class StaticTransformBroadcaster(TransformBroadcaster):
-    """Publishes transforms that stay: each message has all that were sent, for those who listen later."""
+    """Broadcaster for static transforms on /tf_static.
+
+    Each message contains all transforms sent so far, so that late subscribers receive all of them.
+    """
 
     TOPIC, LATCH = "/tf_static", True
 

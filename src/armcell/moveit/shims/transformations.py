@@ -1,7 +1,8 @@
-"""tf.transformations: quaternions as x, y, z, w; matrices 4 x 4; Euler angles by axes such as "sxyz".
+"""Shim of tf.transformations: rotations and transforms as quaternions and matrices.
 
-Names and conventions: transformations.py by Christoph Gohlke, as tf ships it. Written anew; Euler axes and
-their order follow K. Shoemake, "Euler angle conversion", Graphics Gems IV, 1994.
+Quaternions are (x, y, z, w), matrices 4 x 4, and Euler axes are named like "sxyz". Names and conventions:
+transformations.py by Christoph Gohlke, which tf contains. This is an independent implementation; Euler axes
+and their order follow K. Shoemake, "Euler angle conversion", Graphics Gems IV, 1994.
 """
 
 from __future__ import annotations
@@ -20,7 +21,11 @@ _AXES = ["xyz", "xyx", "xzy", "xzx", "yzx", "yzy", "yxz", "yxy", "zxy", "zxz", "
 
 
 def _axes(axes: str | Sequence[int]) -> tuple[list[int], bool]:
-    """The axes in the order in which rotations about fixed axes are made, and whether they were turning."""
+    """Convert Euler axes such as "sxyz" to an order of rotations about fixed axes.
+
+    Returns:
+        The axes (0 to 2) in order, and whether the name describes a rotating frame.
+    """
     if not isinstance(axes, str):
         first, parity, repetition, frame = axes
         i, j, k = first, (first + 1 + parity) % 3, (first + 2 - parity) % 3
@@ -33,7 +38,7 @@ def _axes(axes: str | Sequence[int]) -> tuple[list[int], bool]:
 
 
 def _about(axis: int, angle: float) -> Array:
-    """(3, 3) about x, y or z."""
+    """Return the (3, 3) rotation matrix about the x, y or z axis."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     M = np.eye(3)
@@ -62,7 +67,7 @@ def euler_from_matrix(matrix: ArrayLike, axes: Any = "sxyz") -> tuple[float, flo
     order, turning = _axes(axes)
     R = np.asarray(matrix, dtype=float)[:3, :3]
     i, j, k = order
-    if i == k:  # x y x and the like
+    if i == k:  # repeated axis, such as x y x
         third = 3 - i - j
         sign = 1.0 if (j - i) % 3 == 1 else -1.0
         sy = np.hypot(R[i, j], R[i, third])
@@ -211,7 +216,7 @@ def rotation_matrix(angle: float, direction: ArrayLike, point: ArrayLike | None 
 
 
 def rotation_from_matrix(matrix: ArrayLike) -> tuple[float, Array, Array]:
-    """Angle, direction (3,) and a point (4,) of the axis."""
+    """Return angle [rad], direction (3,) and a point (4,) of a matrix's rotation axis."""
     M = np.asarray(matrix, dtype=float)
     q = quaternion_from_matrix(M)
     length = float(np.linalg.norm(q[:3]))

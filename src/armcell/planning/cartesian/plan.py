@@ -1,9 +1,10 @@
-"""Straight lines of the tip: approach, retreat, lift. Says how far it comes, and why not farther."""
+"""Plan a Cartesian path: the tip moves on straight lines through waypoints."""
 
 from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,51 +14,105 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import certify_from_rest
-from armcell.core import CartesianRequest, ErrorCode, InputError, JointPath, JointTrajectory, PlanResult
+from armcell.collision.resting import certify_from_rest, touching
+from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, JointTrajectory, PlanResult
 from armcell.kinematics import IKSolver, ik_solver
-from armcell.planning.cartesian.follow import Follower, Resting, relative_jump
-from armcell.planning.cartesian.poses import poses_between
-from armcell.planning.cartesian.stops import COLLISION, LEAD_OUT, Told, collided, violated
-from armcell.planning.constraint_sense import check_constraints
-from armcell.planning.constraints.description import Manifold
-from armcell.planning.constraints.timed import chords
-from armcell.planning.constraints.views import manifold_of
-from armcell.planning.constraints.warm_up import warm_up_constraints
-from armcell.planning.departure import too_deep
-from armcell.planning.explanation import explained
-from armcell.planning.finish import clearance_along, finish
-from armcell.planning.placed import Placed
-from armcell.planning.speed import check_speed, slowed
+from armcell.planning.cartesian.line_following import (
+    COLLISION,
+    LEAD_OUT,
+    LineFollower,
+    RestingStart,
+    StopReason,
+    collision_stop,
+    constraint_stop,
+    relative_jump,
+)
+from armcell.planning.certify import certify_and_time, clearance_along
+from armcell.planning.constraints.constraint_validation import check_constraints
+from armcell.planning.constraints.manifold import ConstraintManifold
+from armcell.planning.constraints.plan import chords
+from armcell.planning.constraints.planner import warm_up_constraints
+from armcell.planning.constraints.visibility import make_manifold
+from armcell.planning.diagnosis import with_explanation
+from armcell.planning.moved_frame import MovedFrame, check_cartesian_speed, limit_cartesian_speed
+from armcell.planning.start_in_contact import reject_deep_contacts
 from armcell.scene import PlanningScene
 from armcell.timing import TimingSettings, check_scaling
 
 Array = NDArray[np.float64]
 
+MOST_STEPS = 100_000  # steps of one line
+ROTATION_STEP = 0.05  # [rad] between checked poses
+FEWEST = 10  # smallest number of steps for the relative jump test, as in MoveIt
+
+
+def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
+    """Interpolate the poses of each line segment: first pose excluded, waypoint included."""
+    legs, at = [], start
+    least = FEWEST if request.relative_jump_threshold > 0 else 1
+    for waypoint in request.waypoints:
+        meters, radians = at.distance_to(waypoint)
+        count = max(int(np.ceil(max(meters / request.max_step, radians / ROTATION_STEP))), least)
+        if count > MOST_STEPS:
+            raise InputError(
+                f"max_step of {request.max_step:g} m divides a line of {meters:.3g} m into {count} steps",
+                cure=f"at most {MOST_STEPS} are allowed; 0.005 m is usual",
+            )
+        legs.append(at.interpolated(waypoint, ((k + 1) / count for k in range(count))))
+        at = waypoint
+    return legs
+
+
+def waypoints_by_offsets(
+    scene: PlanningScene, group: str, offsets: Sequence[SE3], link: str | None = None, frame: str = "link"
+) -> tuple[SE3, ...]:
+    """Compute waypoints from the link's current pose by successive offsets.
+
+    Args:
+        offsets: motions in the link's own axes (`frame="link"`), or about the link's origin in the axes of
+            a frame of the scene ("world", a link, an object).
+    Raises:
+        UnknownNameError: the group, link or frame does not exist.
+    """
+    at = scene.frame_pose(MovedFrame(scene, group, link).name)
+    axes = None if frame == "link" else scene.frame_pose(frame).rotation
+    found = []
+    for offset in offsets:
+        if axes is None:
+            at = at @ offset
+        else:
+            turn = axes @ offset.rotation @ axes.inv()
+            at = SE3(turn @ at.rotation, at.translation + axes.matrix @ offset.translation)
+        found.append(at)
+    return tuple(found)
+
+
 TIMINGS = (TimingSettings(max_deviation=2e-3), TimingSettings(max_deviation=5e-4, smoothing=4e-3))
-"""Corners between the small steps are hardly cut [rad]: the tip keeps its line. The second where the first
-does not keep to the path constraints."""
+"""Small corner deviations [rad], so that the tip keeps its line; the second is used if the first
+violates the path constraints."""
 
 CORRIDOR_SHARE, CORRIDOR_ROOM = 0.1, 5e-3  # of a joint's corridor, and [rad or m], kept free at its edges
 
 
-@explained(CartesianRequest)
+@with_explanation(CartesianRequest)
 def plan_cartesian(
     scene: PlanningScene, request: CartesianRequest, cancel: threading.Event | None = None
 ) -> PlanResult:
-    """A straight-line motion of a link through the poses of the request.
+    """Plan a straight-line motion of a link through the waypoints of the request.
 
     Args:
-        cancel: set it from another thread to stop: the result is PREEMPTED.
+        cancel: set this event from another thread to stop; the result is then PREEMPTED.
     Returns:
-        SUCCESS with `fraction` 1, or a code with the part that can be done (fraction < 1), its path and
-        trajectory, and in the message where it stops and why. Fraction 0 has neither. Evidence of a stop:
-        `cause`, `stops_at` (the link's pose), `positions` (n,) there, `waypoint` it was on the way to (from
-        1), and by cause: `contacts`; `joint` and `step` of a jump; `joints_at_limit`, `missing_m`,
-        `missing_rad`, `least_singular_value`; `violations` of path constraints.
+        SUCCESS with `fraction` 1, or a code with the feasible part (fraction < 1), its path and trajectory,
+        and in the message where and why the path stops. With fraction 0 there is no path and no trajectory.
+        Evidence
+        of a stop: `cause`, `stops_at` (the link's pose), `positions` (n,) there, `waypoint` (number of the
+            next
+        waypoint, from 1), and by cause: `contacts`; `joint` and `step` of a jump; `joints_at_limit`,
+        `missing_m`, `missing_rad`, `least_singular_value`; `violations` of path constraints.
     Raises:
-        InputError: no waypoints, a zero step or one too small, unknown group or link, scaling outside
-            (0, 1], path constraints that cannot be meant.
+        InputError: no waypoints, a step that is zero or too small, unknown group or link, scaling outside
+            (0, 1], contradictory path constraints.
     """
     _check(request)
     if request.start is not None:
@@ -75,18 +130,18 @@ def plan_cartesian(
     start = scene.positions[ik.columns]
     resting = None
     if request.avoid_collisions and checker.touches(start):
-        resting = Resting(checker, start)
-        if (refusal := too_deep(resting.contacts)) is not None:
+        if (refusal := reject_deep_contacts(touching(checker, start))) is not None:
             return _refused(refusal.code, refusal.message, refusal.evidence)
+        resting = RestingStart(checker, start)
     checker.relax_margins(start)
     manifold = None
     if request.path_constraints:
-        manifold = manifold_of(scene, request.group, request.path_constraints)
+        manifold = make_manifold(scene, request.group, request.path_constraints)
         if found := manifold.violations(start):
             text = "start violates the path constraints: " + "; ".join(v.text for v in found[:3])
             return _refused(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, text, {"violations": found})
-        manifold.allow_edges([start])
-    line = _Line(scene, request, ik, checker, manifold, cancel or threading.Event(), resting)
+        manifold.relax_boundary([start])
+    line = _CartesianProblem(scene, request, ik, checker, manifold, cancel or threading.Event(), resting)
     result = _along(line, start)
     return replace(result, planning_time=time.monotonic() - began)
 
@@ -101,19 +156,19 @@ def _check(request: CartesianRequest) -> None:
     for name in ("jump_threshold", "prismatic_jump_threshold", "relative_jump_threshold"):
         if not getattr(request, name) >= 0:
             raise InputError(f"{name} is {getattr(request, name):g}, it must not be below zero")
-    check_speed(request.max_cartesian_speed)
+    check_cartesian_speed(request.max_cartesian_speed)
 
 
 def _refused(code: ErrorCode, text: str, evidence: dict[str, Any]) -> PlanResult:
     return PlanResult(code, text, evidence, planner_id="cartesian", fraction=0.0)
 
 
-class _Line:
-    """One request with what answers it."""
+class _CartesianProblem:
+    """One Cartesian request together with its solver, checker and constraints."""
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
-        manifold: Manifold | None, cancel: threading.Event, resting: Resting | None,
+        manifold: ConstraintManifold | None, cancel: threading.Event, resting: RestingStart | None,
     ):  # fmt: skip
         self.cancel, self.resting = cancel, resting
         self.scene, self.request, self.ik = scene, request, ik
@@ -121,22 +176,25 @@ class _Line:
         self.legs = poses_between(scene.frame_pose(ik.tip_link), request)
         self.total = sum(len(leg) for leg in self.legs)
 
-    def follow(self, start: Array) -> tuple[Array, Told | None]:
-        """Joint positions (k, n) of the steps that can be taken, and why there are no more."""
+    def follow(self, start: Array) -> tuple[Array, StopReason | None]:
+        """Follow all segments.
+
+        Return joint positions (k, n) of the feasible steps and the reason for a stop.
+        """
         bounds = np.column_stack([self.ik.lower, self.ik.upper])
         if self.manifold is not None:  # corridors of joints are limits, which spare joints help to keep
             low, high = self.manifold.lower, self.manifold.upper
-            room = np.minimum(CORRIDOR_SHARE * (high - low), CORRIDOR_ROOM)  # for what the timing cuts
+            room = np.minimum(CORRIDOR_SHARE * (high - low), CORRIDOR_ROOM)  # for the deviation of the timing
             bounds[:, 0] = np.minimum(np.maximum(bounds[:, 0], low + room), start)
             bounds[:, 1] = np.maximum(np.minimum(bounds[:, 1], high - room), start)
         checker = self.checker if self.request.avoid_collisions else None
-        follower = Follower(
+        follower = LineFollower(
             self.request, self.ik, checker, self.manifold, self.scene.positions, bounds, self.cancel,
             self.resting,
         )  # fmt: skip
         path, stop = [start], None
         for poses in self.legs:
-            leg = follower.leg(poses, path[-1])
+            leg = follower.follow(poses, path[-1])
             path += leg.path
             stop = leg.stop
             if stop is not None:
@@ -146,22 +204,26 @@ class _Line:
         jump = relative_jump(points, self.ik.joint_names, follower.slides, factor)
         if jump is not None:
             points, stop = points[: jump[0] + 1], jump[1]
-        return points, None if stop is None else stop.tell()
+        return points, None if stop is None else stop.explain()
 
-    def proven(self, path: Array, told: Told | None) -> tuple[Array, Told | None]:
-        """The part of a path whose steps are proven, and why it is not all of it."""
+    def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
+        """Return the leading part of a path whose steps are proven, and why the rest is not."""
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)
             while not certificate.free and len(path) > 1:
                 path = path[: min(int(certificate.at * (len(path) - 1)), len(path) - 2) + 1]
                 contacts = [] if certificate.contact is None else [certificate.contact]
-                # What is left of a line out of contact may end while it still touches.
+                # The remaining part of a line out of contact may end while still in contact.
                 certificate = Certificate(True) if self.resting is None else self.certify(path)
-                told = collided(contacts)
-        if self.manifold is not None and len(path) > 1 and (edge := self.manifold.leaves(path)) >= 0:
-            told = violated(self.manifold, path[edge + 1])
+                reason = collision_stop(contacts)
+        if (
+            self.manifold is not None
+            and len(path) > 1
+            and (edge := self.manifold.first_unproven_edge(path)) >= 0
+        ):
+            reason = constraint_stop(self.manifold, path[edge + 1])
             path = path[: edge + 1]
-        return path, told
+        return path, reason
 
     def certify(self, path: Array, slack: Array | None = None) -> Certificate:
         if self.resting is None:
@@ -174,24 +236,24 @@ class _Line:
         # proves a path before it is timed.
         strict = request.avoid_collisions and self.resting is None
         for timing in TIMINGS:
-            trajectory = finish(
-                checker if strict else _Blind(checker), path,
+            trajectory = certify_and_time(
+                checker if strict else _AcceptAll(checker), path,
                 request.velocity_scaling, request.acceleration_scaling, timing,
             ).trajectory  # fmt: skip
             if trajectory is None:
                 return None
             if self.resting is not None and not self.certify(*chords(trajectory)).free:
                 continue
-            if self.manifold is not None and self.manifold.leaves(*chords(trajectory)) >= 0:
+            if self.manifold is not None and self.manifold.first_unproven_edge(*chords(trajectory)) >= 0:
                 continue
             if request.max_cartesian_speed is None:
                 return trajectory
-            placed = Placed(checker.scene, request.group, request.link)
-            return slowed(trajectory, placed, request.max_cartesian_speed)
+            moved_frame = MovedFrame(checker.scene, request.group, request.link)
+            return limit_cartesian_speed(trajectory, moved_frame, request.max_cartesian_speed)
         return None
 
-    def place(self, path: Array) -> dict[str, Any]:
-        """Evidence of where it stops."""
+    def stop_evidence(self, path: Array) -> dict[str, Any]:
+        """Collect evidence about the place where the path stops."""
         full = self.scene.positions.copy()
         full[self.ik.columns] = path[-1]
         ends = np.cumsum([len(leg) for leg in self.legs])
@@ -203,25 +265,25 @@ class _Line:
         }
 
 
-def _along(line: _Line, start: Array) -> PlanResult:
+def _along(line: _CartesianProblem, start: Array) -> PlanResult:
     found = line.follow(start)
     if line.cancel.is_set():
         return _refused(ErrorCode.PREEMPTED, "cancelled", {})
-    path, told = line.proven(*found)
+    path, reason = line.proven_part(*found)
     fraction, trajectory = (len(path) - 1) / line.total, None
     if len(path) > 1:
         trajectory = line.timed(path)
-        if trajectory is None and told is None:
+        if trajectory is None and reason is None:
             what = "free" if line.manifold is None else "free and within its path constraints"
             text = f"the timed motion could not be proven {what}"
             return _refused(ErrorCode.INVALID_MOTION_PLAN, text, {})
     code, message, evidence = ErrorCode.SUCCESS, "", {}
-    if told is not None:
-        code = told.code
-        message = f"stops at {fraction:.0%} ({len(path) - 1} of {line.total} steps): {told.text}"
-        if line.resting is not None and told.cause == COLLISION and len(path) == 1:
+    if reason is not None:
+        code = reason.code
+        message = f"stops at {fraction:.0%} ({len(path) - 1} of {line.total} steps): {reason.text}"
+        if line.resting is not None and reason.cause == COLLISION and len(path) == 1:
             message += f"; {LEAD_OUT}"
-        evidence = {**told.evidence, "cause": told.cause, **line.place(path)}
+        evidence = {**reason.evidence, "cause": reason.cause, **line.stop_evidence(path)}
     return PlanResult(
         code,
         message,
@@ -234,8 +296,11 @@ def _along(line: _Line, start: Array) -> PlanResult:
     )
 
 
-class _Blind:
-    """Proves everything, for avoid_collisions=False and what is proven after it was timed."""
+class _AcceptAll:
+    """A certifier that accepts every motion.
+
+    For paths without collision checks or proven after timing.
+    """
 
     def __init__(self, checker: KernelChecker):
         self.model, self.joint_names = checker.model, checker.joint_names

@@ -1,1 +1,4 @@
-"""Planning with path constraints: errors, projection, proofs, search, smoothing, timing."""
+"""Constraints on joints, positions, orientations and views.
+
+Evaluation, planning on the manifold, proofs.
+"""

@@ -1,4 +1,4 @@
-"""Planning a motion that keeps to path constraints all along."""
+"""Plan a motion that satisfies path constraints everywhere, from start to end."""
 
 from __future__ import annotations
 
@@ -13,121 +13,204 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.core import ConstraintGoal, ErrorCode, InputError, JointPath, Outcome, PlanResult, PoseGoal
-from armcell.planning.constraints.description import Manifold, Violation
-from armcell.planning.constraints.planner import constrained
-from armcell.planning.constraints.timed import timed
-from armcell.planning.constraints.views import Seen, manifold_of
-from armcell.planning.constraints.warm_up import warm_up_constraints
-from armcell.planning.finish import clearance_along, torque_model
-from armcell.planning.goal_regions import candidates, reaches
-from armcell.planning.goal_stream import stream
-from armcell.planning.motion import completed
-from armcell.planning.planners.native import stopping, unsolved
-from armcell.planning.problem import Answer, Problem, find_planner, sampling_bounds
-from armcell.planning.question import Question
-from armcell.timing import TorqueLimitError
+from armcell.core import (
+    ConstraintGoal,
+    ErrorCode,
+    InputError,
+    JointPath,
+    JointTrajectory,
+    Outcome,
+    PlanRequest,
+    PlanResult,
+    PoseGoal,
+)
+from armcell.planning.certify import SAGITTA, clearance_along, complete_motion, torque_model
+from armcell.planning.constraints.manifold import ConstraintManifold, Violation
+from armcell.planning.constraints.planner import constrained_planner, warm_up_constraints
+from armcell.planning.constraints.visibility import VisibilityManifold, make_manifold
+from armcell.planning.goals.joint_goals import stream_goals
+from armcell.planning.goals.sampling import reaches_goal, sample_goal_positions
+from armcell.planning.planners.problem import PlannerResult, Problem, sampling_bounds
+from armcell.planning.planners.registry import find_planner
+from armcell.planning.planners.rrt_connect import stopping, unsolved
+from armcell.planning.request import ValidatedRequest
+from armcell.timing import (
+    BlendedPath,
+    TimingSettings,
+    TorqueLimitError,
+    TorqueModel,
+    jerk_limited,
+    parameterize,
+    smoothing_departure,
+)
 
 Array = NDArray[np.float64]
 
-MAX_ROUNDS = 5  # of planning anew with another seed, where a path cannot be proven
-MORE = 200  # solutions of a pose goal that are looked at where none of the first keeps to the constraints
+LADDER = ((0.05, 0.032), (0.01, 0.032), (0.01, 0.016), (2e-3, 0.008), (5e-4, 4e-3))
+"""Corner deviation [rad] and smoothing window [s]; the next pair is used if the previous one violates the
+constraints or touches an obstacle. Smaller values make the motion slower and less smooth."""
+
+PIECES = 4  # chords between two points of the trajectory, on which the constraints are proven
+
+
+def time_on_manifold(
+    checker: KernelChecker, manifold: ConstraintManifold, waypoints: Array, request: PlanRequest,
+    torque: TorqueModel | None = None,
+) -> JointTrajectory | None:  # fmt: skip
+    """Time a path (k, n) on the constraint manifold; None if the timed motion cannot be proven."""
+    names, model = checker.joint_names, checker.model
+    velocity = model.limits(names, "velocity") * request.velocity_scaling
+    acceleration = model.limits(names, "acceleration") * request.acceleration_scaling
+    for deviation, smoothing in LADDER:
+        settings = TimingSettings(max_deviation=deviation, smoothing=smoothing)
+        path = BlendedPath(waypoints, deviation, smooth=request.jerk_limits)
+        slack = np.full(len(names), SAGITTA)
+        if not request.jerk_limits:
+            slack += smoothing_departure(acceleration, settings)
+        if path.length > 0 and not checker.certify(path.polyline(SAGITTA), slack, evidence=False).free:
+            # With slack, a start or goal very close to an obstacle is not provable: last, try without.
+            if (deviation, smoothing) != LADDER[-1]:
+                continue
+            if not checker.certify(path.polyline(SAGITTA), evidence=False).free:
+                return None
+        if request.jerk_limits:
+            jerk = model.limits(names, "jerk")
+            trajectory = jerk_limited(path, names, velocity, acceleration, jerk, settings)
+        else:
+            trajectory = parameterize(path, names, velocity, acceleration, settings, torque)
+        if manifold.first_unproven_edge(*chords(trajectory)) < 0:
+            return trajectory
+    return None
+
+
+def chords(trajectory: JointTrajectory) -> tuple[Array, Array]:
+    """Approximate a trajectory by chords (m, n); bound its deviation (n,) [rad] from them.
+
+    A curve deviates from its chord over a time h by at most h^2 / 8 times its largest acceleration. The
+    acceleration of a quintic is a cubic, bounded by the hull of its Bernstein coefficients.
+    """
+    times, q = trajectory.times, trajectory.positions
+    v, a = trajectory.velocities, trajectory.accelerations
+    if len(times) == 1 or v is None or a is None:
+        return np.vstack([q, q]), np.zeros(q.shape[1])
+    h = np.diff(times)[:, None]
+    d = np.diff(q, axis=0)
+    v0, v1, a0, a1 = v[:-1], v[1:], a[:-1], a[1:]
+    middle = 5 * d / h - 2 * (v0 + v1) + h * (a1 - a0) / 4  # of the velocity's Bernstein coefficients
+    b1, b2 = 4 / h * (middle - v0 - h * a0 / 4), 4 / h * (v1 - h * a1 / 4 - middle)  # the acceleration's
+    most = np.max(np.abs(np.stack([a0, b1, b2, a1])), axis=0)
+    room = np.max(most * (h / PIECES) ** 2 / 8, axis=0)
+    control = np.stack([  # of the quintic
+        q[:-1], q[:-1] + h * v0 / 5, q[:-1] + 2 * h * v0 / 5 + h * h * a0 / 20,
+        q[1:] - 2 * h * v1 / 5 + h * h * a1 / 20, q[1:] - h * v1 / 5, q[1:],
+    ])  # fmt: skip
+    s = np.arange(PIECES)[:, None] / PIECES
+    basis = np.hstack([n * s**i * (1 - s) ** (5 - i) for i, n in enumerate((1, 5, 10, 10, 5, 1))])
+    points = np.einsum("pc,cin->ipn", basis, control).reshape(-1, q.shape[1])
+    return np.vstack([points, q[-1]]), room
+
+
+MAX_ROUNDS = 5  # attempts with other seeds if a path cannot be proven
+MORE = 200  # further solutions of a pose goal to test if the first ones violate the constraints
 PLANNER = "RRTConnect"
 
 
-def check_planner(question: Question) -> None:
-    """Raises InputError where the planner that is named cannot keep to the path constraints."""
-    pipeline_id = question.request.pipeline_id or "native"
-    if pipeline_id != "native" or question.planner_id != PLANNER:
+def check_planner(validated: ValidatedRequest) -> None:
+    """Raise InputError if the requested planner cannot respect path constraints."""
+    pipeline_id = validated.request.pipeline_id or "native"
+    if pipeline_id != "native" or validated.planner_id != PLANNER:
         raise InputError(
-            f"planner {question.planner_id!r} of pipeline {pipeline_id!r} cannot keep to path constraints",
+            f"planner {validated.planner_id!r} of pipeline {pipeline_id!r} cannot keep to path constraints",
             cure=f"pipeline_id='native' with planner_id={PLANNER!r} can",
         )
 
 
 def plan_constrained(
-    question: Question, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
+    validated: ValidatedRequest, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
 ) -> PlanResult:
-    """A certified, timed motion whose every configuration is proven to keep to the path constraints.
+    """Plan a certified, timed motion that is proven to satisfy the path constraints everywhere.
 
     Args:
-        start: (n,), free of contact. goals: (n,) free ones, found so far.
+        start: (n,), collision-free. goals: (n,) collision-free goals found so far.
     Raises:
-        InputError: constraints that cannot be understood.
+        InputError: invalid constraints.
     """
     compiling = time.monotonic()
     warm_up_constraints()
     compiling = time.monotonic() - compiling
-    question = replace(question, began=question.began + compiling)  # not of the request's time
-    scene, request = question.scene, question.request
-    manifold = manifold_of(scene, request.group, request.path_constraints)
-    standing = start if question.lead_in is None else question.lead_in[0]
+    validated = replace(
+        validated, began=validated.began + compiling
+    )  # compilation does not count as planning time
+    scene, request = validated.scene, validated.request
+    manifold = make_manifold(scene, request.group, request.path_constraints)
+    standing = start if validated.lead_in is None else validated.lead_in[0]
     if violations := manifold.violations(standing) or manifold.violations(start):
-        return question.failed(
+        return validated.failed(
             _violated(ErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "start", violations)
         )
-    good, violations = _goals(question, checker, manifold, goals)
+    good, violations = _goals(validated, checker, manifold, goals)
     if not good:
-        return question.failed(_violated(ErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS, "goal", violations))
-    manifold.allow_edges([start, *good])
+        return validated.failed(_violated(ErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS, "goal", violations))
+    manifold.relax_boundary([start, *good])
     lower, upper = sampling_bounds(scene.model, checker.joint_names, start, good)
     lower = np.maximum(lower, np.minimum(manifold.lower, start))
     upper = np.minimum(upper, np.maximum(manifold.upper, start))
     results = []
     for number in range(int(request.attempts)):
         seed = request.seed + 104_729 * number
-        problem = Problem(checker, start, good, lower, upper, seed, question.deadline, question.cancel)
-        results.append(_attempt(question, manifold, problem))
+        problem = Problem(checker, start, good, lower, upper, seed, validated.deadline, validated.cancel)
+        results.append(_attempt(validated, manifold, problem))
     return min(results, key=lambda r: r.path.length if r.path is not None else np.inf)
 
 
-def _attempt(question: Question, manifold: Manifold, problem: Problem) -> PlanResult:
-    """Paths until one can be proven and timed."""
-    request, checker = question.request, problem.checker
-    torque = torque_model(question.scene, checker.joint_names) if request.torque_limits else None
+def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlanResult:
+    """Plan paths until one can be proven and timed."""
+    request, checker = validated.request, problem.checker
+    torque = torque_model(validated.scene, checker.joint_names) if request.torque_limits else None
     answer, why = None, "found paths, but none whose timed motion could be proven to keep to the constraints"
     for round_ in range(MAX_ROUNDS):
         seed = problem.seed + 7919 * round_
         waypoints = _direct(problem, manifold) if round_ == 0 else None
         if waypoints is None:
-            answer = _searched(question, manifold, replace(problem, seed=seed))
+            answer = _searched(validated, manifold, replace(problem, seed=seed))
             waypoints = answer.waypoints
             if waypoints is None:
                 break
-        if question.cancel.is_set():
+        if validated.cancel.is_set():
             break
-        if question.workspace is not None and (q := question.workspace.left_at(waypoints)) is not None:
-            why = f"the paths found leave the workspace: {question.workspace.describe(q)}"
+        if (
+            validated.workspace is not None
+            and (q := validated.workspace.first_outside(waypoints)) is not None
+        ):
+            why = f"the paths found leave the workspace: {validated.workspace.describe(q)}"
             continue
         try:
-            trajectory = timed(checker, manifold, waypoints, request, torque)
+            trajectory = time_on_manifold(checker, manifold, waypoints, request, torque)
         except TorqueLimitError as error:
             evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
-            return question.failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
+            return validated.failed(Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence))
         if trajectory is None:
             continue
-        made = completed(question, checker, waypoints, trajectory)
+        made = complete_motion(validated, checker, waypoints, trajectory)
         return PlanResult(
             ErrorCode.SUCCESS,
-            made.words,
-            {**question.evidence, **(answer.statistics if answer else {})},
+            made.note,
+            {**validated.evidence, **(answer.statistics if answer else {})},
             path=JointPath(checker.joint_names, made.waypoints),
             trajectory=made.trajectory,
             planner_id=PLANNER,
-            planning_time=time.monotonic() - question.began,
+            planning_time=time.monotonic() - validated.began,
             clearance=None if made.trajectory is None else partial(clearance_along, checker, made.trajectory),
         )
-    return question.failed(_unsolved(question, problem, answer, why))
+    return validated.failed(_unsolved(validated, problem, answer, why))
 
 
-def _searched(question: Question, manifold: Manifold, problem: Problem) -> Answer:
-    """A path on the manifold, or why there is none."""
-    if isinstance(
-        manifold, Seen
-    ):  # nothing projects onto what a sensor sees: what it does not is thrown away
+def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlannerResult:
+    """Search for a path on the manifold, or report why there is none."""
+    if isinstance(manifold, VisibilityManifold):  # visibility has no projection: OMPL rejects invalid samples
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
-    planner = constrained(problem.checker, manifold)
-    more = _more(question, problem.checker, manifold, problem.goals, problem.seed)
+    planner = constrained_planner(problem.checker, manifold)
+    more = _more(validated, problem.checker, manifold, problem.goals, problem.seed)
     with stopping(problem) as stop:
         found = planner.plan(
             problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop,
@@ -141,12 +224,14 @@ def _searched(question: Question, manifold: Manifold, problem: Problem) -> Answe
     }
     if found.waypoints is None:
         return unsolved(PLANNER, problem, found.iterations, found.closest, statistics)
-    return Answer(found.waypoints, "", statistics)
+    return PlannerResult(found.waypoints, "", statistics)
 
 
-def _unsolved(question: Question, problem: Problem, answer: Answer | None, why: str) -> Outcome:
-    cancelled = question.cancel.is_set()
-    timed_out = time.monotonic() >= question.deadline
+def _unsolved(
+    validated: ValidatedRequest, problem: Problem, answer: PlannerResult | None, why: str
+) -> Outcome:
+    cancelled = validated.cancel.is_set()
+    timed_out = time.monotonic() >= validated.deadline
     code = (
         ErrorCode.PREEMPTED if cancelled else ErrorCode.TIMED_OUT if timed_out else ErrorCode.PLANNING_FAILED
     )
@@ -163,51 +248,63 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
     return Outcome(code, text, {"violations": violations})
 
 
-def _direct(problem: Problem, manifold: Manifold) -> Array | None:
-    """The straight line to a goal, where it is free and keeps to the constraints."""
+def _direct(problem: Problem, manifold: ConstraintManifold) -> Array | None:
+    """Return the straight line to a goal if it is free and satisfies the constraints."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
         edge = np.vstack([problem.start, goal])
-        free = manifold.leaves(edge) < 0 and problem.checker.edge_is_free(problem.start, goal)
+        free = manifold.first_unproven_edge(edge) < 0 and problem.checker.edge_is_free(problem.start, goal)
         if free and problem.checker.certify(edge, evidence=False).free:
             return edge
     return None
 
 
 def _goals(
-    question: Question, checker: KernelChecker, manifold: Manifold, found: tuple[Array, ...]
+    validated: ValidatedRequest,
+    checker: KernelChecker,
+    manifold: ConstraintManifold,
+    found: tuple[Array, ...],
 ) -> tuple[tuple[Array, ...], list[Violation]]:
-    """Those that keep to the constraints; else others of the goal regions, moved there; else why not."""
+    """Select goals that satisfy the constraints, else project further goal samples.
+
+    Else report the violations.
+    """
     good = tuple(q for q in found if not manifold.violations(q))
     if good:
         return good, []
-    first = next(islice(_moved(question, checker, manifold), 1), None)
+    first = next(islice(_moved(validated, checker, manifold), 1), None)
     if first is not None:
         return (first,), []
     return (), min((manifold.violations(q) for q in found), key=lambda some: max(v.amount for v in some))
 
 
-def _moved(question: Question, checker: KernelChecker, manifold: Manifold) -> Iterator[Array]:
-    """Free configurations that reach a goal within its tolerances and keep to the constraints."""
-    scene, request = question.scene, question.request
+def _moved(
+    validated: ValidatedRequest, checker: KernelChecker, manifold: ConstraintManifold
+) -> Iterator[Array]:
+    """Yield free configurations that reach a goal and satisfy the path constraints."""
+    scene, request = validated.scene, validated.request
     rng = np.random.default_rng([request.seed, 2])
     low = np.maximum(scene.model.lower[checker.columns], manifold.lower)
     high = np.minimum(scene.model.upper[checker.columns], manifold.upper)
     for goal in request.goals:
         if not isinstance(goal, PoseGoal | ConstraintGoal):
             continue
-        for q in islice(candidates(scene, request.group, goal, rng, question.deadline), MORE):
+        for q in islice(sample_goal_positions(scene, request.group, goal, rng, validated.deadline), MORE):
             moved = q if not manifold.violations(q) else manifold.projected(q, low, high)
-            if moved is None or not checker.is_free(moved) or question.forbids(moved):
+            if moved is None or not checker.is_free(moved) or validated.forbids(moved):
                 continue
-            if reaches(scene, request.group, goal, moved):
+            if reaches_goal(scene, request.group, goal, moved):
                 yield moved
 
 
 def _more(
-    question: Question, checker: KernelChecker, manifold: Manifold, known: tuple[Array, ...], seed: int
+    validated: ValidatedRequest,
+    checker: KernelChecker,
+    manifold: ConstraintManifold,
+    known: tuple[Array, ...],
+    seed: int,
 ) -> Iterator[Array] | None:
-    """Further goals for a search that has not reached the first, see `goal_stream.stream`."""
-    more = stream(question, checker, known, seed)
+    """Yield further goals that satisfy the path constraints, while a search runs."""
+    more = stream_goals(validated, checker, known, seed)
     return None if more is None else (q for q in more if not manifold.violations(q))

@@ -1,19 +1,26 @@
-"""The native planner on a manifold of constraints: buffers, seeds, rounds."""
+"""The native planner on a constraint manifold, and the warm-up of its kernels."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+import logging
+import time
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.planning.constraints.description import Manifold
-from armcell.planning.constraints.search import closest_at, constrained_rrt_connect, space_size
-from armcell.planning.constraints.smooth import shorten
-from armcell.planning.native.planner import NativePlanner, NativeSettings
-from armcell.planning.native.rrt_connect import ITERATIONS
-from armcell.planning.planners.native import planner_of
+from armcell.core import SE3, Box, Constraints, PositionConstraint
+from armcell.model import load_robot
+from armcell.planning.constraints.manifold import ConstraintManifold
+from armcell.planning.constraints.rrt_connect import closest_at, constrained_rrt_connect, space_size
+from armcell.planning.constraints.simplify import shorten
+from armcell.planning.planners.native.rrt_connect import ITERATIONS
+from armcell.planning.planners.registry import announce_compilation
+from armcell.planning.planners.rrt_connect import NativePlanner, NativeSettings, planner_of
+from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
@@ -21,14 +28,16 @@ SETTINGS = NativeSettings(max_waypoints=4096)
 
 
 class ConstrainedPlanner(NativePlanner):
-    """`NativePlanner` whose trees and shortcuts stay on a manifold; borrows the trees of this thread's one.
+    """A `NativePlanner` whose trees and shortcuts stay on a manifold.
+
+    Reuses the trees of this thread's planner.
 
     Args:
-        rejection: throw away samples and edges that leave the tolerances instead of projecting them (to
-            compare with: RRT-Connect as it is without constraints).
+        rejection: reject samples and edges that leave the tolerances instead of projecting them (plain
+            RRT-Connect, for comparison).
     """
 
-    def __init__(self, native: NativePlanner, manifold: Manifold, rejection: bool = False):
+    def __init__(self, native: NativePlanner, manifold: ConstraintManifold, rejection: bool = False):
         self.checker, self.settings, self.manifold = native.checker, SETTINGS, manifold
         self.reach, self.trees, self.found, self.room = native.reach, native.trees, native.found, native.room
         dof, m = manifold.dof, SETTINGS.max_waypoints
@@ -64,7 +73,7 @@ class ConstrainedPlanner(NativePlanner):
         )  # fmt: skip
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Shorten path[:count] on the manifold, in place; the new count, 0 if it cannot be proven."""
+        """Shorten path[:count] on the manifold in place; return the new count, 0 if a proof fails."""
         m = self.manifold
         return shorten(
             self.checker.handle, m.handle, self.path, count, self.space, self.index, self.slack, *self.bounds,
@@ -78,6 +87,31 @@ class ConstrainedPlanner(NativePlanner):
         return self.ends[at + 1 :][: 2 * dof].reshape(2, dof).copy() if np.isfinite(self.ends[at]) else None
 
 
-def constrained(checker: KernelChecker, manifold: Manifold) -> ConstrainedPlanner:
-    """A planner with this thread's trees."""
+def constrained_planner(checker: KernelChecker, manifold: ConstraintManifold) -> ConstrainedPlanner:
+    """Create a constrained planner that uses this thread's trees."""
     return ConstrainedPlanner(planner_of(checker), manifold)
+
+
+logger = logging.getLogger(__name__)
+
+
+@lru_cache(maxsize=1)
+def warm_up_constraints() -> float:
+    """Compile all kernels for path constraints; return the seconds it took."""
+    began = time.monotonic()
+    announce_compilation("RRTConnect with path constraints", constrained_rrt_connect)
+    model = load_robot("parallel_gripper")
+    scene, group = PlanningScene.of(model), "gripper"
+    finger = next(j.child for j in model.joints.values() if j.name in model.group(group).joint_names)
+    anywhere = PositionConstraint(((Box(1.0, 1.0, 1.0), SE3.identity()),), finger)
+    checker = KernelChecker(scene, model.group(group).joint_names)
+    manifold = ConstraintManifold(scene, group, Constraints(positions=(anywhere,)))
+    a, b = np.array([0.01]), np.array([0.04])
+    manifold.values(a)
+    manifold.first_unproven_edge(np.vstack([a, b]))
+    manifold.projected(a, a, b)
+    constrained_planner(checker, manifold).plan(a, b[None], np.array([0.0]), np.array([0.05]))
+    seconds = time.monotonic() - began
+    if seconds > 2.0:
+        logger.info("compiled planning with path constraints in %.0f s; it is kept for later runs", seconds)
+    return seconds

@@ -1,4 +1,6 @@
-"""Moving a configuration onto its constraints: damped Gauss-Newton on what is outside the tolerances (Numba).
+"""Project a configuration onto its constraints.
+
+Damped Gauss-Newton on the violated tolerances (Numba).
 
 The damping is that of the inverse kinematics (Sugihara 2011, see kinematics.ik.descent).
 """
@@ -12,7 +14,7 @@ from numba import njit
 
 from armcell.collision.kernel.simd import pointer
 from armcell.kinematics.ik.chain import COLUMN, MULTIPLIER, SLIDE, WIDTH
-from armcell.planning.constraints.errors import (
+from armcell.planning.constraints.error_kernels import (
     AT_LINKS,
     AT_POINTS,
     AT_SHAPES,
@@ -38,23 +40,23 @@ from armcell.planning.constraints.errors import (
     TURN_WIDTH,
     TURNS,
     WORK,
-    manifold,
-    place,
+    manifold_pointers,
+    nearest_region_shape,
+    orientation_error,
+    place_links,
     point_at,
-    region,
-    turn_error,
 )
 
 ITERATIONS = 24
 LARGEST_STEP = 0.6  # [rad or m] of any joint in one iteration
 DAMPING, BIAS = 0.05, 1e-9
-BEYOND = 0.3  # aim so far inside, as a share of what lies between the tolerances planned with and the full
-PROGRESS, PATIENCE = 0.8, 3  # give up after so many iterations that left more than this part of the error
+BEYOND = 0.3  # aim inside by this share of the gap between planning tolerances and full tolerances
+PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that keep more than this part of the error
 
 
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
-    """A row of the Jacobian: the rate of (gx, gy, gz) . angular velocity (turns), or . velocity of p."""
+    """Write a Jacobian row: the rate of g . angular velocity (turns), or of g . point velocity."""
     dof, at = n[DOF], n[WORK] + 32 + row * n[DOF]
     for j in range(dof):
         x[at + j] = 0.0
@@ -76,7 +78,7 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """A row for a point along a direction of a shape's frame, and its residual."""
+    """Write the row and residual of a point along a direction of a shape's frame."""
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
     _row(
@@ -90,7 +92,10 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """A row that brings |value|, a coordinate of a shape's frame, down to `inner`; returns rows so far."""
+    """Add a row that reduces |value|, a coordinate in a shape's frame, to `inner`.
+
+    Return the row count.
+    """
     if abs(value) <= inner:
         return row
     sign = 1.0 if value > 0.0 else -1.0
@@ -104,10 +109,13 @@ def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
 
 @njit(cache=True)
 def rows(n, c, x):
-    """Rows of the Jacobian and residuals of what is outside the tolerances that are planned with."""
+    """Write Jacobian rows and residuals of all violated planning tolerances.
+
+    Return the row count.
+    """
     count, residual = 0, n[WORK] + 32 + MAX_ROWS * n[DOF]
     for turn in range(n[TURNS]):
-        turn_error(n, c, x, turn)
+        orientation_error(n, c, x, turn)
         t, e = n[AT_TURNS] + turn * TURN_WIDTH, n[WORK]
         for i in range(3):
             full, inner = c[n[t + NUMBERS] + FULL + i], c[n[t + NUMBERS] + INNER + i]
@@ -119,7 +127,7 @@ def rows(n, c, x):
             count += 1
     for point in range(n[POINTS]):
         px, py, pz = point_at(n, c, x, point)
-        shape, far = region(n, c, point, INNER_SIZE, px, py, pz)
+        shape, far = nearest_region_shape(n, c, point, INNER_SIZE, px, py, pz)
         if far <= 0.0:
             continue
         s = n[AT_SHAPES] + shape * SHAPE_WIDTH
@@ -154,7 +162,7 @@ def rows(n, c, x):
 
 @njit(cache=True)
 def _step(n, x, count, damping):
-    """`J^T (J J^T + damping)^-1 r` into x (after the system), by L D L^T."""
+    """Solve `J^T (J J^T + damping)^-1 r` by L D L^T, into x after the system."""
     dof, J = n[DOF], n[WORK] + 32
     r, A = J + MAX_ROWS * dof, J + MAX_ROWS * (dof + 2)
     y, step = r + MAX_ROWS, A + MAX_ROWS * MAX_ROWS
@@ -195,14 +203,14 @@ def _step(n, x, count, damping):
 
 @njit(cache=True)
 def project(n, c, x, q, at, lower, upper):
-    """Move q[at:] within bounds to where it keeps to the tolerances that are planned with, in place.
+    """Move q[at:] within bounds until it keeps the planning tolerances, in place.
 
     Returns:
-        Whether it got there.
+        Whether the projection succeeded.
     """
     dof, previous, stalled = n[DOF], 1e300, 0
     for _ in range(ITERATIONS):
-        place(n, c, x, q, at)
+        place_links(n, c, x, q, at)
         count = rows(n, c, x)
         if count == 0:
             return True
@@ -215,7 +223,7 @@ def project(n, c, x, q, at, lower, upper):
         if stalled >= PATIENCE:
             return False
         step = 0
-        for _ in range(3):  # and again without the joints that press against a bound
+        for _ in range(3):  # repeat without the joints at a bound
             step = _step(n, x, count, DAMPING * cost + BIAS)
             pressing = False
             for j in range(dof):
@@ -237,6 +245,6 @@ def project(n, c, x, q, at, lower, upper):
 
 @njit(cache=True, nogil=True)
 def projected(handle, q, lower, upper):
-    """`project` on arrays (dof,)."""
-    n, c, x = manifold(handle)
+    """Run `project` on arrays (dof,)."""
+    n, c, x = manifold_pointers(handle)
     return project(n, c, x, pointer(q), 0, pointer(lower), pointer(upper))

@@ -1,20 +1,20 @@
-"""Proofs that a straight motion keeps to its constraints everywhere, not only at samples (Numba).
+"""Prove that a straight joint motion satisfies constraints everywhere (Numba).
 
-An interval of the motion q(t) = a + t d is looked at in its middle m; it reaches h to both sides. There the
-poses and velocities are exact, and the rest is bounded:
+The proof examines an interval of the motion q(t) = a + t d at its middle m with half width h. Poses and
+velocities are exact at m; the rest is bounded:
 
 - A joint's axis turns by at most the turning T of the joints before it (T: the sum of all revolute joints'
   |d|), so a link's angular velocity changes at a rate of at most T^2 / 2.
-- A point's acceleration is at most T S, S the sum of |d| times the largest distance from each joint's axis
-  (twice that where joints slide): it is within h^2 T S / 2 of the straight line p + (t - m) p'. A region's
-  signed distance is convex, so along that line it is largest at one of its ends.
+- A point's acceleration is at most T S, where S sums |d| times the largest distance from each joint's axis
+  (twice that with prismatic joints): the point is within h^2 T S / 2 of the straight line p + (t - m) p'. A
+  region's signed distance is convex, so along that line it is largest at one end.
 - A rotation vector e = log R changes by e' = G(e) u, with the angular velocity u and the inverse left
   Jacobian G of SO(3): |G| <= g = (y/2) / sin(y/2) and |G'| <= c |e'| with y = |e|. So
   |e''| <= g (T^2 / 2 + c |u|^2), and e is within h^2 / 2 times that of e + (t - m) e'. Past half a turn the
   rotation vector jumps to the other side; its components are smaller there than those of its continuation.
 - Euler angles: the same with |a'|, |c'| <= |u| / cos b, |b'| <= |u|.
 
-Where that does not prove an interval, it is halved.
+If these bounds do not prove an interval, it is halved.
 """
 
 # pyright: reportCallIssue=false
@@ -26,7 +26,7 @@ from numba import njit
 
 from armcell.collision.kernel.simd import pointer
 from armcell.kinematics.ik.chain import COLUMN, MULTIPLIER, SLIDE, WIDTH
-from armcell.planning.constraints.errors import (
+from armcell.planning.constraints.error_kernels import (
     AT_LINKS,
     AT_POINTS,
     AT_TURNS,
@@ -49,22 +49,25 @@ from armcell.planning.constraints.errors import (
     TURN_WIDTH,
     TURNS,
     WORK,
-    manifold,
-    outside,
-    place,
+    manifold_pointers,
+    orientation_error,
+    place_links,
     point_at,
-    turn_error,
+    signed_distance,
 )
 
-FINEST = 2e-5  # [rad] halves of intervals are not shorter
-DEEPEST = 48  # intervals that may wait
+FINEST = 2e-5  # [rad] smallest half width of an interval
+DEEPEST = 48  # maximal number of pending intervals
 WIDEST_TURN = 0.3  # [rad] by which an interval may turn a link to each side
 KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 
 @njit(cache=True)
 def _bends(angle):
-    """g and c (see above) of rotation vectors up to this length [rad]; both grow with it."""
+    """Compute the bounds g and c (see module) for rotation vectors up to `angle` [rad].
+
+    Both are increasing.
+    """
     half = 0.5 * max(angle, 1e-2)
     g = half / np.sin(half)
     k = (1.0 - half / np.tan(half)) / (4.0 * half * half)
@@ -74,11 +77,11 @@ def _bends(angle):
 
 @njit(cache=True)
 def _turns(n, c, x, d, h, room, allowance):
-    """The orientations' part of `_interval`."""
+    """Check the orientation constraints on one interval: KEEPS, UNKNOWN or LEAVES."""
     answer = KEEPS
     for turn in range(n[TURNS]):
         t = n[AT_TURNS] + turn * TURN_WIDTH
-        turn_error(n, c, x, turn)
+        orientation_error(n, c, x, turn)
         l, e, full = n[AT_LINKS] + n[t] * LINK_WIDTH, n[WORK], n[t + NUMBERS] + FULL
         at, o = n[l + TABLE], n[l + PLACE] + 12
         wx, wy, wz, turning, slack = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -121,7 +124,7 @@ def _turns(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def _points(n, c, x, d, h, room, allowance):
-    """The points' part of `_interval`."""
+    """Check the position constraints on one interval: KEEPS, UNKNOWN or LEAVES."""
     dof, answer = n[DOF], KEEPS
     for point in range(n[POINTS]):
         t = n[AT_POINTS] + point * POINT_WIDTH
@@ -150,10 +153,10 @@ def _points(n, c, x, d, h, room, allowance):
         more = h * h * turning * total * (1.0 if slides else 0.5) + slack - allowance
         kept, possible = False, False
         for shape in range(n[t + FIRST_SHAPE], n[t + FIRST_SHAPE] + n[t + SHAPES]):
-            if outside(n, c, shape, SIZE, px, py, pz) <= allowance:
+            if signed_distance(n, c, shape, SIZE, px, py, pz) <= allowance:
                 possible = True
-            a = outside(n, c, shape, SIZE, px - h * vx, py - h * vy, pz - h * vz)
-            b = outside(n, c, shape, SIZE, px + h * vx, py + h * vy, pz + h * vz)
+            a = signed_distance(n, c, shape, SIZE, px - h * vx, py - h * vy, pz - h * vz)
+            b = signed_distance(n, c, shape, SIZE, px + h * vx, py + h * vy, pz + h * vz)
             if max(a, b) + more <= 0.0:
                 kept = True
                 break
@@ -165,11 +168,11 @@ def _points(n, c, x, d, h, room, allowance):
 
 
 @njit(cache=True)
-def keeps(n, c, x, p, a, b, room, allowance):
-    """Whether the straight motion from p[a:] to p[b:] is proven to keep to the tolerances.
+def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
+    """Return whether the straight motion from p[a:] to p[b:] is proven to keep the tolerances.
 
     Args:
-        room: (dof,) how far each joint may be off the line. allowance: [rad and m] beside the tolerances.
+        room: (dof,) deviation of each joint from the line. allowance: [rad and m] added to the tolerances.
     """
     dof = n[DOF]
     d = n[WORK] + 32 + MAX_ROWS * (dof + 2) + MAX_ROWS * MAX_ROWS + dof
@@ -183,7 +186,7 @@ def keeps(n, c, x, p, a, b, room, allowance):
         m, h = x[waiting + 2 * count], x[waiting + 2 * count + 1]
         for j in range(dof):
             x[q + j] = p[a + j] + m * x[d + j]
-        place(n, c, x, x, q)
+        place_links(n, c, x, x, q)
         first = _turns(n, c, x, d, h, room, allowance)
         if first == LEAVES:
             return False
@@ -202,18 +205,18 @@ def keeps(n, c, x, p, a, b, room, allowance):
 
 
 @njit(cache=True, nogil=True)
-def first_leaving(handle, points, room, allowance):
-    """Which edge of a piecewise linear motion (k, dof) is the first not proven to keep to the tolerances.
+def first_unproven_edge(handle, points, room, allowance):
+    """Find the first edge of a motion (k, dof) that is not proven to keep the tolerances.
 
     Args:
-        room: (dof,), allowance: see `keeps`.
+        room: (dof,), allowance: see `edge_keeps_tolerances`.
     Returns:
-        Its number, -1 if there is none.
+        The number of the edge, -1 if all edges are proven.
     """
-    n, c, x = manifold(handle)
+    n, c, x = manifold_pointers(handle)
     k, dof = points.shape
     p, r = pointer(points), pointer(room)
     for edge in range(k - 1):
-        if not keeps(n, c, x, p, edge * dof, (edge + 1) * dof, r, allowance):
+        if not edge_keeps_tolerances(n, c, x, p, edge * dof, (edge + 1) * dof, r, allowance):
             return edge
     return -1

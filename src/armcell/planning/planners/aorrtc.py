@@ -1,21 +1,184 @@
-"""The anytime planner AORRTC as a planner of the pipeline."""
+"""AORRTC, an anytime planner: its path gets shorter as long as time remains.
 
+AORRTC must find a path that is shorter than the best simplified path before any simplification. Early on
+this is rare, and a few quick first paths from other samples, simplified, gain more: each round begins with
+some.
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armcell.planning.native.anytime import AnytimePlanner, AnytimeSettings
-from armcell.planning.native.planner import NativePlanner
-from armcell.planning.parameters import settings_of
-from armcell.planning.planners.native import stopping, unsolved
-from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
+from armcell.collision.kernel.simd import L
+from armcell.planning.planners.native.aorrtc import aorrtc
+from armcell.planning.planners.native.nearest_neighbors import new_leaves
+from armcell.planning.planners.native.rrt_connect import FOUND
+from armcell.planning.planners.native.tree import new_trees
+from armcell.planning.planners.problem import PlannerResult, Problem
+from armcell.planning.planners.registry import (
+    announce_compilation,
+    first_use_hooks,
+    pipelines,
+    settings_parser,
+    settings_parsers,
+)
+from armcell.planning.planners.rrt_connect import NativePlanner, stopping, unsolved
+from armcell.planning.warm_up import BOUNDS, small_problem
+
+Array = NDArray[np.float64]
+
+SHORTEST = 1e-4
+"""A path that exceeds the straight line by less than this share counts as optimal."""
+
+
+@dataclass(frozen=True)
+class AnytimeSettings:
+    """Settings of the anytime planner.
+
+    Only a budget of iterations makes results reproducible by seed.
+    """
+
+    max_iterations: int = 1_000_000_000  # of the search, all rounds
+    gain: float = 1e-3  # a round must find a path that is shorter by this share
+    least_gain: float = 1e-4  # smallest relative gain while polishing
+    round_iterations: int = 2000  # of a round after an improvement; twice as many after each without one
+    max_nodes: int = 16_384  # per tree and round (a multiple of 16); then the round restarts
+    restarts: int = 8  # first paths from other samples per round; one may be better after simplification
+    polish: int = 3  # failed attempts in a row to shorten a path locally before the next round
+
+
+@dataclass(frozen=True, eq=False)
+class AnytimeResult:
+    """The shortest path found, every edge proven free, or None.
+
+    Attributes:
+        history: (seconds of wall time, iterations, cost [rad]) of every improvement, beginning with the
+            first path.
+        closest: see `NativeResult`.
+    """
+
+    waypoints: Array | None
+    history: list[tuple[float, int, float]] = field(default_factory=list)
+    iterations: int = 0
+    nodes: int = 0
+    rounds: int = 0
+    closest: Array | None = None
+
+
+class AnytimePlanner:
+    """Improves the paths of a native planner. Use one instance per thread."""
+
+    def __init__(self, first: NativePlanner, settings: AnytimeSettings = AnytimeSettings()):
+        self.first, self.settings = first, settings
+        dims = len(first.slack) + 1
+        self.trees = (*new_trees(dims, settings.max_nodes), *new_leaves(dims, settings.max_nodes))
+        self.room = np.zeros(L, np.float32)
+        self.space = np.zeros(4 * dims)
+        self.found = np.zeros(FOUND, np.int64)
+
+    def plan(
+        self, start: Array, goals: Array, lower: Array, upper: Array, seed: int = 0,
+        stop: NDArray[np.int64] | None = None,
+    ) -> AnytimeResult:  # fmt: skip
+        """Return the shortest path found until `stop` is set or the iterations end.
+
+        Args:
+            goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
+        """
+        began, stop = time.monotonic(), np.zeros(1, np.int64) if stop is None else stop
+        answer = self.first.plan(start, goals, lower, upper, seed, stop)
+        if answer.waypoints is None:
+            return AnytimeResult(None, [], answer.iterations, answer.nodes, 0, answer.closest)
+        best, iterations, rounds, most = answer.waypoints, answer.iterations, 0, answer.nodes
+        history: list[tuple[float, int, float]] = []
+        rng = np.random.default_rng(seed)
+        random = rng.integers(1, 2**63, 1).astype(np.uint64)
+        roots = np.vstack([start, goals])
+        least = float(np.linalg.norm(goals - start, axis=1).min())
+
+        def keep(path: Array) -> None:
+            nonlocal best
+            best = path
+            history.append((time.monotonic() - began, iterations, length(path)))
+
+        keep(best)
+        settings, improved, limit = self.settings, True, self.settings.round_iterations
+        while True:
+            failures = 0 if improved else settings.polish - 1
+            while failures < settings.polish and not stop[0]:
+                shorter = self._polished(best, rng, stop)
+                better = shorter is not None and length(shorter) < length(best) * (1 - settings.least_gain)
+                if shorter is not None and better:
+                    keep(shorter)
+                failures = 0 if better else failures + 1
+            left = settings.max_iterations - iterations
+            if stop[0] or left <= 0 or length(best) < least * (1 + SHORTEST):
+                break
+            improved = False
+            for _ in range(settings.restarts * limit // settings.round_iterations):
+                ask = (lower, upper, int(rng.integers(1, 2**31)), stop, self.first.settings.step)
+                count, more, nodes = self.first.search(start, goals, *ask, iterations=min(left, limit))
+                iterations, most, left = iterations + more, max(most, nodes), left - more
+                count = self.first.shorten(count, stop) if count else 0
+                if count and length(self.first.path[:count]) < length(best):
+                    improved = True
+                    keep(self.first.path[:count].copy())
+                if stop[0] or left <= 0:
+                    break
+            bound = length(best) * (1 - settings.gain)
+            count, more, nodes = self.improve(roots, lower, upper, bound, random, stop, min(left, limit))
+            iterations, rounds, most = iterations + more, rounds + 1, max(most, nodes)
+            count = self.first.shorten(count, stop) if count else 0
+            if count and length(self.first.path[:count]) < length(best):
+                improved = True
+                keep(self.first.path[:count].copy())
+            limit = settings.round_iterations if improved else 2 * limit
+        return AnytimeResult(best, history, iterations, most, rounds)
+
+    def improve(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
+        """Search for a path shorter than `bound` [rad] into the first planner's `path`, see `aorrtc`.
+
+        Args:
+            roots: (1 + g, dof), start and goals.
+        """
+        first = self.first
+        return aorrtc(
+            first.checker.handle, roots, lower, upper, bound, first.reach, first.settings.step, *self.trees,
+            self.room, self.space, random, self.found, stop, iterations, first.path,
+        )  # fmt: skip
+
+    def _polished(self, path: Array, rng: np.random.Generator, stop: NDArray[np.int64]) -> Array | None:
+        """Cut the path's edges at random points and simplify again; None if the path gets too long."""
+        cuts = rng.random(len(path) - 1)[:, None]
+        rows = np.empty((2 * len(path) - 1, path.shape[1]))
+        rows[::2] = path
+        rows[1::2] = path[:-1] + cuts * (path[1:] - path[:-1])
+        if len(rows) > len(self.first.path):
+            return None
+        self.first.path[: len(rows)] = rows
+        count = self.first.shorten(len(rows), stop)
+        return self.first.path[:count].copy() if count else None
+
+
+def length(path: Array) -> float:
+    """Compute a path's length [rad]: the sum of its edges' norms in joint space."""
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 @pipelines["native"].register("AORRTC")
-def aorrtc(problem: Problem) -> Answer:
-    """The shortest path found in all of the time given; `cost_over_time`: (s, rad) of each improvement."""
+def plan_aorrtc(problem: Problem) -> PlannerResult:
+    """Return the shortest path found in the whole planning time.
+
+    `cost_over_time` lists (s, rad) pairs.
+    """
     planner = AnytimePlanner(NativePlanner(problem.checker), problem.settings or AnytimeSettings())
     with stopping(problem) as stop:
         answer = planner.plan(
@@ -28,8 +191,20 @@ def aorrtc(problem: Problem) -> Answer:
         "cost_over_time": [(seconds, cost) for seconds, _, cost in answer.history],
     }
     if answer.waypoints is not None and not problem.cancel.is_set():
-        return Answer(answer.waypoints, "", statistics, simplified=True)
+        return PlannerResult(answer.waypoints, "", statistics, simplified=True)
     return unsolved("AORRTC", problem, answer.iterations, answer.closest, statistics)
 
 
-settings_makers[aorrtc] = settings_of("AORRTC", AnytimeSettings)
+settings_parsers[plan_aorrtc] = settings_parser("AORRTC", AnytimeSettings)
+
+
+@lru_cache(maxsize=1)
+def warm_up_anytime() -> None:
+    """Compile AORRTC before its first use, so that compilation takes no planning time."""
+    checker, a, b = small_problem()
+    planner, stop = AnytimePlanner(NativePlanner(checker)), np.zeros(1, np.int64)
+    announce_compilation("AORRTC", aorrtc)
+    planner.improve(np.vstack([a, b]), *BOUNDS, 1.0, np.ones(1, np.uint64), stop, 1)
+
+
+first_use_hooks[plan_aorrtc] = warm_up_anytime

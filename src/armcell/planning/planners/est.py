@@ -1,7 +1,8 @@
-"""Expansive space trees: the tree grows from its loneliest nodes. OMPL's Python wheel has no EST.
+"""EST (expansive space trees): the tree grows from its most isolated nodes.
 
-Source: Hsu, Latombe, Motwani, "Path planning in expansive configuration spaces", IJCGA 9 (1999). As in OMPL's
-`geometric::EST`, neighbors are within a third of the range, and crowded samples are mostly rejected.
+Source: Hsu, Latombe, Motwani, "Path planning in expansive configuration spaces", IJCGA 9 (1999). As in
+OMPL's `geometric::EST`, neighbors are within a third of the range, and crowded samples are mostly rejected.
+OMPL's Python wheel has no EST.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core.checks import require
-from armcell.planning.parameters import settings_of
-from armcell.planning.planners.native import unsolved
-from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
+from armcell.planning.planners.problem import PlannerResult, Problem
+from armcell.planning.planners.registry import pipelines, settings_parser, settings_parsers
+from armcell.planning.planners.rrt_connect import unsolved
 
 Array = NDArray[np.float64]
-RANGE_SHARE = 0.2  # of the space's diagonal, where no range is given
+
+RANGE_SHARE = 0.2  # share of the space's diagonal, if no range is given
 CHECK_STEP = 1 / 32  # [rad] between validity checks along an edge; the result is certified afterwards
 
 
@@ -36,7 +38,7 @@ class ESTSettings:
 
 
 class _Tree:
-    """Nodes, their parents, and how many neighbors each node has."""
+    """Tree nodes with their parents and neighbor counts."""
 
     def __init__(self, root: Array, size: int, radius: float):
         self._q = np.empty((size, len(root)))
@@ -53,7 +55,7 @@ class _Tree:
         self.size += 1
 
     def draw(self, rng: np.random.Generator) -> int:
-        """A node, with a chance in inverse proportion to its neighbors."""
+        """Draw a node with probability inversely proportional to its neighbor count."""
         chances = np.cumsum(1.0 / (self._neighbors[: self.size] + 1.0))
         return int(np.searchsorted(chances, rng.random() * chances[-1]))
 
@@ -61,7 +63,7 @@ class _Tree:
         return self._q[i]
 
     def path_to(self, i: int) -> list[Array]:
-        """From the root to a node."""
+        """Return the path from the root to a node."""
         path = []
         while i >= 0:
             path.append(self._q[i].copy())
@@ -70,8 +72,8 @@ class _Tree:
 
 
 @pipelines["native"].register("EST")
-def est(problem: Problem) -> Answer:
-    """The first path found; the pipeline shortens and proves it."""
+def est(problem: Problem) -> PlannerResult:
+    """Plan by EST: return the first path found; the pipeline simplifies and proves it."""
     s: ESTSettings = problem.settings or ESTSettings()
     reach = s.range or RANGE_SHARE * float(np.linalg.norm(problem.upper - problem.lower))
     rng = np.random.default_rng(problem.seed)
@@ -91,14 +93,14 @@ def est(problem: Problem) -> Answer:
         if free(tree[i], q, CHECK_STEP):
             if aimed:
                 path = np.array([*tree.path_to(i), q])
-                return Answer(path, "", {"iterations": float(iterations), "nodes": float(tree.size)})
+                return PlannerResult(path, "", {"iterations": float(iterations), "nodes": float(tree.size)})
             tree.add(q, i)
         elif aimed and np.linalg.norm(q - tree[i]) < gap:
             gap, closest = float(np.linalg.norm(q - tree[i])), np.array([tree[i], q])
     return unsolved("EST", problem, iterations, closest, {"nodes": float(tree.size)})
 
 
-_make = settings_of("EST", ESTSettings)
+_make = settings_parser("EST", ESTSettings)
 
 
 def _settings(parameters: Mapping[str, Any]) -> ESTSettings:
@@ -106,4 +108,4 @@ def _settings(parameters: Mapping[str, Any]) -> ESTSettings:
 
 
 _settings.defaults = _make.defaults  # type: ignore[attr-defined]
-settings_makers[est] = _settings
+settings_parsers[est] = _settings

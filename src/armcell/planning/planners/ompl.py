@@ -1,10 +1,15 @@
-"""OMPL's planners on the kernel: every geometric planner of the installed wheel."""
+"""OMPL's geometric planners on armcell's kernel, with parameters by OMPL's names.
+
+The wheel has no binding for a planner's ParamSet: armcell reads the declared parameters from the printed
+settings and sets them through bound methods. A parameter without such a method keeps its value.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -12,9 +17,142 @@ import ompl.base as ob
 import ompl.geometric as og
 import ompl.util as ou
 
-from armcell.core import UnknownNameError
-from armcell.planning.planners.ompl_parameters import set_parameters, settings_maker
-from armcell.planning.problem import Answer, Problem, pipelines, settings_makers
+from armcell.core import InputError, UnknownNameError
+from armcell.planning.planners.problem import PlannerResult, Problem
+from armcell.planning.planners.registry import (
+    SettingsParser,
+    UnknownParameterError,
+    pipelines,
+    settings_parsers,
+)
+
+METHODS = {
+    "cache_cc": "CacheCC",
+    "delay_collision_checking": "DelayCC",
+    "delay_rewiring_to_first_solution": "DelayRewiringUntilInitialSolution",
+    "drop_unconnected_samples_on_prune": "DropSamplesOnPrune",
+    "extended_fmt": "ExtendedFMT",
+    "failed_expansion_score_factor": "FailedExpansionCellScoreFactor",
+    "find_approximate_solutions": "ConsiderApproximateSolutions",
+    "number_sampling_attempts": "NumSamplingAttempts",
+    "ordering_batch_size": "BatchSize",
+    "prune_threshold_as_fractional_cost_change": "PruneThresholdFraction",
+    "stop_on_each_solution_improvement": "StopOnSolnImprovement",
+    "use_admissible_heuristic": "AdmissibleCostToCome",
+    "use_graph_pruning": "Pruning",
+    "use_just_in_time_sampling": "JustInTimeSampling",
+    "use_strict_queue_ordering": "StrictQueueOrdering",
+}
+"""Names of setter methods that differ from the parameter's name."""
+K_NEAREST = ("KNearest", "UseKNearest", "NearestK")  # of `use_k_nearest`, by planner
+SPELLINGS = {"nearest_k": "use_k_nearest"}  # of MoveIt's files, for FMT
+UNDECLARED = {"AORRTC": {"range": "0"}}  # has a method, and OMPL does not declare it
+
+
+def declared(planner: ob.Planner, name: str) -> dict[str, str]:
+    """Read a planner's parameters and present values from OMPL's printed settings."""
+    lines = planner.printSettings().splitlines()[1:]
+    pairs = (line.split(" = ", 1) for line in lines if " = " in line)
+    return {key.strip(): value.strip() for key, value in pairs} | UNDECLARED.get(name, {})
+
+
+def settings_maker(name: str) -> SettingsParser:
+    """Create a parser that checks parameters on a trial planner.
+
+    The settings are the parameters.
+    """
+
+    def make(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
+        with trial_planner(name) as planner:
+            set_parameters(planner, name, parameters)
+        return parameters
+
+    def defaults() -> dict[str, Any]:
+        with trial_planner(name) as planner:
+            return dict(declared(planner, name))
+
+    make.defaults = defaults  # type: ignore[attr-defined]
+    return make
+
+
+@contextmanager
+def trial_planner(name: str) -> Iterator[ob.Planner]:
+    """Create a planner in a two-dimensional space, only to read and check parameters."""
+    ou.setLogLevel(ou.LOG_NONE)
+    space = ob.RealVectorStateSpace(2)
+    bounds = ob.RealVectorBounds(2)
+    bounds.setLow(0.0)
+    bounds.setHigh(1.0)
+    space.setBounds(bounds)
+    setup = og.SimpleSetup(space)
+    setup.setStateValidityChecker(lambda state: True)
+    planner = getattr(og, name)(setup.getSpaceInformation())
+    try:
+        yield planner
+    finally:
+        planner.setup()  # OMPL 2.0.1 crashes on deletion of an AORRTC that was never set up
+
+
+def set_parameters(planner: ob.Planner, name: str, parameters: Mapping[str, Any]) -> None:
+    """Set a planner's parameters.
+
+    Raises:
+        UnknownParameterError: OMPL declares no such parameter for it; lists the declared ones with values.
+        InputError: a value of the wrong type, one OMPL rejects, or a parameter that cannot be set.
+    """
+    present = declared(planner, name)
+    for key, value in parameters.items():
+        known = SPELLINGS.get(key, key) if key not in present else key
+        if known not in present:
+            raise UnknownParameterError(name, key, present)
+        what = f"parameter {key!r} of planner {name!r}"
+        setter, getter = _methods(planner, known)
+        if setter is None:
+            if _converted(str, present[known], what) != _text(value):
+                raise InputError(
+                    f"{what} is {present[known]} and cannot be changed: OMPL for Python has no method for it"
+                )
+            continue
+        wanted = _converted(type(getter()), value, what)
+        try:
+            setter(wanted)
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise InputError(f"{what} cannot be {value!r}: {error}") from None
+        if getter() != wanted:
+            raise InputError(f"{what} cannot be {value!r}: OMPL keeps it at {getter()}")
+
+
+def _methods(planner: ob.Planner, key: str) -> tuple[Any, Any]:
+    plain = METHODS.get(key, "".join(part.capitalize() for part in key.split("_")))
+    for stem in (plain, *(K_NEAREST if key == "use_k_nearest" else ())):
+        if hasattr(planner, f"set{stem}"):
+            return getattr(planner, f"set{stem}"), getattr(planner, f"get{stem}")
+    return None, None
+
+
+def _text(value: Any) -> str:
+    return f"{float(value):g}" if isinstance(value, bool | int | float) else str(value)
+
+
+def _converted(kind: type, value: Any, what: str) -> Any:
+    """Convert a value to the type that the planner has now; accepts text from files."""
+    if kind is str:
+        return str(value)
+    text = str(value).strip().lower()
+    if kind is bool:
+        if text not in ("0", "1", "true", "false"):
+            raise InputError(f"{what} is {value!r}, true or false is needed")
+        return text in ("1", "true")
+    try:
+        number = float(text if not isinstance(value, bool) else "x")
+    except ValueError:
+        raise InputError(f"{what} is {value!r}, a number is needed") from None
+    if kind is int:
+        if number != int(number) or number < 0:
+            raise InputError(f"{what} is {value!r}, a whole number not below zero is needed")
+        return int(number)
+    return number
+
 
 CHECK_STEP = 0.03
 """[rad] between validity checks along an edge while searching; the result is certified afterwards."""
@@ -24,7 +162,7 @@ NAMES = tuple(
     for name in sorted(dir(og))
     if isinstance(kind := getattr(og, name), type) and issubclass(kind, ob.Planner)
 )
-# They use all the time they get: give them little, and more only while they have found nothing.
+# These planners use all available time: give them little, and more only until a first solution.
 ASYMPTOTIC = {"AORRTC", "BITstar", "InformedRRTstar", "PRMstar", "RRTstar", "SORRTstar"}
 ASYMPTOTIC_TIME = 1.0  # [s]
 FINITE = {"BFMT", "FMT"}  # they end when their samples are used up
@@ -32,11 +170,11 @@ ROADMAPS = {"PRM", "PRMstar"}
 SLICE = 0.1  # [s] of a roadmap's search for one goal
 
 _one_at_a_time = threading.Lock()
-"""OMPL has one random seed for the process."""
+"""OMPL has a single random seed per process."""
 
 
 class _Edges(ob.MotionValidator):
-    """Whole edges at once, 16 configurations at a time, instead of one Python call for each."""
+    """Motion validator that checks whole edges, 16 configurations at a time."""
 
     def __init__(self, info: ob.SpaceInformation, problem: Problem, step: float):
         super().__init__(info)
@@ -44,6 +182,7 @@ class _Edges(ob.MotionValidator):
         self.forbids = problem.forbids
 
     def checkMotion(self, a: Any, b: Any) -> bool:
+        """Return whether the straight motion between two states is valid."""
         n = range(self.n)
         first, last = [a[i] for i in n], [b[i] for i in n]
         if not self.free(first, last, self.step):
@@ -55,16 +194,16 @@ class _Edges(ob.MotionValidator):
         return not any(self.forbids(np.asarray(first) + way * (k / count)) for k in range(1, count + 1))
 
 
-def _plan(name: str, problem: Problem) -> Answer:
+def _plan(name: str, problem: Problem) -> PlannerResult:
     with _one_at_a_time:
-        # It is set for every request, so that the same request gives the same path; OMPL logs that it
+        # Set the seed for every request, so that equal requests give equal paths; OMPL logs that it
         # dislikes this, but all generators made after it follow the new seed.
         ou.setLogLevel(ou.LOG_NONE)
         ou.RNG.setSeed(problem.seed % (2**31 - 1) + 1)
         return _search(name, problem)
 
 
-def _search(name: str, problem: Problem) -> Answer:
+def _search(name: str, problem: Problem) -> PlannerResult:
     n = len(problem.start)
     space = ob.RealVectorStateSpace(n)
     bounds = ob.RealVectorBounds(n)
@@ -114,25 +253,26 @@ def _search(name: str, problem: Problem) -> Answer:
         reason = (
             "cancelled" if problem.cancel.is_set() else f"no path found in {time.monotonic() - began:.1f} s"
         )
-        return Answer(None, f"{name}: {reason}", statistics)
+        return PlannerResult(None, f"{name}: {reason}", statistics)
     path = setup.getSolutionPath()
-    if problem.forbids is not None:  # our own simplification knows nothing of that
+    if problem.forbids is not None:  # armcell's simplification does not check `forbids`
         simplifier = og.PathSimplifier(info)
         simplifier.reduceVertices(path)
         simplifier.partialShortcutPath(path)
     states: Any = path.getStates()
     waypoints = np.array([[state[i] for i in range(n)] for state in states])
-    return Answer(waypoints, "", statistics, simplified=problem.forbids is not None)
+    return PlannerResult(waypoints, "", statistics, simplified=problem.forbids is not None)
 
 
 def _solve_without_python(
     setup: og.SimpleSetup, planner: ob.Planner, space: ob.RealVectorStateSpace, problem: Problem
 ) -> None:
-    """Solve with a planner that looks for solutions in a second thread.
+    """Solve with a planner that searches for solutions in a second thread.
 
-    That thread asks for the end of the time, and for the validity of goals beyond the first. Asked in Python
-    it waits for the interpreter's lock, which the first thread holds while it waits for the second. So the
-    time is kept by OMPL's own clock, and there is one goal at a time; the roadmap is kept when they change.
+    That thread asks for the end of the time limit and for the validity of further goals. A Python callback
+    would wait there for the interpreter lock, which the first thread holds while it waits for the second.
+    So OMPL's own clock limits the time, and only one goal is set at a time; the roadmap persists when goals
+    change.
     """
     name, turn = planner.getName(), 0
     enough = time.monotonic() + _time_for(name, problem)
@@ -150,13 +290,13 @@ def _solve_without_python(
 
 
 def _time_for(name: str, problem: Problem) -> float:
-    """[s] that a planner gets before it is asked what it has."""
+    """Compute the time [s] that a planner gets before its solution is read."""
     left = max(problem.deadline - time.monotonic(), 0.0)
     return min(left, ASYMPTOTIC_TIME) if name in ASYMPTOTIC else left
 
 
 def _project(space: ob.RealVectorStateSpace, problem: Problem) -> None:
-    """The joints whose values span the cells of (B)KPIECE, where they are named."""
+    """Register the joints whose values span the cells of (B)KPIECE, if the request names them."""
     joints = problem.options.projection_evaluator
     if not joints:
         return
@@ -175,12 +315,12 @@ def _state(space: ob.RealVectorStateSpace, q: np.ndarray) -> Any:
     return state
 
 
-def _planner(name: str) -> Callable[[Problem], Answer]:
-    def plan(problem: Problem) -> Answer:
+def _planner(name: str) -> Callable[[Problem], PlannerResult]:
+    def plan(problem: Problem) -> PlannerResult:
         return _plan(name, problem)
 
     plan.__name__ = name
-    settings_makers[plan] = settings_maker(name)
+    settings_parsers[plan] = settings_maker(name)
     return plan
 
 

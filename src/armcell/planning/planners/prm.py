@@ -1,19 +1,214 @@
-"""The roadmap planner: one roadmap per robot and group, kept as long as the robot's model."""
+"""PRM: one roadmap per robot and group, kept between queries and repaired on changes.
 
+If the roadmap has no path, it grows by uniform samples, and an RRT-Connect from the query's start and goals
+runs, longer each time; its path joins the roadmap. So narrow passages, which uniform samples hardly ever
+find, are in the roadmap after the first query through them (compare Coleman, Sucan, Moll, Okada and
+Correll, "Experience-based planning with sparse roadmap spanners", ICRA 2015).
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+import hashlib
 import threading
+import time
+from dataclasses import dataclass
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.kernel.motion import prove_points
+from armcell.collision.kernel.simd import L
 from armcell.model import RobotModel
-from armcell.planning.native.planner import NativePlanner
-from armcell.planning.native.prm import PRMSettings, Roadmap, plan
-from armcell.planning.native.warm_up import warm_up_roadmap
-from armcell.planning.parameters import settings_of
-from armcell.planning.planners.native import POLL, stopping, unsolved
-from armcell.planning.problem import Answer, Problem, first_uses, pipelines, settings_makers
+from armcell.planning.planners.native import roadmap as compiled
+from armcell.planning.planners.native.roadmap import query
+from armcell.planning.planners.native.rrt_connect import kronecker_steps
+from armcell.planning.planners.problem import PlannerResult, Problem
+from armcell.planning.planners.registry import (
+    announce_compilation,
+    first_use_hooks,
+    pipelines,
+    settings_parser,
+    settings_parsers,
+)
+from armcell.planning.planners.rrt_connect import (
+    POLL,
+    NativePlanner,
+    nearest_roots,
+    shorter,
+    stopping,
+    unsolved,
+)
+from armcell.planning.warm_up import BOUNDS, small_problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PRMSettings:
+    """Settings of the PRM planner."""
+
+    max_vertices: int = 16_384  # a multiple of 16
+    blocks: int = 4  # 16 samples each, by which it grows each time a query finds no path
+    slice: int = 1000  # iterations of RRT-Connect the first time; twice as many each time
+
+
+@dataclass(frozen=True, eq=False)
+class PRMResult:
+    """Waypoints (k, dof) proven free, or None, with statistics of the query.
+
+    Attributes:
+        vertex_checks, edge_checks: of this query. bridged: whether RRT-Connect found the path.
+        closest: see `NativeResult`.
+    """
+
+    waypoints: Array | None
+    plan_s: float  # CPU time of this thread, with the simplification
+    vertices: int
+    edges: int
+    vertex_checks: int
+    edge_checks: int
+    bridged: bool = False
+    iterations: int = 0
+    closest: Array | None = None
+
+
+class Roadmap:
+    """The roadmap of one group of joints, for any scene. Hold `lock` during a query."""
+
+    def __init__(self, dof: int, settings: PRMSettings = PRMSettings(), seed: int = 0):
+        self.settings, self.lock = settings, threading.Lock()
+        n = settings.max_vertices
+        edges = n * compiled.MAX_NEIGHBORS
+        self.nodes = np.empty(n * dof, np.float32)
+        self.head = np.full(n, -1, np.int32)
+        self.vertex_stamps, self.edge_stamps = np.zeros(n, np.int32), np.zeros(edges, np.int32)
+        self.following, self.to = np.empty(2 * edges, np.int32), np.empty(2 * edges, np.int32)
+        self.lengths = np.empty(edges, np.float32)
+        self.counts = np.zeros(compiled.COUNTS, np.int64)
+        self.near = (
+            np.zeros(compiled.MAX_NEIGHBORS, np.int32), np.zeros(compiled.MAX_NEIGHBORS, np.float32),
+            np.zeros(L, np.float32),
+        )  # fmt: skip
+        # Of one A*: its number at each vertex it has reached, cost, the edge it came by; the queue.
+        self.search = (
+            np.zeros(n, np.int64), np.empty(n), np.empty(n, np.int32), np.empty(2 * edges),
+            np.empty(2 * edges, np.int32), np.zeros(2 * dof),
+        )  # fmt: skip
+        self.steps = np.zeros(dof)
+        kronecker_steps(dof, self.steps)
+        self.sample = np.random.default_rng(seed).random(dof)
+        self.block, self.no_room = np.zeros((L, dof)), np.zeros(dof)
+        self.stamp, self._scene = 0, b""
+
+    @property
+    def _graph(self) -> tuple:
+        return (
+            self.nodes, self.head, self.following, self.to, self.lengths, self.vertex_stamps,
+            self.edge_stamps, self.counts,
+        )  # fmt: skip
+
+    def enter(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
+        """Check every vertex in the checker's scene unless it is the scene of the last query."""
+        digest = hashlib.blake2b(digest_size=16)
+        for array in checker.flat:
+            digest.update(array.data)
+        if digest.digest() != self._scene:
+            self._scene = digest.digest()
+            self.stamp += 1
+        compiled.recheck(
+            checker.handle, self.no_room, self.nodes, self.vertex_stamps, self.stamp, self.counts, stop
+        )
+
+    def grow(self, checker: KernelChecker, lower: Array, upper: Array, blocks: int, stop) -> None:
+        """Add the free ones of 16 `blocks` samples."""
+        compiled.grow(
+            checker.handle, self.no_room, *self._graph, *self.near, self.stamp, lower, upper, self.steps,
+            self.sample, self.block, blocks, stop,
+        )  # fmt: skip
+
+    def insert(self, path: Array, joined: bool) -> NDArray[np.int32]:
+        """Add free configurations, and optionally the edges between them.
+
+        Return their vertex numbers.
+        """
+        numbers = np.zeros(len(path), np.int32)
+        rows = np.ascontiguousarray(path)
+        compiled.insert(*self._graph, *self.near, self.stamp, rows, numbers, joined)
+        return numbers
+
+    def query(self, checker, start: int, goals, step: float, path: Array, route, stop) -> int:
+        """Find the shortest free path on the roadmap, see native.roadmap.query."""
+        return compiled.query(
+            checker.handle, *self._graph, self.stamp, start, goals, step, *self.search, route, path, stop
+        )
+
+
+def plan_with_roadmap(
+    roadmap: Roadmap, planner: NativePlanner, start: Array, goals: Array, lower: Array, upper: Array,
+    seed: int = 0, stop: NDArray[np.int64] | None = None,
+) -> PRMResult:  # fmt: skip
+    """Plan a path on a roadmap, every edge proven free, and extend the roadmap with it.
+
+    The result depends on earlier queries; the same queries in the same order give the same results.
+
+    Args:
+        goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
+    """
+    began, before = time.thread_time(), roadmap.counts.copy()
+    stop = np.zeros(1, np.int64) if stop is None else stop
+    checker, step, settings = planner.checker, planner.settings.step, roadmap.settings
+    roadmap.enter(checker, stop)
+    first = int(roadmap.insert(start[None], False)[0])
+    last = roadmap.insert(goals, False)
+    route = np.zeros(len(planner.path), np.int32)
+    more, iterations, bridged, tried = settings.slice, 0, False, 0
+    closest = nearest_roots(start, goals)  # of all searches: a new search may stop before it has any
+
+    def answer(waypoints: Array | None) -> PRMResult:
+        now = roadmap.counts - before
+        return PRMResult(
+            waypoints, time.thread_time() - began, int(roadmap.counts[compiled.VERTICES]),
+            int(roadmap.counts[compiled.EDGES]), int(now[compiled.VERTEX_CHECKS]),
+            int(now[compiled.EDGE_CHECKS]), bridged, iterations,
+            None if waypoints is not None else closest,
+        )  # fmt: skip
+
+    if first < 0 or last.max() < 0:
+        return answer(None)
+    while not stop[0]:
+        count = roadmap.query(checker, first, last, step, planner.path, route, stop)
+        if count:
+            raw, edges = planner.path[:count].copy(), route[: count - 1].copy()
+            raw[0], raw[-1] = start, goals[np.argmin(np.linalg.norm(goals - raw[-1], axis=1))]
+            planner.path[:count] = raw
+            if count == 1:
+                return answer(np.vstack([start, raw[-1]]))
+            count = planner.shorten(count, stop)
+            if count:
+                return answer(planner.path[:count].copy())
+            failed = [
+                prove_points(checker.handle, rows, roadmap.no_room, 0.0, 0) >= 0
+                for rows in np.stack([raw[:-1], raw[1:]], axis=1)
+            ]
+            roadmap.edge_stamps[edges[failed] if any(failed) else edges] = -roadmap.stamp
+            step /= 2
+            continue
+        if iterations >= planner.settings.max_iterations:
+            break
+        roadmap.grow(checker, lower, upper, settings.blocks, stop)
+        count, now, _ = planner.search(start, goals, lower, upper, seed + 7919 * tried, stop, step, more)
+        iterations, more, tried = iterations + now, 2 * more, tried + 1
+        closest = shorter(closest, planner.closest)
+        if count:
+            bridged = True
+            roadmap.insert(planner.path[:count], True)
+    return answer(None)
+
 
 _roadmaps: WeakKeyDictionary[RobotModel, dict[tuple, Roadmap]] = WeakKeyDictionary()
 _lock = threading.Lock()
@@ -22,7 +217,7 @@ _lock = threading.Lock()
 def roadmap_of(
     model: RobotModel, joint_names: tuple[str, ...], settings: PRMSettings = PRMSettings()
 ) -> Roadmap:
-    """The roadmap of a group of this model with these settings; made when it is asked for first."""
+    """Return the roadmap of a model, group and settings; created at the first request."""
     with _lock:
         kept = _roadmaps.setdefault(model, {})
         key = (joint_names, settings)
@@ -32,17 +227,20 @@ def roadmap_of(
 
 
 @pipelines["native"].register("PRM")
-def prm(problem: Problem) -> Answer:
-    """A path over the roadmap, proven free and already shortened. Each query leaves the roadmap richer."""
+def plan_prm(problem: Problem) -> PlannerResult:
+    """Plan by PRM: a path over the roadmap, proven free and simplified.
+
+    Every query extends the roadmap.
+    """
     roadmap = roadmap_of(problem.checker.model, problem.joint_names, problem.settings or PRMSettings())
     planner = NativePlanner(problem.checker)
     goals = np.vstack(problem.goals)
     with stopping(problem) as stop:
         while not roadmap.lock.acquire(timeout=POLL):
             if stop[0]:
-                return unsolved("PRM", problem, 0, None, {})
+                return unsolved("PRM", problem, 0, nearest_roots(problem.start, goals), {})
         try:
-            found = plan(
+            found = plan_with_roadmap(
                 roadmap, planner, problem.start, goals, problem.lower, problem.upper, problem.seed, stop
             )
         finally:
@@ -56,9 +254,21 @@ def prm(problem: Problem) -> Answer:
         "iterations": float(found.iterations),
     }
     if found.waypoints is not None:
-        return Answer(found.waypoints, "", statistics, simplified=True)
+        return PlannerResult(found.waypoints, "", statistics, simplified=True)
     return unsolved("PRM", problem, found.iterations, found.closest, statistics)
 
 
-settings_makers[prm] = settings_of("PRM", PRMSettings)
-first_uses[prm] = warm_up_roadmap
+@lru_cache(maxsize=1)
+def warm_up_roadmap() -> None:
+    """Compile the PRM kernels at their first use."""
+    checker, a, b = small_problem()
+    planner, roadmap, stop = NativePlanner(checker), Roadmap(1), np.zeros(1, np.int64)
+    announce_compilation("PRM", query)
+    plan_with_roadmap(roadmap, planner, a, b[None], *BOUNDS)
+    roadmap.grow(checker, *BOUNDS, 1, stop)  # kernels for queries without a straight connection
+    roadmap.insert(np.vstack([a, b]), True)
+    prove_points(checker.handle, np.vstack([a, b]), roadmap.no_room, 0.0, 0)
+
+
+settings_parsers[plan_prm] = settings_parser("PRM", PRMSettings)
+first_use_hooks[plan_prm] = warm_up_roadmap

@@ -1,4 +1,4 @@
-"""Between armcell's values and moveit_msgs, both ways: one file per kind of value."""
+"""Conversions between armcell's types and moveit_msgs, with one module per kind of message."""
 
 from armcell.ros.moveit_convert.constraints import (
     constraints_from_message,

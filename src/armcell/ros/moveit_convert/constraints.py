@@ -1,4 +1,4 @@
-"""Constraints and goals: moveit_msgs/Constraints."""
+"""Conversion of constraints and goals from and to moveit_msgs/Constraints."""
 
 from __future__ import annotations
 
@@ -34,10 +34,12 @@ VIEW_AXES = {0: "z", 1: "y", 2: "x"}  # moveit_msgs/VisibilityConstraint
 
 
 def constraints_from_message(message: Any) -> Constraints:
-    """The constraints of a moveit_msgs/Constraints. Whether they make sense is the planner's to say.
+    """Convert a moveit_msgs/Constraints to armcell's `Constraints`.
+
+    This function does not check whether the constraints are consistent; the planner does.
 
     Raises:
-        InputError: a parameterization or view direction that does not exist, a pose that cannot be.
+        InputError: an unknown orientation parameterization or sensor view direction, or an invalid pose.
     """
     return Constraints(
         joints=tuple(
@@ -72,7 +74,8 @@ def _orientation(c: Any) -> OrientationConstraint:
     length = float(np.linalg.norm([q.x, q.y, q.z, q.w]))
     if not np.isfinite(length) or length < 1e-6:
         raise InputError(
-            f"the orientation constraint of {c.link_name!r} has no orientation", cure="set w to 1"
+            f"an orientation constraint leaves open: {', '.join(_unset(c))}",
+            cure="orientation.w = 1.0 is no rotation; link_name is usually the group's tip",
         )
     rotation = SE3.from_quat_xyzw((0, 0, 0), np.array([q.x, q.y, q.z, q.w]) / length).rotation
     tolerance = (c.absolute_x_axis_tolerance, c.absolute_y_axis_tolerance, c.absolute_z_axis_tolerance)
@@ -80,6 +83,16 @@ def _orientation(c: Any) -> OrientationConstraint:
         rotation, tuple(float(t) for t in tolerance), c.link_name or None, frame_of(c.header),  # type: ignore[arg-type]
         PARAMETERIZATIONS[int(c.parameterization)],
     )  # fmt: skip
+
+
+def _unset(c: Any) -> list[str]:
+    """List the fields of an orientation constraint that still have their default values."""
+    tolerances = (c.absolute_x_axis_tolerance, c.absolute_y_axis_tolerance, c.absolute_z_axis_tolerance)
+    return [
+        *([] if c.link_name else ["link_name (empty)"]),
+        "orientation (all zeros)",
+        *([] if any(tolerances) else ["absolute_x/y/z_axis_tolerance (0)"]),
+    ]
 
 
 def _visibility(c: Any) -> VisibilityConstraint:
@@ -93,17 +106,20 @@ def _visibility(c: Any) -> VisibilityConstraint:
         frame=frame_of(c.target_pose.header),
         T_link_sensor=pose_from_message(c.sensor_pose.pose),
         view_axis=axis,
-        max_view_angle=float(c.max_view_angle) or None,  # 0: any, as in MoveIt
+        max_view_angle=float(c.max_view_angle) or None,  # 0 means no limit, as in MoveIt
         max_range_angle=float(c.max_range_angle) or None,
         cone_sides=int(c.cone_sides),
     )
 
 
 def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
-    """The goal that a moveit_msgs/Constraints stands for: joints, a pose of a link, or what it says.
+    """Convert a moveit_msgs/Constraints to a joint, pose or constraint goal.
+
+    Joint constraints become a `JointGoal`, a position with an orientation of one link becomes a `PoseGoal`,
+    and any other combination becomes a `ConstraintGoal`.
 
     Raises:
-        InputError: it asks nothing, or names a frame that is not there.
+        InputError: the message contains no constraints, or names an unknown frame.
     """
     wanted = constraints_from_message(message)
     if not wanted:
@@ -119,7 +135,7 @@ def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
 
 
 def _joint_goal(wanted: Constraints) -> Goal:
-    """Positions with one tolerance for all; anything else is a region."""
+    """Return a `JointGoal` if all joints share one tolerance, else a `ConstraintGoal`."""
     tolerances = {t for c in wanted.joints for t in (c.tolerance_above, c.tolerance_below)}
     names = [c.joint for c in wanted.joints]
     if len(tolerances) > 1 or len(set(names)) < len(names):
@@ -129,7 +145,10 @@ def _joint_goal(wanted: Constraints) -> Goal:
 
 
 def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
-    """A ball or cube around a point, and an orientation, of the same link; None: something else."""
+    """Return a `PoseGoal` for a spherical or cubic region and an orientation of the same link.
+
+    Returns None if the constraints have another form.
+    """
     position, orientation = wanted.positions[0], wanted.orientations[0]
     if position.link != orientation.link or any(position.point) or len(position.region) != 1:
         return None
@@ -139,7 +158,7 @@ def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
     if isinstance(shape, Sphere):
         tolerance = shape.radius
     elif isinstance(shape, Box) and shape.x == shape.y == shape.z:
-        tolerance = shape.x / 2  # the ball within
+        tolerance = shape.x / 2  # radius of the inscribed sphere
     else:
         return None
     centre = scene.frame_pose(position.frame) @ T_frame_shape
@@ -151,7 +170,7 @@ def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
 
 
 def constraints_message(schema: Schema, wanted: Constraints) -> Any:
-    """The moveit_msgs/Constraints of some constraints; weights are 1."""
+    """Convert constraints to a moveit_msgs/Constraints; every weight is 1."""
     header = lambda frame: schema.new("std_msgs/Header", frame_id=frame)  # noqa: E731
     joints = [
         schema.new(

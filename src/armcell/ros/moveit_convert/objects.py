@@ -1,4 +1,4 @@
-"""Collision objects: moveit_msgs/CollisionObject."""
+"""Conversion of collision objects from and to moveit_msgs/CollisionObject."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 
 
 def frame_of(header: Any) -> str:
-    """A header's frame; an empty one is the world, a leading slash means nothing."""
+    """Return a header's frame name without a leading slash; an empty name means the world."""
     return header.frame_id.lstrip("/") or WORLD
 
 
 def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
-    """The shapes (shape, T_object_shape) of a CollisionObject or a BoundingVolume.
+    """Return the shapes of a CollisionObject or BoundingVolume as pairs (shape, T_object_shape).
 
-    A shape without a pose stands at the origin, as in MoveIt.
+    A shape without a pose is at the origin, as in MoveIt.
 
     Raises:
-        InputError: a shape that cannot be, or more poses than shapes.
+        InputError: a shape is invalid, or the message has more poses than shapes.
     """
     found: list[tuple[Shape, SE3]] = []
 
@@ -46,14 +46,16 @@ def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
 
 
 def object_from_message(message: Any, like: CollisionObject | None = None) -> CollisionObject:
-    """The object of a CollisionObject, in its header's frame.
+    """Convert a moveit_msgs/CollisionObject to a collision object in the header's frame.
 
-    Where it has one shape and no pose of its own, the shape's pose becomes the object's (as in MoveIt).
+    If the object has one shape and no pose, the pose of the shape becomes the pose of the object, as in
+    MoveIt.
 
     Args:
-        like: an object of that name that is known already: its mass, friction and colour stay.
+        message: the CollisionObject message.
+        like: a known object with this name; its mass, friction and color are kept.
     Raises:
-        InputError: no name, no shape, or one that cannot be.
+        InputError: the object has no name or no shape, or a shape is invalid.
     """
     shapes, T = shapes_from_message(message), pose_from_message(message.pose)
     if not shapes:
@@ -70,9 +72,15 @@ def object_from_message(message: Any, like: CollisionObject | None = None) -> Co
 
 
 def object_message(schema: Schema, header: Any, item: CollisionObject, operation: int = ADD) -> Any:
-    """The CollisionObject of an object, in the world's frame (which the header names).
+    """Convert a collision object to a moveit_msgs/CollisionObject in the world frame.
 
-    Clouds and octrees are left out: an object of nothing else has no shapes in its message.
+    Point clouds and octrees are omitted; an object that consists only of these has no shapes in its message.
+
+    Args:
+        schema: the message types.
+        header: header that names the world frame.
+        item: the object.
+        operation: ADD, REMOVE, APPEND or MOVE.
     """
     lists = ShapeMessages(schema)
     for shape, T in item.shapes:

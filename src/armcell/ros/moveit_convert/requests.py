@@ -1,4 +1,4 @@
-"""Planning requests: moveit_msgs/MotionPlanRequest and GetCartesianPath."""
+"""Conversion of planning requests: moveit_msgs/MotionPlanRequest and GetCartesianPath."""
 
 from __future__ import annotations
 
@@ -13,33 +13,42 @@ from armcell.ros.convert import pose_from_message
 from armcell.ros.moveit_convert.constraints import constraints_from_message, goal_from_message
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.moveit_convert.states import robot_state_from_message
+from armcell.ros.reasons import ERROR_CODES, SOURCE
 from armcell.ros.schema import Schema
 from armcell.scene import PlanningScene
 
-DEFAULT_TIME = 5.0  # [s] where a request gives none
+DEFAULT_TIME = 5.0  # [s] if a request gives no planning time
 MOVE_GROUP_ADAPTERS = (ADAPTERS[0], "fix_start_state_collision", *ADAPTERS[1:])
-"""MoveIt's default chain has FixStartStateCollision as well: a held object stands on something at first."""
+"""Request adapters of MoveIt's default chain.
+
+It includes FixStartStateCollision, because a grasped object still touches its support at the start.
+"""
 
 
-def error_code_message(schema: Schema, code: ErrorCode | int) -> Any:
-    """A moveit_msgs/MoveItErrorCodes."""
-    return schema.new("moveit_msgs/MoveItErrorCodes", int(code))
+def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "") -> Any:
+    """Create a moveit_msgs/MoveItErrorCodes with a code and a text.
+
+    Only MoveIt 2 clients receive the text and its source.
+    """
+    return schema.new(ERROR_CODES, int(code), message, SOURCE if message else "")
 
 
 def plan_request_from_message(
     message: Any, scene: PlanningScene, parameters: Mapping[str, Any] | None = None
 ) -> PlanRequest:
-    """The request of a moveit_msgs/MotionPlanRequest.
+    """Convert a moveit_msgs/MotionPlanRequest to a `PlanRequest`, with move_group's defaults.
 
-    As move_group reads it: an empty pipeline or planner is the default one, a scaling outside (0, 1] is 1, no
-    time is 5 s, fewer than one attempt is one. A workspace counts where its frame is empty, as our scripts'
-    `set_workspace` leaves it: RViz and MoveIt's own clients name a frame, and mean mobile bases.
+    An empty pipeline or planner selects the default, a scaling factor outside (0, 1] becomes 1, a missing
+    planning time becomes 5 s, and less than one attempt becomes one. The workspace applies only if its frame
+    is empty, as `set_workspace` in armcell's scripts sends it: RViz and MoveIt's clients set a frame, and
+    their workspace is meant for mobile bases.
 
     Args:
-        scene: in which frames are looked up.
-        parameters: of the planner, as set by set_planner_params.
+        message: the MotionPlanRequest message.
+        scene: planning scene for looking up frames.
+        parameters: planner parameters that a client set with set_planner_params.
     Raises:
-        InputError: unknown joint or frame, constraints that cannot be meant.
+        InputError: a joint or frame is unknown, or a constraint is invalid.
     """
     if message.trajectory_constraints.constraints:
         raise InputError("trajectory constraints are not planned for", cure="use path constraints")
@@ -62,7 +71,9 @@ def plan_request_from_message(
         parameters=parameters or {},
         workspace=_workspace(message.workspace_parameters),
         max_cartesian_speed=float(message.max_cartesian_speed) or None,
-        speed_link=message.cartesian_speed_limited_link or None,
+        speed_link=message.cartesian_speed_limited_link
+        or message.cartesian_speed_end_effector_link  # Humble's name
+        or None,
         adapters=MOVE_GROUP_ADAPTERS,
     )
 
@@ -76,19 +87,23 @@ def _workspace(message: Any) -> tuple[Corner, Corner] | None:
     high = (message.max_corner.x, message.max_corner.y, message.max_corner.z)
     if message.header.frame_id or not (any(low) or any(high)):
         return None
-    if low[2] == high[2] == 0.0:  # set_workspace with four values: any height
+    if low[2] == high[2] == 0.0:  # set_workspace with four values does not limit the height
         low, high = (low[0], low[1], -np.inf), (high[0], high[1], np.inf)
     return low, high
 
 
 def cartesian_request_from_message(message: Any, scene: PlanningScene) -> CartesianRequest:
-    """The request of a GetCartesianPath. Waypoints are in the header's frame.
+    """Convert a moveit_msgs/GetCartesianPath request to a `CartesianRequest`.
 
-    Jump thresholds of 0 allow any jump, as there. Where none is given at all, ours hold: 0.2 rad and 0.05 m,
-    for a line that jumps is none.
+    Waypoints are in the header's frame. A jump threshold of 0 allows any jump, as in MoveIt. If a request
+    sets no threshold at all, armcell's defaults apply (0.2 rad and 0.05 m), because a path with jumps is not
+    a straight line.
 
+    Args:
+        message: the GetCartesianPath request.
+        scene: planning scene for looking up frames.
     Raises:
-        InputError: no waypoints, a step that is not positive, unknown joint or frame.
+        InputError: the request has no waypoints, a step that is not positive, or an unknown joint or frame.
     """
     if not len(message.waypoints):
         raise InputError("no waypoints")
@@ -113,6 +128,8 @@ def cartesian_request_from_message(message: Any, scene: PlanningScene) -> Cartes
         max_step=float(message.max_step),
         avoid_collisions=bool(message.avoid_collisions),
         path_constraints=constraints_from_message(message.path_constraints),
+        velocity_scaling=_scaling(message.max_velocity_scaling_factor),  # field exists only in ROS 2
+        acceleration_scaling=_scaling(message.max_acceleration_scaling_factor),
         max_cartesian_speed=float(message.max_cartesian_speed) or None,
         **values,
     )

@@ -1,4 +1,4 @@
-"""Planning scenes: moveit_msgs/PlanningScene as a diff of ours, and ours as a message."""
+"""Conversion of moveit_msgs/PlanningScene to a scene diff, and of a scene to a message."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ logger = logging.getLogger(__name__)
 
 
 class Components(IntFlag):
-    """moveit_msgs/PlanningSceneComponents."""
+    """Bit flags of moveit_msgs/PlanningSceneComponents."""
 
     SCENE_SETTINGS = 1
     ROBOT_STATE = 2
@@ -69,17 +69,19 @@ class Components(IntFlag):
 
 # --- a message as changes ---
 def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """What a CollisionObject says of the scene as it is.
+    """Convert a moveit_msgs/CollisionObject to the changes that it makes to the scene.
 
     Args:
-        known: where mass, friction and colour of an object of that name are looked up; `scene` by default.
+        message: the CollisionObject message.
+        scene: the current scene.
+        known: scene with the known mass, friction and color of objects; default: `scene`.
     Raises:
-        InputError: shapes that cannot be, or an operation that does not exist.
+        InputError: a shape or the operation is invalid.
     """
     name, frame, operation = message.id, frame_of(message.header), int(message.operation)
     if operation == ADD:
         changes: list[Change] = []
-        if name in scene.attached:  # MoveIt lets the world have an object of that name, too; one is enough
+        if name in scene.attached:  # unlike MoveIt, one name cannot be both attached and in the world
             changes.append(DetachObject(name))
         return [*changes, AddObject(object_from_message(message, _known(known or scene, name)), frame)]
     if operation == APPEND:
@@ -107,7 +109,10 @@ def _known(scene: PlanningScene, name: str) -> Any:
 
 
 def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
-    """A new pose of the object, or (as older clients say it) of its only shape."""
+    """Return the change that moves an object to the message's pose.
+
+    Older clients send the new pose as the pose of the object's only shape.
+    """
     poses = [*message.primitive_poses, *message.mesh_poses, *message.plane_poses]
     p, r = message.pose.position, message.pose.orientation
     given = any((p.x, p.y, p.z, r.x, r.y, r.z, r.w))
@@ -116,12 +121,14 @@ def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
 
 
 def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """What an AttachedCollisionObject says of the scene as it is.
+    """Convert a moveit_msgs/AttachedCollisionObject to the changes that it makes to the scene.
 
     Args:
-        known: as for `object_changes`.
+        message: the AttachedCollisionObject message.
+        scene: the current scene.
+        known: scene with the known mass, friction and color of objects; default: `scene`.
     Raises:
-        InputError: shapes that cannot be, or an operation that does not exist.
+        InputError: a shape or the operation is invalid.
     """
     name, operation = message.object.id, int(message.object.operation)
     if operation in (ADD, APPEND):
@@ -143,13 +150,14 @@ def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | 
 
 
 def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
-    """The changes that a moveit_msgs/PlanningScene makes of a scene.
+    """Convert a moveit_msgs/PlanningScene to a scene diff.
 
-    Not taken: the robot's joints (they are measured) and its name. A matrix of allowed collisions changes the
-    pairs that it names and leaves the others. Without `is_diff` the world is replaced, unless it is empty.
+    The robot's joint positions and name are ignored, because the joints are measured. An allowed collision
+    matrix changes only the pairs that it names. Without `is_diff`, the message replaces the world, unless its
+    world is empty.
 
     Raises:
-        InputError: something that cannot be meant, or a frame that is not there.
+        InputError: the message contains an invalid value or an unknown frame.
     """
     changes: list[Change] = []
     now = scene
@@ -164,7 +172,7 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
     if not message.is_diff and (world.collision_objects or len(world.octomap.octomap.data)):
         add([RemoveAllObjects()])
     add(_frames(message.fixed_frame_transforms, now))
-    # Attached ones first, as MoveIt has it: what is attached and removed from the world in one diff is held.
+    # Attach first, as MoveIt does: an object that a diff attaches and removes from the world stays attached.
     for attached in message.robot_state.attached_collision_objects:
         add(attached_changes(attached, now, scene))
     add(_world(world, now, scene))
@@ -186,17 +194,20 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
-    """The changes that a moveit_msgs/PlanningSceneWorld makes: it replaces the world, octomap and all.
+    """Convert a moveit_msgs/PlanningSceneWorld to a diff that replaces world and octomap.
 
     Raises:
-        InputError: something that cannot be meant, or a frame that is not there.
+        InputError: the message contains an invalid value or an unknown frame.
     """
     empty = SceneDiff.of(RemoveAllObjects(), *([SetOctomap(None)] if OCTOMAP in scene.objects else []))
     return empty + SceneDiff(tuple(_world(message, empty.applied_to(scene), scene)))
 
 
 def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
-    """The changes of a PlanningSceneWorld, each seen in the scene as the ones before leave it."""
+    """Return the changes that a PlanningSceneWorld makes, in order.
+
+    Each object is converted in the scene that results from the previous changes.
+    """
     changes: list[Change] = []
     for item in message.collision_objects:
         more = object_changes(item, now, known)
@@ -245,7 +256,7 @@ def _allowed(matrix: Any, scene: PlanningScene) -> list[Change]:
 def scene_message(
     schema: Schema, header: Any, scene: PlanningScene, parts: Components = Components.ALL
 ) -> Any:
-    """The PlanningScene message of a scene: those components that are asked for."""
+    """Convert a scene to a moveit_msgs/PlanningScene with the requested components."""
     message = schema.new("moveit_msgs/PlanningScene", name="armcell", robot_model_name=scene.model.name)
     if parts & (Components.ROBOT_STATE | Components.ROBOT_STATE_ATTACHED_OBJECTS):
         attached = bool(parts & Components.ROBOT_STATE_ATTACHED_OBJECTS)
@@ -285,7 +296,10 @@ def scene_message(
 
 
 def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
-    """The scene's octomap as OctoMap's binary data, its resolution the smallest cell."""
+    """Convert the scene's octree to OctoMap's binary format.
+
+    The size of the smallest cell becomes the resolution.
+    """
     [(octree, T_object_shape)] = item.shapes
     assert isinstance(octree, Octree)
     data, resolution = octree_bytes(octree)

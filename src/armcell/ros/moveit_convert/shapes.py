@@ -1,10 +1,14 @@
-"""Shapes: shape_msgs/SolidPrimitive, Mesh and Plane. Lengths are full lengths in both."""
+"""Conversion of shapes from and to shape_msgs/SolidPrimitive, Mesh and Plane.
+
+Both sides use full lengths, not half-lengths.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armcell.core import (
     SE3,
@@ -23,35 +27,94 @@ from armcell.core import (
 )
 from armcell.ros.schema import Schema
 
-BOX, SPHERE, CYLINDER, CONE = 1, 2, 3, 4  # shape_msgs/SolidPrimitive
-NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone"}
-COUNTS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2}
+BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5  # shape_msgs/SolidPrimitive; PRISM only in ROS 2
+NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
+COUNTS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
 
 
 def primitive_shape(message: Any) -> Shape:
-    """The solid of a shape_msgs/SolidPrimitive.
+    """Convert a shape_msgs/SolidPrimitive to a shape.
 
     Raises:
-        InputError: an unknown kind, too few dimensions, or one that is not positive.
+        InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
     """
     kind, sizes = int(message.type), [float(v) for v in message.dimensions]
     if kind not in NAMES:
-        raise InputError(f"solid primitive of type {kind}", cure="1 box, 2 sphere, 3 cylinder, 4 cone")
+        raise InputError(
+            f"solid primitive of type {kind}", cure="1 box, 2 sphere, 3 cylinder, 4 cone, 5 prism"
+        )
     if len(sizes) < COUNTS[kind]:
         raise InputError(f"a {NAMES[kind]} has {len(sizes)} dimensions, it needs {COUNTS[kind]}")
     if kind == BOX:
         return Box(*sizes[:3])
     if kind == SPHERE:
         return Sphere(sizes[0])
+    if kind == PRISM:
+        return prism(np.array([(p.x, p.y) for p in message.polygon.points]).reshape(-1, 2), sizes[0])
     height, radius = sizes[:2]
     return Cylinder(radius, height) if kind == CYLINDER else Cone(radius, height)
 
 
+def prism(base: NDArray[np.float64], height: float) -> Mesh:
+    """Extrude a simple polygon by half of `height` to both sides and return the mesh.
+
+    Args:
+        base: corners (n, 2) [m] of a polygon without holes.
+        height: total height [m].
+    Raises:
+        InputError: the polygon has fewer than three corners, no area or crossing edges, or the height is not
+            positive.
+    """
+    if len(base) < 3 or not np.all(np.isfinite(base)) or not (np.isfinite(height) and height > 0):
+        raise InputError(f"a prism has {len(base)} corners and height {height:g} m", cure="3 corners or more")
+    if _area(base) < 0:
+        base = base[::-1]
+    n, half = len(base), np.full((len(base), 1), height / 2)
+    caps = _triangles(base)
+    sides = [
+        face for i in range(n) for j in [(i + 1) % n] for face in ([i, j, n + j], [i, n + j, n + i])
+    ]  # fmt: skip
+    faces = [*caps[:, ::-1].tolist(), *(caps + n).tolist(), *sides]
+    vertices = np.vstack([np.hstack([base, -half]), np.hstack([base, half])])
+    return Mesh(vertices, np.array(faces, dtype=np.int32))
+
+
+def _area(corners: NDArray[np.float64]) -> float:
+    """Return the signed area of a polygon (n, 2) [m2], positive for counterclockwise order."""
+    (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
+    return float(np.sum(x * v - u * y)) / 2
+
+
+def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Triangulate a counterclockwise polygon (n, 2) into n - 2 triangles by ear clipping.
+
+    Source: Meisters 1975.
+    """
+    left, found = list(range(len(base))), []
+    while len(left) > 3:
+        for k in range(len(left)):
+            ear = [left[k - 1], left[k], left[(k + 1) % len(left)]]
+            others = [i for i in left if i not in ear]
+            if _area(base[ear]) > 0 and not any(_inside(base[i], base[ear]) for i in others):
+                found.append(ear)
+                del left[k]
+                break
+        else:
+            raise InputError("the edges of a prism's polygon cross, or it has no area")
+    if _area(base[left]) <= 0:
+        raise InputError("a prism's polygon has no area")
+    return np.array([*found, left])
+
+
+def _inside(point: NDArray[np.float64], triangle: NDArray[np.float64]) -> bool:
+    return all(_area(np.array([triangle[i - 1], triangle[i], point])) >= 0 for i in range(3))
+
+
 def mesh_shape(message: Any) -> Mesh:
-    """The mesh of a shape_msgs/Mesh.
+    """Convert a shape_msgs/Mesh to a mesh shape.
 
     Raises:
-        InputError: no triangles, or one that names a vertex that is not there.
+        InputError: the mesh has no triangles, or a triangle refers to a vertex that does not exist.
     """
     vertices = np.array([(v.x, v.y, v.z) for v in message.vertices], dtype=float).reshape(-1, 3)
     faces = np.array([list(t.vertex_indices) for t in message.triangles], dtype=np.int64).reshape(-1, 3)
@@ -59,10 +122,12 @@ def mesh_shape(message: Any) -> Mesh:
 
 
 def plane_pose(message: Any) -> SE3:
-    """T of our plane's frame (solid below its z) for a shape_msgs/Plane a x + b y + c z + d = 0.
+    """Return the pose of armcell's plane for a shape_msgs/Plane a x + b y + c z + d = 0.
+
+    In armcell, the z axis of the plane's frame is the normal, and the half-space below z = 0 is solid.
 
     Raises:
-        InputError: a normal of length zero.
+        InputError: the normal has length zero.
     """
     a, b, c, d = (float(v) for v in message.coef)
     normal = np.array([a, b, c])
@@ -74,7 +139,10 @@ def plane_pose(message: Any) -> SE3:
 
 
 class ShapeMessages:
-    """The lists that collision objects and bounding volumes carry, filled shape by shape."""
+    """Lists of shape messages and poses for a collision object or bounding volume.
+
+    `add` appends one shape at a time.
+    """
 
     def __init__(self, schema: Schema):
         self._schema = schema
@@ -83,7 +151,10 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """A capsule becomes a cylinder and two spheres; clouds have no message here and are left out."""
+        """Append a shape with its pose; a capsule becomes a cylinder and two spheres.
+
+        Point clouds and octrees are omitted, because these lists cannot represent them.
+        """
         match shape:
             case Box():
                 self._primitive(BOX, (shape.x, shape.y, shape.z), T)

@@ -1,4 +1,4 @@
-"""Robot states and trajectories: moveit_msgs/RobotState and RobotTrajectory."""
+"""Conversion of robot states and trajectories: moveit_msgs/RobotState and RobotTrajectory."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from armcell.scene import AttachedBody, PlanningScene
 
 
 def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
-    """The joints of a sensor_msgs/JointState, without those that mimic others; None where it names none.
+    """Convert a sensor_msgs/JointState to a joint state without mimic joints.
 
+    Returns:
+        The joint state, or None if the message names no actuated joint.
     Raises:
-        UnknownNameError: no such joint.
-        InputError: a joint named twice, another number of positions, a value that is not finite.
+        UnknownNameError: a joint does not exist.
+        InputError: a joint is repeated, the number of positions differs from the number of names, or a value
+            is not finite.
     """
     names, values = list(message.name), [float(v) for v in message.position]
     if len(names) != len(values):
@@ -36,12 +39,14 @@ def joint_state_from_message(message: Any, model: RobotModel) -> JointState | No
 
 
 def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState | None:
-    """The joints of a moveit_msgs/RobotState; None where it leaves them as they are.
+    """Convert a moveit_msgs/RobotState to a joint state; None if the message names no joints.
 
-    Joints that it does not name keep the scene's positions, whether it says `is_diff` or not.
+    Joints that the message does not name keep the scene's positions, with or without `is_diff`.
 
     Raises:
-        UnknownNameError, InputError: see `joint_state_from_message`.
+        UnknownNameError: a joint does not exist.
+        InputError: the message contains multi-DOF joints, or its joint state is invalid (see
+            `joint_state_from_message`).
     """
     if message.multi_dof_joint_state.joint_names:
         raise InputError("multi-DOF joints are not planned for", cure="leave multi_dof_joint_state empty")
@@ -49,7 +54,14 @@ def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState |
 
 
 def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attached: bool = True) -> Any:
-    """The RobotState of a scene: every movable joint, mimic joints too, and what is attached."""
+    """Convert a scene to a moveit_msgs/RobotState with all movable and mimic joints.
+
+    Args:
+        schema: the message types.
+        header: header of the message.
+        scene: the planning scene.
+        attached: if True, the message also contains the attached objects.
+    """
     positions = kinematic_tree(scene.model).full_positions(scene.positions)
     names = list(scene.model.movable_joint_names)
     state = schema.new(
@@ -66,7 +78,7 @@ def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attac
 
 
 def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
-    """The AttachedCollisionObject of an attached body, placed in its link's frame."""
+    """Convert an attached body to an AttachedCollisionObject in the frame of its link."""
     own = schema.new("std_msgs/Header", stamp=header.stamp, frame_id=body.link)
     return schema.new(
         "moveit_msgs/AttachedCollisionObject",
@@ -77,7 +89,10 @@ def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
 
 
 def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
-    """A trajectory_msgs/JointTrajectory with the velocities and accelerations that are known."""
+    """Convert a trajectory to a trajectory_msgs/JointTrajectory.
+
+    Velocities and accelerations are included if the trajectory has them.
+    """
     Point = schema.message("trajectory_msgs/JointTrajectoryPoint")
     duration = schema.message("builtin_interfaces/Duration")
     empty = np.zeros(0)
@@ -96,7 +111,7 @@ def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory)
 
 
 def robot_trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory | None) -> Any:
-    """A RobotTrajectory; an empty one where there is no trajectory."""
+    """Convert a trajectory to a moveit_msgs/RobotTrajectory; None gives an empty message."""
     if trajectory is None:
         return schema.new("moveit_msgs/RobotTrajectory")
     message = trajectory_message(schema, header, trajectory)

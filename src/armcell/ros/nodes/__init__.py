@@ -1,4 +1,4 @@
-"""What is served on the bus, written once for every wire."""
+"""ROS nodes that serve a cell on the bus, independent of the transport."""
 
 from armcell.ros.nodes.access import CellAccess
 from armcell.ros.nodes.cameras import CameraPublisher

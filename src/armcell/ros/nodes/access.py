@@ -1,8 +1,8 @@
-"""What move_group needs of a cell, whether it runs in this process or behind a wire."""
+"""The interface through which move_group uses a local or remote cell."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from armcell.control import ExecutionSettings
@@ -12,21 +12,26 @@ from armcell.scene import PlanningScene
 
 
 class CellAccess(Protocol):
-    """A cell that can be looked at, edited and moved, from any thread."""
+    """Interface to observe, edit and move a cell from any thread."""
 
     @property
     def model(self) -> RobotModel: ...
 
     def scene(self) -> PlanningScene:
-        """As measured now, with what clients have put into it and what the grippers hold."""
+        """Return the measured scene with the objects that clients added and the grippers hold."""
         ...
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Edit the world; gives the scene as it is then.
+        """Edit the world with the function `make` and return the resulting scene.
 
         Raises:
-            InputError: what `make` raises; nothing was changed then.
+            InputError: `make` raised it; the world is unchanged.
         """
+        ...
+
+    @property
+    def controllers(self) -> Mapping[str, tuple[str, ...]]:
+        """Joint names of each controller that clients may select, by controller name."""
         ...
 
     def play(
@@ -34,37 +39,50 @@ class CellAccess(Protocol):
         message: Any,
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
+        controllers: Sequence[str] = (),
     ) -> Work:
-        """Begin a trajectory_msgs/JointTrajectory. It ends where a change of the scene comes across its rest.
+        """Start a trajectory_msgs/JointTrajectory and return a handle to the motion.
+
+        The motion stops if a change of the scene obstructs the rest of its path.
 
         Args:
-            planned_in: the scene of its planning, with the contacts that belong to it; the present one where
-                nobody knows.
+            message: the JointTrajectory message.
+            settings: tolerances and limits of the execution.
+            planned_in: the scene in which the motion was planned, including its allowed contacts; default:
+                the current scene.
+            controllers: names of the only controllers that may move the joints; default: all controllers of
+                the joints.
         Raises:
-            InputError: it cannot be played.
+            InputError: the trajectory cannot be executed.
         """
         ...
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Begin to open or close a gripper: width [m], force per finger [N]."""
+        """Start to open or close a gripper and return a handle to the motion.
+
+        Args:
+            gripper: the gripper.
+            width: target width between the fingers [m].
+            force: force per finger [N].
+        """
         ...
 
     def held(self, gripper: Gripper) -> str | None:
-        """The object between a gripper's fingers."""
+        """Return the name of the object between a gripper's fingers, or None."""
         ...
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Motions that wait or run, of some joints where they are given."""
+        """Return the waiting and running motions, optionally only those of certain joints."""
         ...
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Contacts that belong to the task from now on (or no longer)."""
+        """Declare that contacts of `body` with `others` belong to the task, or revoke this."""
         ...
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
-        """Tell who observes the cell of an event, soon."""
+        """Queue an event for the cell's observers."""
         ...
 
     def stop(self) -> None:
-        """End everything that moves."""
+        """Stop every motion of the cell."""
         ...

@@ -1,4 +1,4 @@
-"""A cell's cameras on the bus: pictures, depth, camera info and clouds, at each camera's rate."""
+"""Camera topics on the bus: color and depth images, camera info and point clouds."""
 
 from __future__ import annotations
 
@@ -16,22 +16,25 @@ from armcell.ros.convert import camera_info_message, cloud_message, image_messag
 from armcell.scene import WORLD
 
 LINK, OPTICAL = "{}_link", "{}_optical_frame"
-# ROS's camera frame (x forward, z up) to its optical one (z forward, y down), REP-103
+# From ROS's camera frame (x forward, z up) to its optical frame (z forward, y down), see REP 103
 T_LINK_OPTICAL = SE3.from_quat_xyzw([0, 0, 0], [-0.5, 0.5, -0.5, 0.5])
 
 
 class CameraPublisher:
-    """Publishes what a live cell's cameras give. Called from the thread that steps the driver.
+    """Publisher of the images that a live cell's cameras take.
 
-    Topics of a camera NAME, named as image_pipeline has them:
-    /NAME/color/image_raw (rgb8), /NAME/color/camera_info, /NAME/depth/image_rect_raw (32FC1, metres, NaN
-    where nothing is seen), /NAME/depth/camera_info, /NAME/depth/points (organised PointCloud2 with x, y, z
-    and rgb). On /tf NAME_link and NAME_optical_frame, below the link that carries it or the world.
+    Call it in the thread that steps the driver. Topics of a camera NAME, as in image_pipeline:
 
-    Nothing is drawn that nobody has subscribed to. Where the cell keeps to the wall's clock, pictures are
-    drawn in another process and published from a thread of their own, each stamped with the time of the state
-    that it shows: as many as the machine can draw, at most the camera's rate. One that is late is left out,
-    and each subscriber's queue drops its oldest: a camera never makes the cell wait.
+    - /NAME/color/image_raw (rgb8) and /NAME/color/camera_info
+    - /NAME/depth/image_rect_raw (32FC1, meters, NaN for pixels without a measurement) and
+      /NAME/depth/camera_info
+    - /NAME/depth/points (organized PointCloud2 with x, y, z and rgb)
+    - /tf: NAME_link and NAME_optical_frame, relative to the link that carries the camera, or to the world
+
+    Only images with subscribers are rendered. If the cell runs in real time, another process renders the
+    images and a separate thread publishes them, each with the time stamp of the state that it shows. The
+    camera's rate and the rendering speed limit the frame rate. Late images are dropped, and each subscriber's
+    queue drops its oldest message, so a camera never delays the cell.
     """
 
     def __init__(self, bus: Bus, cameras: dict[str, LiveCamera]):
@@ -39,16 +42,20 @@ class CameraPublisher:
         self._cameras = [_Topics(bus, camera) for camera in cameras.values()]
 
     def publish(self, tf: Publisher | None = None) -> None:
-        """Publish what is due; the frames too, onto a publisher of /tf that is there already."""
+        """Publish the images that are due, and the camera frames on an existing /tf publisher.
+
+        Args:
+            tf: publisher of /tf; None publishes no frames.
+        """
         for topics in self._cameras:
             topics.publish(tf)
 
     def frames(self) -> dict[str, int]:
-        """How many pictures each camera has delivered."""
+        """Return the number of images that each camera has delivered, by camera name."""
         return {topics.name: topics.delivered for topics in self._cameras}
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Remove the publishers from the bus."""
         for topics in self._cameras:
             topics.close()
 
@@ -74,7 +81,7 @@ class _Topics:
         now, period = self._bus.clock.now(), 1.0 / self._camera.camera.rate
         if now < self._next - 1e-9:
             return
-        self._next = max(self._next, now - period / 2) + period  # no burst after a pause
+        self._next = max(self._next, now - period / 2) + period  # avoids a burst of images after a pause
         wanted = [p for p in self._members if p.subscribers]
         if not wanted and (tf is None or not tf.subscribers):
             return
@@ -88,7 +95,7 @@ class _Topics:
         self._camera.ask(self, self._give, rgb=bool(self._color.subscribers or points), depth=bool(depth))
 
     def _give(self, image: CameraImage) -> None:
-        """Publish what was drawn, in the thread that it comes in."""
+        """Publish a rendered image in the thread that delivers it."""
         with self._giving:
             if not self._closed:
                 self._publish(image)
@@ -115,7 +122,7 @@ class _Topics:
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
-        """The camera's frames below what carries it."""
+        """Return the transforms from the camera's parent link to its link and optical frames."""
         camera, bus = self._camera.camera, self._bus
         parent = WORLD if camera.link is None else camera.link
         T = camera.T_world_camera if camera.T_link_camera is None else camera.T_link_camera
@@ -132,5 +139,5 @@ class _Topics:
 
 
 def _with_nan(depth: np.ndarray) -> np.ndarray:
-    """Depth with NaN where nothing was seen (REP-118)."""
+    """Return the depth image with NaN for pixels without a measurement, as in REP 118."""
     return np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)

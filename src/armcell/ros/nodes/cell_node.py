@@ -1,6 +1,7 @@
-"""A cell on the bus: states out; trajectories, gripper commands and actions in.
+"""A node that serves a live cell: it publishes states and executes trajectories.
 
-Everything that touches the driver happens in one thread, `run`, through the conductor.
+Grippers have their own node (`GripperNode`). Only one thread, `run`, uses the driver; other threads access it
+through the conductor.
 """
 
 from __future__ import annotations
@@ -23,64 +24,79 @@ from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
-from armcell.ros.nodes.conductor import Conductor, Steps, Work
+from armcell.ros.nodes.conductor import STOPPED, Conductor, Steps, Work
 from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperNode, finger_goals
-from armcell.ros.nodes.states import RATE, StatePublisher
+from armcell.ros.nodes.states import RATE, StatePublisher, check_rate
 from armcell.scene import PlanningScene
 
 logger = logging.getLogger(__name__)
 TRAJECTORY = "/planned_trajectory"
 STATUS = "/trajectory_status"
 ACTION = "control_msgs/FollowJointTrajectory"
-SHIFT = 0.15  # [s] that clients' motions may be late or early against each other
+SHIFT = 0.15  # [s] timing tolerance between motions that clients start independently
 
 # control_msgs/FollowJointTrajectoryResult
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
 
 
 class CellNode:
-    """Serves a live cell on a bus while `run` runs.
+    """Node that serves a live cell on the bus while `run` executes.
 
-    Topics in: /planned_trajectory (trajectory_msgs/JointTrajectory; a newer one of the same joints takes
-    over, an empty one stops), /gripper_command (std_msgs/Float64: 0 or more is a width [m], 0 grasps; below
-    0 closes with that force [N per finger]); with several grippers /<gripper>/gripper_command. Actions:
-    /<group>_controller/follow_joint_trajectory for each arm and gripper, /<gripper>_controller/gripper_cmd
-    for each gripper. Topics out beside the states: /trajectory_status (std_msgs/String) and those of the
-    cell's cameras (`CameraPublisher`).
+    Input topics:
 
-    Motions of different arms run at the same time where they are proven not to meet; else one waits.
+    - /planned_trajectory (trajectory_msgs/JointTrajectory): a newer trajectory of the same joints replaces
+      the current one; an empty trajectory stops.
+    - /gripper_command (std_msgs/Float64): a value of 0 or more is a width [m], where 0 grasps; a negative
+      value closes with this force [N per finger]. With several grippers: /<gripper>/gripper_command.
+
+    Actions: /<group>_controller/follow_joint_trajectory for each arm and gripper, and
+    /<gripper>_controller/gripper_cmd for each gripper. Output topics besides the states: /trajectory_status
+    (std_msgs/String) and the camera topics (`CameraPublisher`).
+
+    Motions of different arms run at the same time if they are proven collision-free; otherwise one of them
+    waits.
 
     Args:
-        live: connected by `run`; paced by its own time scale.
-        rate: [Hz] of the states, in the cell's time.
-        auto_grip: close a gripper that rests with an object between its open fingers.
+        live: the cell; `run` connects it, and its time scale sets the pace.
+        bus: the message bus.
+        rate: publishing rate of the states [Hz, cell time].
+        auto_grip: if True, a gripper closes by itself when its arm rests with an object between the open
+            fingers.
+    Raises:
+        InputError: the rate is higher than the driver's rate.
     """
 
     def __init__(self, live: LiveCell, bus: Bus, rate: float = RATE, auto_grip: bool = False):
+        check_rate(live.driver, rate)
         self.live, self.bus = live, bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)
         self.cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
-        live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks move beside the others
+        live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks share the driver with clients
         live.ctx.gate.shift = SHIFT
         self._stop, self._putting = threading.Event(), threading.Lock()
         self.look_at_hands: Callable[[], None] = lambda: None
-        """Notes what the hands hold; in the driver's thread, often and before every motion."""
+        """Updates which objects the grippers hold; runs in the driver's thread, also before each motion."""
         self._next_look = 0.0  # [s]
         self.ready = threading.Event()
-        """Set once the cell is connected and publishes."""
+        """Set as soon as the cell is connected and publishes states."""
         self.executed = 0
         self._status = bus.advertise(STATUS, "std_msgs/String", latch=True)
         self._subs = [bus.subscribe(TRAJECTORY, "trajectory_msgs/JointTrajectory", self._on_trajectory)]
         self.grippers = GripperNode(live, bus, self.conductor, self.say, auto_grip)
+        model = live.model
+        self.controllers = {f"{name}_controller": model.group(name).joint_names for name in live.arms} | {
+            f"{g.name}_controller": (g.joint_name,) for g in model.grippers.values()
+        }
+        """Joint names of each controller that the cell serves, by controller name."""
         self._actions = [
-            ActionServer(bus, f"/{group}_controller/follow_joint_trajectory", ACTION, self._follow)
-            for group in (*live.arms, *live.model.grippers)
+            ActionServer(bus, f"/{name}/follow_joint_trajectory", ACTION, self._follow, accepts=False)
+            for name in self.controllers
         ]
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell and do what comes in, until `close`; then leave the bus."""
+        """Step the cell and execute commands until `close`; then leave the bus."""
         try:
             with self.live:
                 self._states.publish(self.live.driver)
@@ -111,30 +127,37 @@ class CellNode:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Run in a thread of its own."""
+        """Start `run` in a new thread and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """End `run` soon; running motions are stopped."""
+        """Ask `run` to end; running motions are stopped."""
         self._stop.set()
         self.conductor.stop()
 
-    # --- playing, from any thread ---
+    # --- trajectories, callable from any thread ---
     def play(
         self,
         message: Any,
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
     ) -> Work:
-        """Begin a trajectory_msgs/JointTrajectory, when what moves the same joints has made way for it.
+        """Start a trajectory_msgs/JointTrajectory once earlier motions of its joints have ended.
 
-        /trajectory_status tells of it. One without points stops its joints, or all where it names none. The
-        motion gate proves it when it starts, with the contacts that `planned_in` allows.
+        /trajectory_status reports the progress. A trajectory without points stops its joints, or all joints
+        if it names none. The motion gate certifies the motion when it starts, with the contacts that
+        `planned_in` allows.
 
+        Args:
+            message: the JointTrajectory message.
+            settings: tolerances and limits of the execution.
+            planned_in: the scene in which the motion was planned; default: the current scene.
+        Returns:
+            A handle to the motion.
         Raises:
-            InputError: what is wrong with the message.
+            InputError: the message is invalid; the error states the cause.
         """
         model = self.live.model
         state = self.conductor.call(self.live.driver.joint_state)
@@ -149,7 +172,7 @@ class CellNode:
             return self._close_or_open(trajectory, goals)
 
         def steps(driver: Any, cancel: threading.Event) -> Steps:
-            # Where it is now decides, not where it was when the message came.
+            # The robot may have moved since the message arrived: start from its current state.
             now = trajectory_from_message(message, model, driver.joint_state())
             work.trajectory = now
             return (yield from playing(driver, _Announced(self, now, planned_in, cancel), settings))
@@ -168,7 +191,7 @@ class CellNode:
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
     def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
-        """Drive fingers to their widths [m]; fingers that an object stops hold it, which is no failure."""
+        """Move fingers to their target widths [m]; fingers that an object stops count as success."""
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
@@ -180,7 +203,7 @@ class CellNode:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Begin a motion; where other arms under way are what it would touch, once they have arrived.
+        """Queue a motion; wait for other arms to arrive if their motions conflict with it.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -188,31 +211,34 @@ class CellNode:
         while not self._stop.is_set():
             others = self._others(work)
             if (late := self._not_begun(work, others)) is not None:
-                late.wait(self.live.driver.period)  # when it begins is part of the proof
+                late.wait(self.live.driver.period)  # the proof needs the start time of the other motion
                 continue
             if contact := self._in_passing(others, trajectory):
                 self.say(f"waits until the other arm has arrived: {contact}")
                 while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
                     pass
                 continue
-            with self._putting:  # what somebody has put since then is not proven
+            with self._putting:  # a motion that another thread has queued since then is not in the proof
                 if set(self._others(work)) <= set(others):
                     return self.conductor.put(work)
         raise InputError("the cell is closed")
 
     def _others(self, work: Work) -> list[Work]:
-        """Motions of other joints."""
+        """Return the queued and running motions that share no joint with `work`."""
         works = self.conductor.works()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """A motion of other joints that waits for its turn, or what keeps this one waiting."""
+        """Return an unfinished motion that must start or end before `work` can be checked, or None."""
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """What a motion would touch beside others, but not once they have arrived; empty where nothing."""
+        """Return a description of a conflict with running motions that ends when they have ended.
+
+        Returns an empty string if there is no such conflict.
+        """
         running = [w.trajectory for w in others if w.trajectory is not None and not w.is_over]
         if not running:
             return ""
@@ -223,7 +249,7 @@ class CellNode:
         for trajectory in running:
             scene = scene.with_state(trajectory.end)
         if first_conflict(scene, motion) is not None:
-            return ""  # it is refused at once
+            return ""  # waiting does not help: the motion gate rejects this motion
         return "the motions meet" if now.contact is None else now.contact.describe()
 
     def _ended(self, work: Work) -> None:
@@ -233,19 +259,19 @@ class CellNode:
         if work.error is not None:
             self.say(f"refused: {work.error}")
             return
-        result = work.outcome()
+        result = STOPPED if work.result is None else work.result  # same texts as Unity's player
         what = "done" if result.ok else "stopped" if result.code is ErrorCode.PREEMPTED else "failed"
         if result.evidence.get(NOT_STARTED):
             what = "refused"
         self.say(f"{what}: {result.message or f'final error {result.final_error:.4f}'}")
 
     def say(self, text: str) -> None:
-        """Tell /trajectory_status."""
+        """Publish a text on /trajectory_status."""
         logger.info("trajectory: %s", text)
         if not self._status.closed:
             self._status.publish(self.bus.schema.new("std_msgs/String", text))
 
-    # --- what comes in, from the subscriptions' threads ---
+    # --- callbacks, in the threads of subscriptions and actions ---
     def _on_trajectory(self, message: Any) -> None:
         try:
             self.play(message)
@@ -253,9 +279,14 @@ class CellNode:
             logger.info("trajectory refused: %s", error)
 
     def _follow(self, goal: Goal) -> Done:
-        """control_msgs/FollowJointTrajectory, from the action's thread."""
+        """Execute a control_msgs/FollowJointTrajectory goal in the thread of the action.
+
+        The goal is accepted when the motion starts.
+        """
         Result = self.bus.schema.message(f"{ACTION}Result")
         try:
+            if len(goal.message.multi_dof_trajectory.points):
+                raise InputError("multi-DOF trajectories are not executed", cure="send joint positions")
             work = self.play(goal.message.trajectory, _tolerances(goal.message))
         except InputError as error:
             code = INVALID_JOINTS if "unknown joint" in str(error) else INVALID_GOAL
@@ -264,22 +295,27 @@ class CellNode:
         while not work.wait(0.02):
             if goal.cancel.is_set():
                 work.cancel.set()
-            feedback.give(work)
+            if work.moving:
+                goal.accept()
+                feedback.give(work)
         if self._stop.is_set():
             return Done(State.ABORTED, Result(), "the cell was closed")
         if work.error is not None:
             text = str(work.error)
             return Done(State.REJECTED, Result(error_code=INVALID_GOAL, error_string=text), text)
         result = work.outcome()
+        preempted = result.code is ErrorCode.PREEMPTED
+        if not (result.ok or preempted or work.moving):  # rejected before it started
+            message = Result(error_code=INVALID_GOAL, error_string=result.message)
+            return Done(State.REJECTED, message, result.message)
         message = Result(error_code=_follow_code(result), error_string=result.message)
         if result.ok:
             return Done(State.SUCCEEDED, message, result.message)
-        preempted = result.code is ErrorCode.PREEMPTED
         return Done(State.PREEMPTED if preempted else State.ABORTED, message, result.message)
 
 
 class _Announced(GuardedMotion):
-    """A motion of which /trajectory_status tells when it has been proven and starts."""
+    """A guarded motion that reports its start on /trajectory_status after certification."""
 
     def __init__(
         self, node: CellNode, trajectory: JointTrajectory, planned_in: PlanningScene | None,
@@ -298,7 +334,7 @@ class _Announced(GuardedMotion):
 
 
 class _Feedback:
-    """Where the motion should be and where it is, ten times a second."""
+    """Action feedback with the desired and actual joint state, ten times per second."""
 
     PERIOD = 0.1  # [s]
 
@@ -314,7 +350,7 @@ class _Feedback:
         try:
             state, now = self._node.conductor.call(lambda: (driver.joint_state(), driver.now))
         except InputError:
-            return  # closed
+            return  # the cell is closed
         passed = now - work.began
         wanted, moving, _ = trajectory.sample(passed)
         actual = state.reindexed(trajectory.joint_names)
@@ -335,7 +371,10 @@ class _Feedback:
 
 
 def _tolerances(goal: Any) -> ExecutionSettings:
-    """The goal's tolerances, the smallest joint's for all; ours where it gives none."""
+    """Return the tolerances of a FollowJointTrajectory goal as execution settings.
+
+    The smallest tolerance of any joint applies to all joints; missing tolerances keep armcell's defaults.
+    """
     values: dict[str, float] = {}
     for key, entries in (("path_tolerance", goal.path_tolerance), ("goal_tolerance", goal.goal_tolerance)):
         given = [float(t.position) for t in entries if t.position > 0]
@@ -347,7 +386,9 @@ def _tolerances(goal: Any) -> ExecutionSettings:
 
 
 def _follow_code(result: ExecutionResult) -> int:
-    if result.ok or result.code is ErrorCode.PREEMPTED:
+    if result.ok:
         return SUCCESSFUL
+    if result.code is ErrorCode.PREEMPTED:
+        return INVALID_GOAL  # preemption has no code; ros2_control uses this one for a replaced goal
     left = "left the path" in result.message or result.code is CHANGED
     return PATH_TOLERANCE_VIOLATED if left else GOAL_TOLERANCE_VIOLATED

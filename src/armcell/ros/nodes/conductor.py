@@ -1,7 +1,7 @@
-"""Several motions on one driver: what runs, what waits, and the one thread that lets time pass.
+"""A queue that runs several motions on one driver, with one thread that advances time.
 
-Works of different joints run side by side. One that shares joints with another waits for its end, and by
-default makes it end. Everything that touches the driver happens in the thread that calls `turn`.
+Motions of different joints run in parallel. A motion that shares joints with an earlier one waits until the
+earlier one ends, and by default stops it. Only the thread that calls `turn` uses the driver.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,19 +24,20 @@ from armcell.core.protocols import offers
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)
-MAX_WORKS = 16  # waiting and running
-SETTLE = 3.0  # [s] for what is cancelled when the cell is closed; a real arm takes 2 at most
+MAX_WORKS = 16  # maximum number of waiting and running motions
+SETTLE = 3.0  # [s] for canceled motions to end when the cell closes; a real arm takes at most 2 s
 STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
 class Work:
-    """Something that moves joints: either `steps`, made when it begins, or `job`, run in one go.
+    """A queued motion: `steps`, a generator made at its start, or `job`, one blocking call.
 
     Attributes:
-        joints: no two works that share one run at once.
-        cancel: set it to end the work early.
-        gives_way: whether a newer work of the same joints ends this one; else the newer one waits.
-        trajectory: where it is known beforehand, for those who look whether two may run at once.
+        joints: the joints that it moves; motions that share a joint never run at the same time.
+        cancel: event that ends the motion early; `stop` also records the reason.
+        gives_way: if True, a newer motion of the same joints stops this one; if False, the newer motion
+            waits.
+        trajectory: the planned trajectory, if known in advance, for conflict checks with other motions.
     """
 
     def __init__(
@@ -50,7 +52,9 @@ class Work:
         self.name, self.joints, self.gives_way = name, frozenset(joints), gives_way
         self.make, self.job, self.trajectory = steps, job, trajectory
         self.cancel = threading.Event()
-        self.began: float | None = None  # [s] of the driver's clock
+        self._why_stopped = ""
+        self.began: float | None = None  # start time [s, driver's clock]
+        self.moving = False  # True after the first step was executed without rejection
         self.steps: Steps | None = None
         self.result: ExecutionResult | None = None
         self.error: BaseException | None = None
@@ -62,21 +66,33 @@ class Work:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Whether it has ended, after waiting for that up to `timeout` [s]."""
+        """Wait up to `timeout` [s] for the end of the motion; return True if it has ended."""
         return self._over.wait(timeout)
 
+    def stop(self, why: str) -> None:
+        """Stop the motion early; the reason `why` becomes part of its outcome."""
+        if not self.cancel.is_set():
+            self._why_stopped = why
+        self.cancel.set()
+
     def outcome(self) -> ExecutionResult:
-        """How it ended.
+        """Return the result of the finished motion.
 
         Raises:
-            InputError: what was asked cannot be done.
+            InputError: the motion could not be executed as requested.
         """
         if self.error is not None:
             raise self.error
-        return STOPPED if self.result is None else self.result
+        result = STOPPED if self.result is None else self.result
+        if result.code is ErrorCode.PREEMPTED and self._why_stopped not in result.message:
+            return replace(result, message=f"{self._why_stopped}: {result.message}")
+        return result
 
     def then(self, listener: Callable[[Work], None]) -> Work:
-        """Tell somebody, in the driver's thread, when it has ended. To be called before it is put."""
+        """Register a listener that is called in the driver's thread when the motion has ended.
+
+        Call this method before the motion is queued.
+        """
         self._listeners.append(listener)
         return self
 
@@ -88,10 +104,10 @@ class Work:
 
 
 class Conductor:
-    """A driver that many may use at once.
+    """Motion queue that lets several clients use one driver at the same time.
 
-    It offers the driver's own methods, to jobs and in `call`; `advance` also runs the other works and tells
-    `after_step`.
+    It forwards the driver's own methods, for jobs and in `call`. `advance` also steps the other motions and
+    calls `after_step`.
     """
 
     def __init__(self, driver: Driver, after_step: Callable[[], None] = lambda: None):
@@ -108,10 +124,10 @@ class Conductor:
 
     # --- from any thread ---
     def put(self, work: Work) -> Work:
-        """Begin a work as soon as those of the same joints are over.
+        """Queue a motion; it starts as soon as earlier motions of the same joints have ended.
 
         Raises:
-            InputError: too many wait, or the cell is closed.
+            InputError: too many motions wait, or the cell is closed.
         """
         with self._lock:
             require(not (self._closed or self._ending), "the cell is closed")
@@ -119,25 +135,29 @@ class Conductor:
                 raise InputError(f"{MAX_WORKS} motions wait already", cure="wait for one to end")
             for other in (*self._waiting, *self._running):
                 if other.gives_way and other.joints & work.joints:
-                    other.cancel.set()
+                    other.stop(f"preempted by a newer motion ({work.name})")
             self._waiting.append(work)
         return work
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """What waits and runs, of some joints where they are given."""
+        """Return the waiting and running motions, optionally only those of certain joints."""
         with self._lock:
             every = [*self._running, *self._waiting]
         return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
 
     def stop(self, for_good: bool = False) -> None:
-        """End everything that moves; `for_good`: a goal that is still being planned begins nothing either."""
+        """Stop all motions.
+
+        Args:
+            for_good: if True, also reject later motions, for example of goals that are still being planned.
+        """
         with self._lock:
             self._ending |= for_good
         for work in self.works():
             work.cancel.set()
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run something in the driver's thread between two steps, and wait for its answer."""
+        """Run a function in the driver's thread between two steps and return its result."""
         if threading.current_thread() is self._thread:
             return function()
         answer: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
@@ -157,7 +177,10 @@ class Conductor:
         return value
 
     def soon(self, function: Callable[[], None]) -> None:
-        """Run something in the driver's thread between two steps; nobody waits for it, nor for its errors."""
+        """Schedule a function in the driver's thread between two steps, without waiting for it.
+
+        Exceptions of the function are only logged.
+        """
 
         def run() -> None:
             try:
@@ -171,7 +194,7 @@ class Conductor:
 
     # --- the driver's thread ---
     def turn(self) -> None:
-        """One period of the driver, or one whole job."""
+        """Run one period of the driver, or one complete blocking job."""
         self._thread = threading.current_thread()
         with self._lock:
             job = next((w for w in self._ready() if w.job is not None), None)
@@ -191,7 +214,7 @@ class Conductor:
         self._finish(job, result, error)
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s] for the driver and for every work."""
+        """Advance the driver and all motions by `duration` [s]."""
         driver, end = self._driver, self._driver.now + duration
         while driver.now < end - 1e-9:
             while not self._calls.empty():
@@ -201,7 +224,7 @@ class Conductor:
             self._after_step()
 
     def settle(self) -> None:
-        """End everything that moves, and turn until it rests; nothing can be put from now on."""
+        """Stop all motions and step until they have ended; reject new motions from now on."""
         with self._lock:
             self._closed = True
         self.stop()
@@ -210,7 +233,7 @@ class Conductor:
             self.turn()
 
     def close(self) -> None:
-        """Answer everybody who waits; nothing can be put from now on."""
+        """End all motions, answer all waiting callers, and reject new motions from now on."""
         with self._lock:
             self._closed = True
             works = [*self._running, *self._waiting]
@@ -221,7 +244,7 @@ class Conductor:
             self._calls.get()()
 
     def _ready(self) -> list[Work]:
-        """Those that nothing before them keeps waiting."""
+        """Return the waiting motions that share no joint with an earlier motion."""
         taken = {joint for w in self._running for joint in w.joints}
         ready = []
         for work in self._waiting:
@@ -249,7 +272,10 @@ class Conductor:
                 self._finish(work, None, error)
 
     def _step_all(self) -> None:
-        """One step of every work. What takes over from one that has ended begins within the same period."""
+        """Advance every motion by one step; a successor starts in the same period.
+
+        A motion that waits for another one starts in the driver period in which the other one ends.
+        """
         stepped: list[Work] = []
         while True:
             self._begin()
@@ -264,6 +290,7 @@ class Conductor:
         assert work.steps is not None
         try:
             next(work.steps)
+            work.moving = True
         except StopIteration as end:
             self._finish(work, end.value)
         except Exception as error:
@@ -277,7 +304,10 @@ class Conductor:
 
 
 class _Some:
-    """A driver of some of the joints: its stop holds these and leaves the others at what they do."""
+    """View of a driver restricted to some joints: `stop` holds only these joints.
+
+    The other joints continue their motions.
+    """
 
     def __init__(self, driver: Driver, joints: frozenset[str]):
         self._driver, self._joints = driver, joints

@@ -1,7 +1,7 @@
-"""The robot's descriptions as parameters, where ROS programs look for them: RViz, moveit_commander.
+"""Robot descriptions as parameters, as RViz and moveit_commander expect them.
 
-`/robot_description` (URDF), `/robot_description_semantic` (SRDF), `/robot_description_planning` (joint
-limits, default scaling) and `/robot_description_kinematics`.
+The parameters are `/robot_description` (URDF), `/robot_description_semantic` (SRDF),
+`/robot_description_planning` (joint limits, default scaling) and `/robot_description_kinematics`.
 """
 
 from __future__ import annotations
@@ -17,23 +17,32 @@ from armcell.model import Joint, Link, RobotModel
 from armcell.model.setup import described, srdf_text
 from armcell.model.setup.defaults import joint_limits, kinematics
 from armcell.ros.bus import Bus
+from armcell.ros.descriptions import Descriptions
 
 NAME = "/robot_description"
 
 
-def describe(bus: Bus, model: RobotModel) -> None:
-    """Set the parameters; a URDF that is there already is kept."""
+def describe(bus: Bus, model: RobotModel) -> Descriptions:
+    """Set the robot description parameters and publish URDF and SRDF as latched topics.
+
+    An existing URDF parameter is kept. Unity and ROS 2 have no parameter server, so their programs read the
+    topics.
+    """
     if NAME not in bus.parameters:
         bus.parameters.set(NAME, urdf_of(model))
     bus.parameters.set(f"{NAME}_semantic", srdf_text(described(model)))
     bus.parameters.set(f"{NAME}_planning", joint_limits(model))
     bus.parameters.set(f"{NAME}_kinematics", kinematics(model))
+    topics = Descriptions(bus)
+    topics.look()
+    return topics
 
 
 def urdf_of(model: RobotModel) -> str:
-    """A URDF of the model: links with what they look like, joints with limits.
+    """Return a URDF of the model: links with visuals and inertia, and joints with limits.
 
-    Meshes are named by the files on this machine. Collision meshes are left out: who plans is armcell.
+    Mesh paths refer to files on this machine. Collision geometry is limited to boxes, cylinders and spheres;
+    collision meshes are omitted, because armcell does the planning.
     """
     robot = etree.Element("robot", name=model.name)
     for link in model.links.values():

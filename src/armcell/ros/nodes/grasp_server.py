@@ -1,6 +1,8 @@
-"""The grasp server: pre-grasp above the object, grasp, close, lift, each awaited by what is measured.
+"""The grasp server: a service and a topic that pick an object step by step.
 
-Only types that Unity's connector ships are spoken: a service to call with a button, a topic with a name.
+The steps are: move to the pre-grasp above the object, grasp, close, lift. Measurements confirm each step. The
+server uses only message types that Unity's connector includes, so that a button can call the service and a
+topic can name the object.
 """
 
 from __future__ import annotations
@@ -22,16 +24,16 @@ from armcell.scene import WORLD, CollisionObject, PlanningScene
 
 logger = logging.getLogger(__name__)
 SERVICE, REQUESTS, STATUS = "/grasp", "/grasp_object", "/grasp_status"
-TIMEOUT = 180.0  # [s] of the wall's clock for one grasp
+TIMEOUT = 180.0  # [s, wall clock] for one grasp
 
 
 @dataclass(frozen=True)
 class GraspServerSettings:
-    """Distances of a grasp."""
+    """Distances and planning time of the grasp server."""
 
-    above: float = 0.10  # [m] pre-grasp over grasp
+    above: float = 0.10  # [m] distance from pre-grasp to grasp
     lift: float = 0.20  # [m]
-    side_grasps: bool = True  # from the side, too, where none from above can be reached
+    side_grasps: bool = True  # also try grasps from the side if no grasp from above is reachable
     planning_time: float = 20.0  # [s] for all motions of one grasp together
 
     def __post_init__(self) -> None:
@@ -40,8 +42,11 @@ class GraspServerSettings:
 
 
 class GraspServer:
-    """Service /grasp (std_srvs/Trigger: grasps the only movable object), topic in: /grasp_object
-    (std_msgs/String: its name), out: /grasp_status (std_msgs/String, latched: what is done, why it failed).
+    """Server that grasps and lifts an object on request.
+
+    Service /grasp (std_srvs/Trigger) grasps the only movable object. Topic /grasp_object (std_msgs/String)
+    names the object to grasp. Topic /grasp_status (std_msgs/String, latched) reports the progress and the
+    cause of a failure.
     """
 
     def __init__(self, cell: CellAccess, bus: Bus, settings: GraspServerSettings = GraspServerSettings()):
@@ -60,7 +65,7 @@ class GraspServer:
         for member in self._members:
             member.close()
 
-    # --- asked ---
+    # --- requests ---
     def _on_call(self, request: Any) -> Any:
         ok, text = self.grasp()
         return self._bus.schema.new("std_srvs/TriggerResponse", ok, text)
@@ -69,7 +74,13 @@ class GraspServer:
         self.grasp(message.data)
 
     def grasp(self, name: str = "") -> tuple[bool, str]:
-        """Grasp an object (the only movable one where none is named) and lift it: whether, and why not."""
+        """Grasp an object and lift it.
+
+        Args:
+            name: name of the object; empty means the only movable object.
+        Returns:
+            Tuple (success, text that states the result or the cause of the failure).
+        """
         if not self._turn.acquire(blocking=False):
             return self._said(False, "busy with another grasp")
         try:
@@ -117,7 +128,10 @@ class GraspServer:
         return next(iter(movable.values()))
 
     def _grasps(self, scene: PlanningScene, item: CollisionObject, group: str, tcp: str) -> list[Any]:
-        """From above across each pair of edges, both hands' ways round; then from the sides. Best first."""
+        """Return grasp messages, best first: from above in four yaw angles, then from four sides.
+
+        Grasps from the sides are included only if `side_grasps` is set.
+        """
         T, centre = item.T_world_object, item.T_world_object.translation
         yaw = float(np.arctan2(T.rotation.matrix[1, 0], T.rotation.matrix[0, 0]))
         tip = scene.model.group(group).tip_link or tcp
@@ -158,7 +172,7 @@ class GraspServer:
         )
         return grasp
 
-    # --- told ---
+    # --- status ---
     def _say(self, text: str) -> None:
         logger.info("grasp: %s", text)
         if not self._status.closed:

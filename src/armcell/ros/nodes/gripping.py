@@ -1,7 +1,7 @@
-"""Grippers on the bus: a command topic and an action for each, and closing by themselves where that is asked.
+"""Grippers on the bus: a command topic and an action for each, and automatic closing.
 
-Source of the action: control_msgs/GripperCommand; `position` is the width between the pads [m], `max_effort`
-the force per finger [N]; both as ROS drivers of parallel grippers have them.
+Source of the action: control_msgs/GripperCommand. As in ROS drivers of parallel grippers, `position` is the
+width between the pads [m] and `max_effort` is the force per finger [N].
 """
 
 from __future__ import annotations
@@ -26,21 +26,28 @@ from armcell.scene import CollisionObject, PlanningScene
 logger = logging.getLogger(__name__)
 TOPIC = "/gripper_command"
 ACTION = "control_msgs/GripperCommand"
-ARRIVED = 1e-3  # [m] from the width that was asked
-STANDS = 2e-3  # [m/s] of the width, slower counts as standing
-STALL_TIME = 0.15  # [s] that the fingers stand before they count as stalled
-TIMEOUT = 4.0  # [s] of the cell's time
-LOOK_PERIOD = 0.05  # [s] between two looks whether a gripper should close by itself
-AT_REST = 0.02  # [rad/s or m/s] of every joint of an arm that has arrived
-NEAR = 0.03  # [m] from the tcp: what closing fingers may touch
-REST_TIME = 0.1  # [s]
+ARRIVED = 1e-3  # [m] maximum distance from the target width
+STANDS = 2e-3  # [m/s] a slower change of the width counts as standstill
+STALL_TIME = 0.15  # [s] of standstill after which the fingers count as stalled
+TIMEOUT = 4.0  # [s, cell time]
+LOOK_PERIOD = 0.05  # [s] between two checks whether a gripper should close automatically
+AT_REST = 0.02  # [rad/s or m/s] an arm is at rest if all of its joints are slower
+NEAR = 0.03  # [m] margin around the tcp for objects that closing fingers may touch
+REST_TIME = 0.1  # [s] that an arm must rest before automatic closing
 
 
 def gripping(driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event) -> Steps:
-    """Drive a gripper until it is where it should be, or stands because something is in the way.
+    """Move a gripper until it reaches the target width or an object stops it.
 
+    Args:
+        driver: the cell's driver.
+        gripper: the gripper.
+        width: target width [m].
+        force: force per finger [N].
+        cancel: event that ends the motion early.
     Returns:
-        SUCCESS: evidence "stalled", "held" and "width" [m]. PREEMPTED: it stays where it is.
+        SUCCESS with the evidence "stalled", "held" and "width" [m], or PREEMPTED with the current "width"
+            [m].
     """
     driver.command_gripper(gripper.name, width, force)
     began = still = driver.now
@@ -55,7 +62,7 @@ def gripping(driver: Any, gripper: Gripper, width: float, force: float, cancel: 
             last, still = reading.width, now
         arrived = abs(reading.width - width) <= ARRIVED
         stalled = now - still >= STALL_TIME and now - began > 2 * STALL_TIME
-        # What is held is pressed with the whole force before anything is moved.
+        # A held object must be pressed with the full force before the arm moves.
         pressed = not reading.held or reading.force_per_finger >= 0.8 * force or now - began > TIMEOUT
         if (arrived and not reading.held) or (stalled and pressed) or now - began > TIMEOUT:
             evidence = {"stalled": not arrived, "held": reading.held, "width": reading.width}
@@ -65,7 +72,7 @@ def gripping(driver: Any, gripper: Gripper, width: float, force: float, cancel: 
 
 
 def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[CollisionObject]:
-    """Movable objects whose bounding box, grown by a margin [m], holds the tcp."""
+    """Return the movable objects whose bounding box, grown by `margin` [m], contains the tcp."""
     tcp = scene.frame_pose(gripper.tcp_link).translation
     found = []
     for item in scene.objects.values():
@@ -77,9 +84,10 @@ def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[Co
 
 
 def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
-    """Allow the fingers of a gripper's group to touch what is between them; other groups change nothing.
+    """Allow the fingers of a gripper group to touch the object between them.
 
-    A goal of a gripper's group closes onto the object, so its end in contact is no collision.
+    A goal of a gripper group closes the fingers onto the object, so contact at the goal is not a collision.
+    Other groups leave the scene unchanged.
     """
     pairs = {
         frozenset((item.name, link)): True
@@ -92,7 +100,10 @@ def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[Gripper, float]]:
-    """Grippers and final widths [m] of a trajectory that moves only fingers; empty for any other."""
+    """Return the grippers and final widths [m] of a trajectory that moves only fingers.
+
+    Returns an empty list for any other trajectory.
+    """
     fingers = {g.joint_name: g for g in model.grippers.values()}
     if not set(trajectory.joint_names) <= set(fingers):
         return []
@@ -100,12 +111,18 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
 
 
 class GripperNode:
-    """Serves the grippers of a cell: /gripper_command (or /<gripper>/gripper_command where there are
-    several) and /<gripper>_controller/gripper_cmd.
+    """Node that serves the grippers of a cell by a topic and an action for each gripper.
+
+    The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
+    is /<gripper>_controller/gripper_cmd.
 
     Args:
-        say: told what is refused and what the grippers do by themselves.
-        auto_grip: close around an object that is between the open fingers where the arm has come to rest.
+        live: the cell.
+        bus: the message bus.
+        conductor: the queue of motions.
+        say: receives a text for each rejected command and each automatic action.
+        auto_grip: if True, a gripper closes when its arm has come to rest with an object between the open
+            fingers.
     """
 
     def __init__(
@@ -118,13 +135,13 @@ class GripperNode:
         grippers = list(live.model.grippers.values())
         self._expected: dict[str, set[str]] = {g: set() for g in live.model.grippers}
         self.has_closed = False
-        """Whether a gripper has been commanded to close."""
+        """True if a client has commanded a gripper to close."""
         self._members: list[Any] = []
         for gripper in grippers:
             topic = TOPIC if len(grippers) == 1 else f"/{gripper.name}{TOPIC}"
             self._members.append(bus.subscribe(topic, "std_msgs/Float64", self._commanded(gripper)))
             name = f"/{gripper.name}_controller/gripper_cmd"
-            self._members.append(ActionServer(bus, name, ACTION, self._action(gripper)))
+            self._members.append(ActionServer(bus, name, ACTION, self._action(gripper), accepts=False))
 
     @property
     def closes_by_itself(self) -> bool:
@@ -135,10 +152,14 @@ class GripperNode:
             member.close()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Begin to open or close; a force of 0 is the gripper's largest.
+        """Start to open or close a gripper; a force of 0 means the gripper's maximum force.
 
+        Args:
+            gripper: the gripper.
+            width: target width [m].
+            force: force per finger [N].
         Raises:
-            InputError: numbers that are not finite.
+            InputError: a number is not finite.
         """
         if not (np.isfinite(width) and np.isfinite(force)):
             raise InputError(f"gripper command of width {width} m and force {force} N")
@@ -154,7 +175,10 @@ class GripperNode:
     def closing(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
     ) -> Steps:
-        """`gripping`, where physics and the motion gate know that closing fingers touch the object."""
+        """Run `gripping`; before closing, declare finger contacts with the object as expected.
+
+        The simulation and the motion gate then accept these contacts.
+        """
         if width < driver.gripper(gripper.name).width:
             self.has_closed = True
             self._expect_contact(gripper)
@@ -182,6 +206,8 @@ class GripperNode:
             except InputError as error:
                 return Done(State.REJECTED, Result(), str(error))
             while not work.wait(0.02):
+                if work.moving:
+                    goal.accept()
                 if goal.cancel.is_set():
                     work.cancel.set()
             reading = self._conductor.call(lambda: self._live.driver.gripper(gripper.name))
@@ -192,9 +218,9 @@ class GripperNode:
 
         return run
 
-    # --- by itself; in the driver's thread ---
+    # --- automatic closing, in the driver's thread ---
     def look(self) -> None:
-        """Close the grippers whose arms have come to rest around something."""
+        """Close the grippers whose arms have come to rest with an object between the fingers."""
         driver = self._live.driver
         if not self._auto or driver.now < self._next:
             return
@@ -226,19 +252,19 @@ class GripperNode:
         make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: E731
         try:
             self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))
-        except InputError as error:  # the cell is about to close, or too much waits
+        except InputError as error:  # the cell is about to close, or too many motions wait
             self._say(f"{text}, but: {error}")
         else:
             self._say(f"{text}: the gripper closes")
 
     def _expect_contact(self, gripper: Gripper) -> None:
-        """Fingers that close around something are meant to touch it."""
+        """Declare contacts between the fingers and the objects near the tcp as expected."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
-        """An arm's motion has ended: fingers that have left an object are not meant to touch it any more."""
+        """Revoke expected finger contacts with objects that an arm has left at the end of a motion."""
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]

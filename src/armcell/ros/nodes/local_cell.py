@@ -1,31 +1,33 @@
-"""The cell in this process, as move_group sees it: measured, edited by clients, and true to what is held."""
+"""Access for move_group to a cell in the same process, including the held objects."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from armcell.control import ExecutionSettings
 from armcell.model import Gripper, RobotModel
 from armcell.ros.nodes.cell_node import CellNode
 from armcell.ros.nodes.conductor import Work
+from armcell.ros.nodes.controllers import chosen
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, TaskContext
 
-LET_GO = 0.004  # [m] wider than when it was grasped: the fingers have opened
-FALLEN = 0.03  # [m] from where it was between the fingers
+LET_GO = 0.004  # [m] fingers that opened by more since the grasp have released the object
+FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
 
 
 class LocalCell:
-    """`CellAccess` to a cell that a `CellNode` runs.
+    """`CellAccess` to a cell that a `CellNode` runs in this process.
 
-    An object between closed fingers is attached to the hand by itself, whoever closed them, and belongs to
-    the world again when they open: nobody has to tell the planning scene what physics knows.
+    An object between closed fingers is attached to the hand automatically, no matter which client closed
+    them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
+    the planning scene.
     """
 
     def __init__(self, node: CellNode):
         self._node = node
-        self._widths: dict[str, float] = {}  # by object, of the fingers when it was grasped
+        self._widths: dict[str, float] = {}  # finger width at the grasp [m], by object
         node.look_at_hands = lambda: self._look_at_grippers(node.live.ctx)
 
     @property
@@ -36,7 +38,7 @@ class LocalCell:
         return self._node.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """The same, asked in the driver's thread."""
+        """Return the same scene as `scene()`; call it only in the driver's thread."""
         ctx = self._node.live.ctx
         self._look_at_grippers(ctx)
         return ctx.scene()
@@ -61,16 +63,23 @@ class LocalCell:
             self._widths[reading.held] = reading.width
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        self.scene()  # what the grippers hold is known from them, now
-        self._node.live.ctx.change_scene(make)  # in this thread: a message's mesh takes time
+        self.scene()  # update the held objects from the grippers first
+        self._node.live.ctx.change_scene(make)  # in this thread, because a large mesh takes time
         return self.scene()
+
+    @property
+    def controllers(self) -> Mapping[str, tuple[str, ...]]:
+        return self._node.controllers
 
     def play(
         self,
         message: Any,
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
+        controllers: Sequence[str] = (),
     ) -> Work:
+        if controllers and len(message.points):
+            chosen(self.controllers, controllers, message.joint_names)
         return self._node.play(message, settings, planned_in)
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:

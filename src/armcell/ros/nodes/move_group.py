@@ -1,14 +1,14 @@
 """move_group: MoveIt's planning services and actions, answered by armcell's planners.
 
-How the real one answers is copied where clients rely on it (codes, states, feedback); where it silently does
-something else than it was asked, ours refuses and says so.
+Error codes, states and feedback match MoveIt's move_group where clients rely on them. If move_group would
+silently do something else than the request says, armcell rejects the request with a reason.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -47,12 +47,12 @@ MAX_CONTACTS = 100
 
 
 class MoveGroupNode:
-    """Serves a cell the way move_group does. Pick and place: `PickPlaceNode`.
+    """Node with the interface of MoveIt's move_group for a cell.
 
     Services: /plan_kinematic_path, /compute_cartesian_path, /compute_ik, /compute_fk, /check_state_validity,
-    /query_planner_interface, /get_planner_params, /set_planner_params, and those of `SceneNode`. Actions:
-    /move_group, /execute_trajectory. Topics: /trajectory_execution_event (in, "stop"),
-    /move_group/display_planned_path (out).
+    /query_planner_interface, /get_planner_params, /set_planner_params, and the services of `SceneNode`.
+    Actions: /move_group, /execute_trajectory. Input topic: /trajectory_execution_event ("stop"). Output
+    topic: /move_group/display_planned_path. `PickPlaceNode` serves pick and place.
     """
 
     def __init__(self, cell: CellAccess, bus: Bus):
@@ -73,7 +73,7 @@ class MoveGroupNode:
             serve("get_planner_params", self._get_params),
             serve("set_planner_params", self._set_params),
             ActionServer(bus, NAME, "moveit_msgs/MoveGroup", self._move),
-            # Arms are moved at once: which goal makes way for which is decided by their joints.
+            # Arms can move at the same time: the joints of two goals decide which goal waits.
             ActionServer(
                 bus, "/execute_trajectory", "moveit_msgs/ExecuteTrajectory", self._execute, concurrent=True
             ),
@@ -99,15 +99,27 @@ class MoveGroupNode:
     def header(self, frame: str = WORLD) -> Any:
         return self.bus.header(frame)
 
-    def code(self, code: ErrorCode | int) -> Any:
-        return error_code_message(self.bus.schema, code)
+    def code(self, code: ErrorCode, message: str = "") -> Any:
+        return error_code_message(self.bus.schema, code, message)
+
+    def code_of(self, outcome: Outcome) -> Any:
+        """Return the error code of an outcome, with the reason unless it is a plain success."""
+        return self.code(outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name))
 
     def state_message(self, scene: PlanningScene) -> Any:
         return robot_state_message(self.bus.schema, self.header(), scene)
 
     # --- planning ---
     def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
-        """Plan a moveit_msgs/MotionPlanRequest in a scene; what is wrong with it is in the result."""
+        """Plan a moveit_msgs/MotionPlanRequest in a scene.
+
+        Args:
+            request: the MotionPlanRequest message.
+            scene: the planning scene.
+            cancel: event that ends the planning early.
+        Returns:
+            The plan, or an error code with the cause; an invalid request does not raise an exception.
+        """
         try:
             scene = with_finger_contacts(scene, request.group_name)
             wanted = plan_request_from_message(request, scene, self._parameters_of(request))
@@ -129,7 +141,7 @@ class MoveGroupNode:
         return result
 
     def _tell(self, group: str, result: PlanResult, asked: dict[str, Any]) -> None:
-        """For the record, whether it is carried out or not."""
+        """Report a planning result to the cell's observers, whether it is executed or not."""
         if result.trajectory is None:
             text = f"planning for {group} failed: {result.code.name}: {result.message}"
             self.cell.tell("error", text, evidence={**asked, **result.evidence})
@@ -141,7 +153,10 @@ class MoveGroupNode:
         )  # fmt: skip
 
     def settled(self, group: str, cancel: threading.Event | None = None) -> None:
-        """Return when what this group does at the moment is over: a plan from a moving state is of no use."""
+        """Wait until the current motions of a group have ended.
+
+        A plan that starts from a moving state would be invalid when it is executed.
+        """
         if group not in self.cell.model.groups:
             return
         model = self.cell.model
@@ -156,14 +171,17 @@ class MoveGroupNode:
             works[0].wait(0.05)
 
     def start_scene(self, request: Any, cancel: threading.Event | None = None) -> PlanningScene:
-        """The scene that a request begins in: measured, after the group has come to rest."""
+        """Return the measured scene in which a request starts.
+
+        If the request gives no start state, wait until the group has come to rest.
+        """
         if not request.start_state.joint_state.name:
             self.settled(request.group_name, cancel)
         return self.cell.scene()
 
     def planned(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
-        """A MotionPlanResponse; shown on display_planned_path where there is a motion."""
-        # What was wrong with the start state is in the result already.
+        """Create a MotionPlanResponse and publish the motion, if any, on display_planned_path."""
+        # If the start state is invalid, the result already states the fault.
         state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
         trajectory = robot_trajectory_message(self.bus.schema, self.header(), result.trajectory)
         if result.trajectory is not None:
@@ -176,7 +194,7 @@ class MoveGroupNode:
             request.group_name,
             trajectory,
             result.planning_time,
-            self.code(result.code),
+            self.code_of(result),
         )
 
     def _plan_service(self, request: Any) -> Any:
@@ -185,34 +203,29 @@ class MoveGroupNode:
         return self.new("GetMotionPlanResponse", self.planned(asked, scene, self.plan(asked, scene)))
 
     def _cartesian_service(self, request: Any) -> Any:
-        def refused(code: ErrorCode) -> Any:
-            return self.new(
-                "GetCartesianPathResponse",
-                self.state_message(scene),
-                fraction=-1.0,
-                error_code=self.code(code),
-            )
-
         scene = self.start_scene(request)
-        if request.group_name not in scene.model.groups:
-            logger.warning("%s", UnknownNameError("planning group", request.group_name, scene.model.groups))
-            return refused(ErrorCode.INVALID_GROUP_NAME)
         try:
+            scene.model.group(request.group_name)
             result = plan_cartesian(scene, cartesian_request_from_message(request, scene))
         except InputError as error:
             logger.warning("Cartesian request refused: %s", error)
             self.cell.tell("error", f"a client's line for {request.group_name} is refused: {error}")
-            return refused(code_of(error, ErrorCode.FAILURE))
+            return self.new(
+                "GetCartesianPathResponse",
+                self.state_message(scene),
+                fraction=-1.0,
+                error_code=self.code(code_of(error, ErrorCode.FAILURE), str(error)),
+            )
         if result.fraction < 1.0:
             logger.warning("the line is followed for %.0f %%: %s", result.fraction * 100, result.message)
         self._tell(request.group_name, result, {"fraction": result.fraction})
-        # A part of the way is success with a fraction, as from move_group.
+        # As in move_group, a partial path counts as success with a fraction below 1.
         return self.new(
             "GetCartesianPathResponse",
             self.state_message(_started(scene, request.start_state)),
             robot_trajectory_message(self.bus.schema, self.header(), result.trajectory),
             float(result.fraction),
-            self.code(ErrorCode.SUCCESS if result.fraction > 0 or result.ok else result.code),
+            self.code(ErrorCode.SUCCESS if result.fraction > 0 or result.ok else result.code, result.message),
         )
 
     # --- kinematics and validity ---
@@ -220,13 +233,12 @@ class MoveGroupNode:
         asked = request.ik_request
         scene = self.cell.scene()
 
-        def answer(code: ErrorCode, solution: PlanningScene | None = None) -> Any:
+        def answer(code: ErrorCode, why: str = "", solution: PlanningScene | None = None) -> Any:
             state = self.new("RobotState") if solution is None else self.state_message(solution)
-            return self.new("GetPositionIKResponse", state, self.code(code))
+            return self.new("GetPositionIKResponse", state, self.code(code, why))
 
-        if asked.group_name not in scene.model.groups:
-            return answer(ErrorCode.INVALID_GROUP_NAME)
         try:
+            scene.model.group(asked.group_name)
             scene = _started(scene, asked.robot_state)
             link, stamped = asked.ik_link_name, asked.pose_stamped
             if asked.pose_stamped_vector:
@@ -237,7 +249,7 @@ class MoveGroupNode:
             result = solve_ik(scene, asked.group_name, T, link or None, bool(asked.avoid_collisions))
             if not result.ok or result.positions is None:
                 logger.info("inverse kinematics: %s", result.message)
-                return answer(result.code)
+                return answer(result.code, result.message or result.code.name)
             names = scene.model.group(asked.group_name).joint_names
             q = scene.positions.copy()
             q[scene.model.columns(names)] = result.positions
@@ -246,27 +258,25 @@ class MoveGroupNode:
             if wanted and not all(
                 e.ok for e in constraint_errors(found, asked.group_name, wanted, result.positions)
             ):
-                return answer(ErrorCode.NO_IK_SOLUTION)
+                return answer(ErrorCode.NO_IK_SOLUTION, "the solution violates the request's constraints")
         except InputError as error:
             logger.warning("inverse kinematics refused: %s", error)
-            return answer(code_of(error, ErrorCode.FAILURE))
-        return answer(ErrorCode.SUCCESS, found)
+            return answer(code_of(error, ErrorCode.FAILURE), str(error))
+        return answer(ErrorCode.SUCCESS, solution=found)
 
     def _fk_service(self, request: Any) -> Any:
-        def refused(code: ErrorCode) -> Any:
-            return self.new("GetPositionFKResponse", error_code=self.code(code))
-
         scene = self.cell.scene()
         try:
             scene = _started(scene, request.robot_state)
-            names = list(request.fk_link_names)
-            if not names or any(n not in scene.frame_names for n in names):
-                return refused(ErrorCode.INVALID_LINK_NAME)
+            names = list(request.fk_link_names) or [""]
+            if unknown := [n for n in names if n not in scene.frame_names]:
+                raise UnknownNameError("link", unknown[0], scene.frame_names)
             frame = frame_of(request.header)
             into = scene.frame_pose(frame).inv()
         except InputError as error:
             logger.warning("forward kinematics refused: %s", error)
-            return refused(code_of(error, ErrorCode.FAILURE))
+            code = self.code(code_of(error, ErrorCode.FAILURE), str(error))
+            return self.new("GetPositionFKResponse", error_code=code)
         poses = [
             self.bus.schema.new(
                 "geometry_msgs/PoseStamped", self.header(frame),
@@ -324,7 +334,7 @@ class MoveGroupNode:
         return self.new("QueryPlannerInterfacesResponse", described)
 
     def _parameters_of(self, request: Any) -> dict[str, Any]:
-        """Set for the planner in general, and over them for the group."""
+        """Return the planner parameters for a request; group parameters override general ones."""
         key = (request.pipeline_id, request.planner_id)
         return {
             **self._parameters.get((*key, ""), {}),
@@ -351,7 +361,10 @@ class MoveGroupNode:
 
     # --- the move_group action ---
     def _move(self, goal: Goal) -> Done:
-        """Plan and, unless `plan_only`, execute; with `replan` again when the execution fails."""
+        """Plan and, unless `plan_only` is set, execute a MoveGroup goal.
+
+        With `replan`, plan and execute again if the execution fails.
+        """
         request, options = goal.message.request, goal.message.planning_options
         attempts = 1 + (
             max(int(options.replan_attempts), 0) if options.replan and not options.plan_only else 0
@@ -385,26 +398,39 @@ class MoveGroupNode:
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 break
         self.feedback(goal, "MoveGroup", "IDLE")
-        result.error_code = self.code(outcome.code)
+        result.error_code = self.code_of(outcome)
         return done(outcome, result)
 
     def _execute(self, goal: Goal) -> Done:
         self.feedback(goal, "ExecuteTrajectory", "MONITOR")
-        outcome = self.executed(goal.message.trajectory, goal.cancel)
+        names = tuple(goal.message.controller_names)
+        outcome = self.executed(goal.message.trajectory, goal.cancel, controllers=names)
         self.feedback(goal, "ExecuteTrajectory", "IDLE")
-        return done(outcome, self.new("ExecuteTrajectoryResult", self.code(outcome.code)))
+        return done(outcome, self.new("ExecuteTrajectoryResult", self.code_of(outcome)))
 
     def executed(
-        self, trajectory: Any, cancel: threading.Event, planned_in: PlanningScene | None = None
-    ) -> Outcome:
-        """Execute a moveit_msgs/RobotTrajectory to its end, or until the scene's changes come across it."""
+        self, trajectory: Any, cancel: threading.Event, planned_in: PlanningScene | None = None,
+        controllers: Sequence[str] = (),
+    ) -> Outcome:  # fmt: skip
+        """Execute a moveit_msgs/RobotTrajectory and return the outcome.
+
+        The execution also stops if a change of the scene obstructs the rest of the path.
+
+        Args:
+            trajectory: the RobotTrajectory message.
+            cancel: event that stops the motion.
+            planned_in: the scene in which the motion was planned; default: the current scene.
+            controllers: names of the controllers to use; empty means all controllers of the joints.
+        """
         if trajectory.multi_dof_joint_trajectory.points:
             return Outcome(ErrorCode.FAILURE, "multi-DOF trajectories are not executed")
         if not trajectory.joint_trajectory.points:
             return Outcome(ErrorCode.SUCCESS, "empty trajectory")
         with self.stoppable(cancel):
             try:
-                work = self.cell.play(trajectory.joint_trajectory, planned_in=planned_in)
+                work = self.cell.play(
+                    trajectory.joint_trajectory, planned_in=planned_in, controllers=controllers
+                )
                 return waited(work, cancel)
             except InputError as error:
                 logger.warning("trajectory refused: %s", error)
@@ -412,7 +438,10 @@ class MoveGroupNode:
 
     @contextmanager
     def stoppable(self, cancel: threading.Event) -> Iterator[None]:
-        """A "stop" that comes before the motion has begun counts as well."""
+        """Register a goal for a `with` block, so that a "stop" event cancels it.
+
+        The event also cancels the goal before its motion has started.
+        """
         self._executing.append(cancel)
         try:
             yield
@@ -442,7 +471,7 @@ SERVICES = {
 
 
 def waited(work: Work, cancel: threading.Event) -> Outcome:
-    """How a work ended, after waiting for it; a cancelled goal ends it."""
+    """Wait until a motion has ended and return its outcome; stop the motion if `cancel` is set."""
     while not work.wait(0.01):
         if cancel.is_set():
             work.cancel.set()
@@ -450,7 +479,7 @@ def waited(work: Work, cancel: threading.Event) -> Outcome:
 
 
 def done(outcome: Outcome, result: Any) -> Done:
-    """How move_group's actions end: aborted whenever the code is neither success nor preempted."""
+    """Return the end of a move_group action: aborted unless the code is success or preempted."""
     state = State.SUCCEEDED if outcome.ok else State.ABORTED
     if outcome.code is ErrorCode.PREEMPTED:
         state = State.PREEMPTED
@@ -458,7 +487,7 @@ def done(outcome: Outcome, result: Any) -> Done:
 
 
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
-    """The scene with a RobotState's joints and attached objects."""
+    """Return the scene with the joint positions and attached objects of a RobotState message."""
     state = robot_state_from_message(message, scene)
     if state is not None:
         scene = replace(scene, positions=scene.state.updated(state).positions)
@@ -469,20 +498,31 @@ def _started(scene: PlanningScene, message: Any) -> PlanningScene:
 
 
 def _moves(checker: ExactChecker, contact: Any) -> bool:
-    """Whether the checker's joints move one of a contact's bodies."""
+    """Return True if the checker's joints move at least one of the bodies in a contact."""
     moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
     return contact.body_a in moved or contact.body_b in moved
 
 
 def _request_code(request: Any, error: InputError) -> ErrorCode:
-    """move_group answers FAILURE for names it does not know, and for no goal its own code."""
+    """Return move_group's error code for an invalid planning request.
+
+    move_group returns FAILURE for unknown names, except that an unknown group and a missing goal have their
+    own codes.
+    """
+    if isinstance(error, UnknownNameError) and error.kind == "planning group":
+        return ErrorCode.INVALID_GROUP_NAME
     if not request.goal_constraints or "no constraints" in str(error):
         return ErrorCode.INVALID_GOAL_CONSTRAINTS
     return ErrorCode.FAILURE
 
 
 def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """The code for something that does not exist."""
+    """Return MoveIt's error code for an unknown name by its kind, e.g. frame, link or object.
+
+    Args:
+        error: the error.
+        otherwise: code for any other error.
+    """
     kind = error.kind if isinstance(error, UnknownNameError) else ""
     known = {
         "frame": ErrorCode.FRAME_TRANSFORM_FAILURE,

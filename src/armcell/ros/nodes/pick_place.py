@@ -1,4 +1,4 @@
-"""The pickup and place actions: grasps and places from the caller, found and tried in physics by us."""
+"""The pickup and place actions; armcell computes grasps and places that the caller omits."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from armcell.collision import neighbours
+from armcell.collision import neighbors
 from armcell.control import CHANGED
 from armcell.core import SE3, ErrorCode, InputError, Outcome, UnknownNameError
 from armcell.grasping import (
@@ -27,22 +28,23 @@ from armcell.ros.convert import pose_from_message
 from armcell.ros.moveit_convert import robot_trajectory_message
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.moveit_convert.states import trajectory_message
+from armcell.ros.nodes.gripping import NEAR
 from armcell.ros.nodes.move_group import MoveGroupNode, code_of, done, waited
-from armcell.scene import PlanningScene
+from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import TaskSettings
-from armcell.tasks.search import Draft, Planning, Stage, search
+from armcell.tasks.search import PartialSolution, Planning, Stage, search
 from armcell.tasks.stages import (
-    ChooseGivenGrasp,
-    ChooseGivenPlace,
+    AppendPlannedMotion,
     Close,
     Connect,
-    GivenGrasp,
-    GivenPlace,
-    Leave,
+    ExplicitGrasp,
+    ExplicitPlacement,
+    GripperTranslation,
     Lift,
     Open,
-    Planned,
-    Way,
+    Retreat,
+    UseGrasps,
+    UsePlacements,
 )
 from armcell.tasks.steps import Expect, Grip, Hold, Motion, StillHeld
 
@@ -50,12 +52,17 @@ logger = logging.getLogger(__name__)
 
 
 class PickPlaceNode:
-    """Actions /pickup and /place.
+    """Node with the actions /pickup and /place.
 
-    Where a message leaves something open, we fill it in, which MoveIt does not: no grasps (they are found),
-    no approach or retreat (straight ways of the settings' lengths), no postures (opened as wide as the object
-    needs, closed with the force that its mass needs), no support (what the object stands on). A grasp's pose
-    is that of the group's tip.
+    Unlike MoveIt, armcell fills in fields that the message leaves empty:
+
+    - grasps: armcell computes them
+    - approach and retreat: straight motions with the lengths in the task settings
+    - postures: the gripper opens as wide as the object requires and closes with the force that its mass
+      requires
+    - support surface: the objects on which the target rests
+
+    A grasp pose is the pose of the group's tip link.
     """
 
     def __init__(self, move_group: MoveGroupNode, settings: TaskSettings = TaskSettings()):
@@ -76,7 +83,7 @@ class PickPlaceNode:
             outcome = act(goal, goal.message, result)
         except InputError as error:
             outcome = Outcome(code_of(error, ErrorCode.FAILURE), str(error))
-        result.error_code = self._node.code(outcome.code)
+        result.error_code = self._node.code_of(outcome)
         self._node.feedback(goal, action, "IDLE")
         if not outcome.ok:
             logger.warning("%s failed: %s: %s", what, outcome.code.name, outcome.message)
@@ -98,33 +105,33 @@ class PickPlaceNode:
         began = time.monotonic()
         for _ in range(self._settings.attempts):
             scene = self._cell.scene()
-            supports = tuple(neighbours(scene, asked.target_name))
+            supports = tuple(neighbors(scene, asked.target_name))
             supports += tuple(
                 n for n in (asked.support_surface_name,) if n in scene.objects and n not in supports
             )
             s, item = self._settings, asked.target_name
             stages: list[Stage] = [
-                ChooseGivenGrasp(item, gripper, tuple(grasps), s.near),
+                UseGrasps(item, gripper, tuple(grasps), s.near),
                 Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
-                Planned("approach", "after_approach"),
+                AppendPlannedMotion("approach", "after_approach"),
                 Close(item, gripper, supports, 0.0),
                 Lift(item, gripper, supports, s.near),
             ]
-            draft, outcome = self._searched(goal, "Pickup", stages, scene, asked.allowed_planning_time)
-            if draft is None:
+            solution, outcome = self._searched(goal, "Pickup", stages, scene, asked.allowed_planning_time)
+            if solution is None:
                 return outcome
-            self._report(result, scene, draft, time.monotonic() - began)
-            grasp: GivenGrasp = draft.data["grasp"]
+            self._report(result, scene, solution, time.monotonic() - began)
+            grasp: ExplicitGrasp = solution.data["grasp"]
             if asked.possible_grasps:
                 result.grasp = asked.possible_grasps[int(grasp.name)]
             if asked.planning_options.plan_only:
                 return outcome
-            outcome = self._perform(goal, "Pickup", draft)
+            outcome = self._perform(goal, "Pickup", solution)
             if outcome.ok and self._cell.held(gripper) != item:
                 outcome = Outcome(ErrorCode.CONTROL_FAILED, f"lost {item} while lifting it")
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 return outcome
-            if outcome.code is CHANGED:  # the grasp is as good as it was; what is held stays so
+            if outcome.code is CHANGED:  # not the grasp's fault: retry it, and keep a held object
                 if self._cell.held(gripper) == item:
                     return outcome
                 logger.warning("pick %s: %s", item, outcome.message)
@@ -137,10 +144,11 @@ class PickPlaceNode:
         return outcome
 
     def _gripper(self, group: str, end_effector: str) -> Gripper:
-        """The gripper of an end effector, or of an arm's group.
+        """Return the gripper of an end effector, or of an arm's group.
 
         Raises:
-            UnknownNameError: no such end effector or group. InputError: it carries no gripper.
+            UnknownNameError: the end effector or group does not exist.
+            InputError: the arm carries no gripper.
         """
         model = self._cell.model
         if group:
@@ -154,10 +162,14 @@ class PickPlaceNode:
             return model.grippers[end_effector]
         return model.gripper(arm_group=group or None)
 
-    def _grasps(self, scene: PlanningScene, asked: Any, gripper: Gripper) -> list[GivenGrasp]:
-        """The given grasps, best first; found ones where none is given."""
+    def _grasps(self, scene: PlanningScene, asked: Any, gripper: Gripper) -> list[ExplicitGrasp]:
+        """Return the caller's grasps, best first, or computed grasps if the message contains none.
+
+        Raises:
+            InputError: the grasp poses refer to another link than the group's tip.
+        """
         item = scene.objects[asked.target_name]
-        lift = Way((0.0, 0.0, self._settings.lift_distance))
+        lift = GripperTranslation((0.0, 0.0, self._settings.lift_distance))
         if not asked.possible_grasps:
             found, _ = grasp_candidates(item, hand_of(scene.model, gripper))
             grasps = []
@@ -165,17 +177,20 @@ class PickPlaceNode:
                 axis = (item.T_world_object @ g.T_object_tcp).rotation.matrix[:, 2]
                 x, y, z = (axis * self._settings.approach_distance).tolist()
                 known = (g.name, g.T_object_tcp, g.width, g.opening, g.force, g.score)
-                grasps.append(GivenGrasp(*known, way_in=Way((x, y, z)), way_out=lift))
+                grasps.append(
+                    ExplicitGrasp(
+                        *known, pre_grasp_approach=GripperTranslation((x, y, z)), post_grasp_retreat=lift
+                    )
+                )
             return grasps
+        _check_link(scene, asked.possible_grasps, gripper, item)
         order = sorted(enumerate(asked.possible_grasps), key=lambda kv: -float(kv[1].grasp_quality))
         return [self._grasp(scene, str(i), message, gripper, item.name) for i, message in order]
 
     def _grasp(
         self, scene: PlanningScene, name: str, message: Any, gripper: Gripper, item: str
-    ) -> GivenGrasp:
-        tip = scene.model.group(gripper.arm_group).tip_link or gripper.tcp_link
-        stamped = message.grasp_pose
-        T_world_tip = scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
+    ) -> ExplicitGrasp:
+        tip, T_world_tip = _tip(scene, gripper), _pose(scene, message.grasp_pose)
         T_world_tcp = T_world_tip @ scene.transform(tip, gripper.tcp_link)
         body = scene.objects[item]
         T_object_tcp = body.T_world_object.inv() @ T_world_tcp
@@ -187,11 +202,13 @@ class PickPlaceNode:
         if message.max_contact_force > 0:
             force = min(force, float(message.max_contact_force))
         ahead = T_world_tcp.rotation.matrix[:, 2] * self._settings.approach_distance
-        up = np.array([0.0, 0.0, self._settings.lift_distance])
-        return GivenGrasp(
+        along = GripperTranslation(tuple(ahead.tolist()))
+        up = GripperTranslation((0.0, 0.0, self._settings.lift_distance))
+        translation = partial(_gripper_translation, scene, T_world_tip=T_world_tip, tip=tip)
+        return ExplicitGrasp(
             name, T_object_tcp, width, opening, force, float(message.grasp_quality),
-            way_in=_way(scene, message.pre_grasp_approach, T_world_tip, tip) or Way(tuple(ahead.tolist())),
-            way_out=_way(scene, message.post_grasp_retreat, T_world_tip, tip) or Way(tuple(up.tolist())),
+            pre_grasp_approach=translation(message.pre_grasp_approach) or along,
+            post_grasp_retreat=translation(message.post_grasp_retreat) or up,
         )  # fmt: skip
 
     # --- place ---
@@ -205,22 +222,22 @@ class PickPlaceNode:
         places = self._places(scene, asked, item, gripper)
         s = self._settings
         stages: list[Stage] = [
-            ChooseGivenPlace(item, gripper, tuple(places), s.near),
+            UsePlacements(item, gripper, tuple(places), s.near),
             Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
-            Planned("lower", "after_lower"),
+            AppendPlannedMotion("lower", "after_lower"),
             Open(item, "", gripper, s.release_margin, 0.0),
-            Leave(item, gripper, s.retreat_distance, s.near),
+            Retreat(item, gripper, s.retreat_distance, s.near),
         ]
-        draft, outcome = self._searched(goal, "Place", stages, scene, asked.allowed_planning_time)
-        if draft is None:
+        solution, outcome = self._searched(goal, "Place", stages, scene, asked.allowed_planning_time)
+        if solution is None:
             return outcome
-        self._report(result, scene, draft, time.monotonic() - began)
-        place: GivenPlace = draft.data["place"]
+        self._report(result, scene, solution, time.monotonic() - began)
+        place: ExplicitPlacement = solution.data["place"]
         if asked.place_locations:
             result.place_location = asked.place_locations[int(place.name)]
         if asked.planning_options.plan_only:
             return outcome
-        return self._perform(goal, "Place", draft)
+        return self._perform(goal, "Place", solution)
 
     def _held(self, scene: PlanningScene, asked: Any) -> tuple[str, Gripper]:
         grippers = [
@@ -237,23 +254,25 @@ class PickPlaceNode:
                 return name, gripper
         raise UnknownNameError("attached object", asked.attached_object_name, scene.attached)
 
-    def _places(self, scene: PlanningScene, asked: Any, item: str, gripper: Gripper) -> Sequence[GivenPlace]:
-        down = Way((0.0, 0.0, -self._settings.lower_distance))
+    def _places(
+        self, scene: PlanningScene, asked: Any, item: str, gripper: Gripper
+    ) -> Sequence[ExplicitPlacement]:
+        down = GripperTranslation((0.0, 0.0, -self._settings.lower_distance))
         if not asked.place_locations:
             if not asked.support_surface_name:
                 raise InputError("no place is given", cure="give locations, or name the support surface")
             support = scene.object(asked.support_surface_name)
             found: Sequence[Placement] = place_candidates(scene.object(item), support, None)
-            return [GivenPlace(p.name, p.T_world_object, self._down_to(p)) for p in found]
+            return [ExplicitPlacement(p.name, p.T_world_object, self._down_to(p)) for p in found]
         order = sorted(enumerate(asked.place_locations), key=lambda kv: -float(kv[1].quality))
         return [
             self._location(scene, str(i), message, item, gripper, bool(asked.place_eef), down)
             for i, message in order
         ]
 
-    def _down_to(self, place: Placement) -> Way:
+    def _down_to(self, place: Placement) -> GripperTranslation:
         x, y, z = (-self._settings.lower_distance * n for n in place.normal)
-        return Way((x, y, z))
+        return GripperTranslation((x, y, z))
 
     def _location(
         self,
@@ -263,32 +282,35 @@ class PickPlaceNode:
         item: str,
         gripper: Gripper,
         of_tip: bool,
-        down: Way,
-    ) -> GivenPlace:
-        tip = scene.model.group(gripper.arm_group).tip_link or gripper.tcp_link
-        stamped = message.place_pose
-        T = scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
+        down: GripperTranslation,
+    ) -> ExplicitPlacement:
+        tip, T = _tip(scene, gripper), _pose(scene, message.place_pose)
         T_tip_object = scene.transform(tip, item)
         T_world_tip = T if of_tip else T @ T_tip_object.inv()
         T_world_object = T @ T_tip_object if of_tip else T
-        return GivenPlace(
-            name, T_world_object, _way(scene, message.pre_place_approach, T_world_tip, tip) or down,
-            _way(scene, message.post_place_retreat, T_world_tip, tip),
+        translation = partial(_gripper_translation, scene, T_world_tip=T_world_tip, tip=tip)
+        return ExplicitPlacement(
+            name, T_world_object, translation(message.pre_place_approach) or down,
+            translation(message.post_place_retreat),
         )  # fmt: skip
 
-    # --- both ---
+    # --- pickup and place ---
     def _searched(
         self, goal: Goal, action: str, stages: list[Stage], scene: PlanningScene, seconds: float
-    ) -> tuple[Draft | None, Outcome]:
-        """The first complete plan, or why there is none, candidate by candidate."""
+    ) -> tuple[PartialSolution | None, Outcome]:
+        """Search for the first complete plan of the given stages.
+
+        Returns:
+            The plan with SUCCESS, or None with an outcome that summarizes why the candidates failed.
+        """
         self._node.feedback(goal, action, "PLANNING")
         settings = self._settings
         if seconds > 0:
             settings = replace(settings, planning_budget=max(float(seconds), settings.planning_time))
         planning = Planning(settings, cancel=goal.cancel)
-        draft = search(stages, Draft(scene), planning)
-        if draft is not None:
-            return draft, Outcome(ErrorCode.SUCCESS)
+        solution = search(stages, PartialSolution(scene), planning)
+        if solution is not None:
+            return solution, Outcome(ErrorCode.SUCCESS)
         if goal.cancel.is_set():
             return None, Outcome(ErrorCode.PREEMPTED, "cancelled")
         for _, candidate, reason in planning.rejections.details:
@@ -300,15 +322,15 @@ class PickPlaceNode:
         self._cell.tell("error", f"{action}: {summary}", rejections=planning.rejections.details)
         return None, Outcome(code, summary)
 
-    def _perform(self, goal: Goal, action: str, draft: Draft) -> Outcome:
-        """Do what was planned, step by step."""
+    def _perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
+        """Execute the steps of a plan in order."""
         self._node.feedback(goal, action, "MONITOR")
         with self._node.stoppable(goal.cancel):
-            return self._steps(goal, draft)
+            return self._steps(goal, solution)
 
-    def _steps(self, goal: Goal, draft: Draft) -> Outcome:
+    def _steps(self, goal: Goal, solution: PartialSolution) -> Outcome:
         cell, bus = self._cell, self._node.bus
-        for step in draft.steps:
+        for step in solution.steps:
             if goal.cancel.is_set():
                 return Outcome(ErrorCode.PREEMPTED, "cancelled")
             try:
@@ -342,8 +364,8 @@ class PickPlaceNode:
         text = f"{held} is between the fingers" if held else "nothing is between the fingers"
         return Outcome(ErrorCode.CONTROL_FAILED, text)
 
-    def _report(self, result: Any, scene: PlanningScene, draft: Draft, seconds: float) -> None:
-        motions = [step for step in draft.steps if isinstance(step, Motion)]
+    def _report(self, result: Any, scene: PlanningScene, solution: PartialSolution, seconds: float) -> None:
+        motions = [step for step in solution.steps if isinstance(step, Motion)]
         header = self._node.header()
         result.trajectory_start = self._node.state_message(scene)
         result.trajectory_stages = [
@@ -353,18 +375,70 @@ class PickPlaceNode:
         result.planning_time = seconds
 
 
+def _tip(scene: PlanningScene, gripper: Gripper) -> str:
+    """Return the link whose pose defines grasps and places: the group's tip, or else the tcp."""
+    return scene.model.group(gripper.arm_group).tip_link or gripper.tcp_link
+
+
+def _pose(scene: PlanningScene, stamped: Any) -> SE3:
+    return scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
+
+
+def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, item: CollisionObject) -> None:
+    """Reject grasp poses that clearly refer to another link than the group's tip.
+
+    MoveIt's grasp poses refer to the parent link of the end effector, which in many packages is also the tip
+    of the group. Poses are rejected if no grasp puts the tcp into the object as a pose of the tip, but at
+    least one does so as a pose of another link.
+
+    Raises:
+        InputError: the grasp poses refer to another link; the error names it, its distance from the tip, and
+            the remedy.
+    """
+    tip = _tip(scene, gripper)
+    Ts = [item.T_world_object.inv() @ _pose(scene, grasp.grasp_pose) for grasp in grasps]
+    low, high = item.bounds()
+
+    def fit(link: str) -> int:
+        """Return the number of grasps that put the tcp into the object, as poses of `link`."""
+        points = [(T @ scene.transform(link, gripper.tcp_link)).translation for T in Ts]
+        return sum(bool(np.all(p >= low - NEAR) and np.all(p <= high + NEAR)) for p in points)
+
+    if fit(tip):
+        return
+    mounts = [
+        e.parent_link for e in scene.model.end_effectors.values() if e.parent_group == gripper.arm_group
+    ]
+    chain = [joint.child for joint in scene.model.chain(scene.model.root_link, tip)]
+    others = dict.fromkeys([*mounts, *gripper.hand_links, gripper.tcp_link, *reversed(chain)])
+    best = max((link for link in others if link != tip), key=fit, default=tip)
+    if not fit(best):
+        return
+    away = float(np.linalg.norm(scene.transform(best, tip).translation)) * 1000
+    raise InputError(
+        f"the grasps of {item.name} are poses of {best}, but the tip of group {gripper.arm_group!r} is "
+        f"{tip}, {away:.0f} mm away: as poses of {tip} they leave the fingers beside {item.name}",
+        cure=f"give grasp_pose for {tip}: multiply it on the right by the transform from {best} to {tip}",
+    )
+
+
 def _posture(message: Any, gripper: Gripper) -> float | None:
-    """The width [m] that a posture's last point asks of the gripper; None where it says nothing of it."""
+    """Return the gripper width [m] at the last point of a posture; None if it omits the gripper."""
     if not message.points or gripper.joint_name not in list(message.joint_names):
         return None
     value = float(message.points[-1].positions[list(message.joint_names).index(gripper.joint_name)])
     return float(np.clip(gripper.width(value), 0.0, gripper.max_width))
 
 
-def _way(scene: PlanningScene, message: Any, T_world_tip: SE3, tip: str) -> Way | None:
-    """A GripperTranslation as a way in the world; None where it has no direction or length.
+def _gripper_translation(
+    scene: PlanningScene, message: Any, T_world_tip: SE3, tip: str
+) -> GripperTranslation | None:
+    """Convert a moveit_msgs/GripperTranslation to a translation in the world frame.
 
-    A direction in the frame of the tip is meant as the tip is at the grasp, not as it is now.
+    A direction in the frame of the tip refers to the tip's pose at the grasp, not to its current pose.
+
+    Returns:
+        The translation, or None if the message has no direction or no length.
     """
     v = message.direction.vector
     direction = np.array([v.x, v.y, v.z], dtype=float)
@@ -374,4 +448,4 @@ def _way(scene: PlanningScene, message: Any, T_world_tip: SE3, tip: str) -> Way 
     frame = frame_of(message.direction.header)
     R = T_world_tip.rotation.matrix if frame == tip else scene.frame_pose(frame).rotation.matrix
     x, y, z = (R @ direction / length * float(message.desired_distance)).tolist()
-    return Way((x, y, z), float(message.min_distance))
+    return GripperTranslation((x, y, z), float(message.min_distance))

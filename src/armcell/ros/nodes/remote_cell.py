@@ -1,7 +1,7 @@
-"""A cell whose simulator (or robot) is elsewhere: seen and moved through topics alone.
+"""Access to a cell whose simulator or robot runs in another process, through topics only.
 
-That is Unity, or `armcell sim`, in its own process. What happened to a motion is taken from
-/trajectory_status where the simulator publishes it, else from the joints: they arrive or they do not.
+The other process is Unity, `armcell sim` or a robot's driver. The result of a motion comes from
+/trajectory_status if the simulator publishes it, otherwise from the joint states.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import logging
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from armcell.cell import Controller
 from armcell.control import ExecutionSettings, MotionGate
 from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointState, JointTrajectory
 from armcell.model import Gripper, RobotModel
@@ -26,45 +27,52 @@ from armcell.ros.convert import pose_from_message, trajectory_from_message
 from armcell.ros.moveit_convert.states import joint_state_from_message
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.conductor import Work
+from armcell.ros.nodes.controllers import Controllers, chosen
 from armcell.ros.nodes.gripping import TOPIC as GRIPPER
 from armcell.ros.nodes.gripping import around_tcp, finger_goals
 from armcell.ros.units import check_near, unit_fault
 from armcell.scene import WORLD, PlanningScene
 
 logger = logging.getLogger(__name__)
-STATE_TIMEOUT = 5.0  # [s] of the wall's clock to wait for the first joint states
-POSE_TIMEOUT = 1.0  # [s] after the first joint states, for the poses of what can move
-STALE = 2.0  # [s] without joint states: the simulator is gone
-ARRIVED = 0.01  # [rad or m] from the trajectory's end
-AT_REST = 0.02  # [rad/s or m/s]
-FACTOR = 3.0  # a motion may take that many times its duration, by the wall's clock,
-GRACE = 5.0  # [s] and that much longer
-GRIP_TIME = 0.3  # [s] of the wall's clock that fingers stand before they count as stalled
+STATE_TIMEOUT = 5.0  # [s, wall clock] to wait for the first joint states
+POSE_TIMEOUT = 1.0  # [s] to wait for the poses of movable objects after the first joint states
+STALE = 2.0  # [s] without joint states after which the simulator counts as lost
+ARRIVED = 0.01  # [rad or m] maximum distance from the trajectory's end
+AT_REST = 0.02  # [rad/s or m/s] maximum joint speed at rest
+FACTOR = 3.0  # timeout of a motion: this multiple of its duration [wall clock],
+GRACE = 5.0  # [s] plus this grace period
+GRIP_TIME = 0.3  # [s, wall clock] of standstill after which fingers count as stalled
 GRIP_TIMEOUT = 6.0  # [s]
-GRIP_START = 0.4  # [s] in which fingers may begin to move
-HELD_MARGIN = 0.01  # [m] around an object in which the tcp of the hand that holds it is
+GRIP_START = 0.4  # [s] for fingers to begin to move
+HELD_MARGIN = 0.01  # [m] an object is between the fingers if its box with this margin contains the tcp
 POLL = 0.01  # [s]
-BEGINS = "executing"  # a motion, on /trajectory_status
+CLOSED = 0.002  # [m] threshold for a width below the first one, or above the commanded one
+BEGINS = "executing"  # prefix on /trajectory_status that reports the start of a motion
 
 
 class RemoteCell:
-    """`CellAccess` over a bus that a simulator is joined to.
+    """`CellAccess` to a simulator or robot that is connected to the bus.
 
-    One motion at a time, of several arms too: whether two would meet is not looked at here, and what the
-    simulator tells of a motion does not say which it means.
+    Only one motion runs at a time, even with several arms: this class does not check motions against each
+    other, and the simulator's status messages do not identify their motion.
 
     Args:
-        scene: the cell's scene at the start; measured states and poses replace its own as they come.
+        bus: the message bus.
+        scene: the cell's initial scene; measured joint states and object poses replace its values.
+        controllers: the controllers of the robot's own program, which then executes all motions. Without
+            controllers, motions go to /planned_trajectory and gripper widths to /gripper_command.
     """
 
-    def __init__(self, bus: Bus, scene: PlanningScene):
+    def __init__(self, bus: Bus, scene: PlanningScene, controllers: Sequence[Controller] = ()):
         self._bus, self._scene = bus, scene
+        self._controllers = Controllers(bus, controllers, self.joints)
         self._lock, self._edit = threading.Lock(), threading.Lock()
         self._joints: JointState | None = None
-        self._at = 0.0  # [s] of the wall's clock, of the last joint states
+        self._at = 0.0  # [s, wall clock] arrival of the last joint states
         self._poses: dict[str, SE3] = {}
-        self._unseen = {n for n, o in scene.objects.items() if o.movable}  # no pose came yet
-        self._targets: dict[str, float] = {}  # widths that the grippers were told
+        self._unseen = {n for n, o in scene.objects.items() if o.movable}  # objects without a pose so far
+        self._targets: dict[str, float] = {}  # [m] commanded gripper widths
+        self._first_widths: dict[str, float] = {}  # [m] gripper widths in the first joint states
         self._running: list[Work] = []
         self._expected: frozenset[frozenset[str]] = frozenset()
         self.gate = MotionGate(self)
@@ -90,19 +98,23 @@ class RemoteCell:
             )
             for g in grippers
         }
+        for gripper, publisher in zip(grippers, self._grippers.values()):  # scripts may also command them
+            self._members.append(
+                bus.subscribe(publisher.topic, "std_msgs/Float64", self._command_callback(gripper.name), 2)
+            )
         self._said: list[str] = []
         self._complaints = Complaints()
-        self._refused = ""  # why the last joint states were not taken
-        self._announces = False  # the simulator says when a motion begins
+        self._refused = ""  # reason for which the last joint states were rejected
+        self._announces = False  # True if the simulator reports the start of motions
 
     def close(self) -> None:
         self._closed.set()
-        for member in (*self._members, self._trajectories, *self._grippers.values()):
+        for member in (*self._members, self._trajectories, *self._grippers.values(), self._controllers):
             member.close()
 
-    # --- what comes in ---
+    # --- subscriptions ---
     def _complain(self, text: str) -> None:
-        """Thirty bad messages a second are one line in the log."""
+        """Log a fault once for each kind, because messages arrive many times per second."""
         if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
             logger.warning("%s", text)
 
@@ -124,6 +136,9 @@ class RemoteCell:
             return
         with self._lock:
             self._joints, self._at, self._refused = state, time.monotonic(), ""
+            for name, gripper in self.model.grippers.items():
+                if gripper.joint_name in state.joint_names:
+                    self._first_widths.setdefault(name, gripper.width(state[gripper.joint_name]))
 
     def _on_clock(self, message: Any) -> None:
         self._bus.clock.set(message.clock.to_sec())
@@ -151,16 +166,47 @@ class RemoteCell:
 
         return take
 
-    # --- looking ---
+    def _command_callback(self, gripper: str) -> Callable[[Any], None]:
+        def take(message: Any) -> None:
+            if np.isfinite(message.data):
+                self._targets[gripper] = max(float(message.data), 0.0)
+
+        return take
+
+    # --- state ---
+    @property
+    def is_seen(self) -> bool:
+        """True if joint states have arrived."""
+        return self._joints is not None
+
+    @property
+    def silence(self) -> float:
+        """Time since the last joint states [s, wall clock]; 0 before the first ones."""
+        with self._lock:
+            return time.monotonic() - self._at if self._joints is not None else 0.0
+
+    @property
+    def has_closed(self) -> bool:
+        """True if a gripper's fingers are closer than at first, or were commanded to be."""
+        with self._lock:
+            state, targets = self._joints, dict(self._targets)
+        for name, first in self._first_widths.items():
+            gripper = self.model.gripper(name)
+            width = first if state is None else gripper.width(state[gripper.joint_name])
+            if min(targets.get(name, first), width) < first - CLOSED:
+                return True
+        return False
+
     @property
     def model(self) -> RobotModel:
         return self._scene.model
 
     def joints(self) -> JointState:
-        """The last joint states.
+        """Return the last joint states; wait for the first ones.
 
         Raises:
-            InputError: none came, or none for some time: says what to look at.
+            InputError: no joint states have arrived, or the last ones are too old; the error states the
+                remedy.
         """
         give_up = time.monotonic() + STATE_TIMEOUT
         while self._joints is None and time.monotonic() < give_up and not self._closed.is_set():
@@ -197,7 +243,7 @@ class RemoteCell:
         return scene
 
     def _await_poses(self) -> None:
-        """Where things are is the simulator's to say: wait for that, once."""
+        """Wait once for the simulator's object poses; then use the cell's poses for missing ones."""
         if not self._unseen:
             return
         give_up = time.monotonic() + POSE_TIMEOUT
@@ -208,11 +254,16 @@ class RemoteCell:
             self._unseen = set()
 
     def _grips(self, gripper: Gripper, state: JointState) -> bool:
-        """Whether the fingers were told to close farther than they could."""
-        target = self._targets.get(gripper.name)
-        if target is None or gripper.joint_name not in state.joint_names:
+        """Return True if the fingers could not close as far as they were commanded to.
+
+        Without a command, closer fingers than at first mean that the simulator closed them itself.
+        """
+        if gripper.joint_name not in state.joint_names:
             return False
-        return gripper.width(state[gripper.joint_name]) > max(target, 0.0) + 0.002
+        target, width = self._targets.get(gripper.name), gripper.width(state[gripper.joint_name])
+        if target is None:
+            return width < self._first_widths.get(gripper.name, width) - CLOSED
+        return width > max(target, 0.0) + CLOSED
 
     def held(self, gripper: Gripper) -> str | None:
         bodies = self.scene().attached
@@ -224,12 +275,12 @@ class RemoteCell:
             changed = make(measured)
             for name in measured.attached:
                 if name not in self._scene.attached and name in changed.attached:
-                    changed = changed.with_detached(name)  # the fingers say who holds it
+                    changed = changed.with_detached(name)  # the fingers determine what is held
             with self._lock:
                 self._scene = changed
         return self.scene()
 
-    # --- moving ---
+    # --- motions ---
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
         wanted = None if joints is None else frozenset(joints)
         with self._lock:
@@ -237,7 +288,10 @@ class RemoteCell:
             return [w for w in self._running if wanted is None or w.joints & wanted]
 
     def _begin(self, work: Work, follow: Callable[[Work], ExecutionResult]) -> Work:
-        """Begin a work when those of the same joints are ended, and (a motion) when the other arms are still.
+        """Start a motion after conflicting motions have ended.
+
+        Earlier motions of the same joints are stopped; a motion of an arm also waits until the other arms are
+        still.
 
         Raises:
             InputError: the cell is closed.
@@ -256,7 +310,10 @@ class RemoteCell:
         return work
 
     def _begun(self, work: Work) -> bool:
-        """Whether nothing is in a work's way any more; else what shares its joints is told to end."""
+        """Register a motion and return True if no other motion conflicts with it.
+
+        Otherwise, stop the motions of the same joints and return False.
+        """
         with self._lock:
             self._running = [w for w in self._running if not w.is_over]
             moves = work.trajectory is not None
@@ -268,11 +325,11 @@ class RemoteCell:
                 return True
         for other in others:
             if other.joints & work.joints:
-                other.cancel.set()
+                other.stop(f"preempted by a newer motion ({work.name})")
         others[0].wait(0.05)
         return False
 
-    # --- what the motion gate asks ---
+    # --- interface for the motion gate ---
     @property
     def base(self) -> PlanningScene:
         with self._lock:
@@ -290,24 +347,31 @@ class RemoteCell:
 
     @property
     def keeps_time(self) -> bool:
-        return False  # whether the simulator does is not known
+        return False  # unknown for a remote simulator
 
     def emit(self, kind: str, text: str, **data: Any) -> None:
         logger.warning("%s: %s", kind, text)
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
-        pass  # whoever records the simulator does it there
+        pass  # the simulator's process records its own events
+
+    @property
+    def controllers(self) -> Mapping[str, tuple[str, ...]]:
+        return self._controllers.joints
 
     def play(
         self,
         message: Any,
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
+        controllers: Sequence[str] = (),
     ) -> Work:
         trajectory = trajectory_from_message(message, self.model, self.joints())
         if not len(trajectory.times):
             joints = trajectory.joint_names or self.model.joint_names
             return self._begin(Work("stop", joints), lambda work: self._stopped(message))
+        if controllers or self._controllers:
+            chosen(self.controllers, controllers, trajectory.joint_names)
         if goals := finger_goals(self.model, trajectory):
             return self._drive([(gripper, width, gripper.max_force) for gripper, width in goals])
 
@@ -317,10 +381,13 @@ class RemoteCell:
             if (unproven := motion.begin()) is not None:
                 return unproven
             try:
-                with self._lock:
-                    self._said.clear()
-                self._trajectories.publish(message)
-                result = self._follow(trajectory, motion)
+                if self._controllers:
+                    result = self._controllers.follow(trajectory, motion, controllers)
+                else:
+                    with self._lock:
+                        self._said.clear()
+                    self._trajectories.publish(message)
+                    result = self._follow(trajectory, motion)
             except BaseException as error:
                 motion.end(ExecutionResult(ErrorCode.CONTROL_FAILED, str(error)))
                 raise
@@ -354,7 +421,7 @@ class RemoteCell:
                 said = list(self._said)
             if (told := _told(said, begun=not self._announces)) is not None:
                 return told
-            if not said:  # one that says nothing: look at the joints
+            if not said:  # the simulator reports no status: check the joint states
                 state = self.joints().reindexed(names)
                 error = float(np.max(np.abs(state.positions - end)))
                 rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
@@ -370,27 +437,38 @@ class RemoteCell:
         return self._drive([(gripper, float(np.clip(width, 0.0, gripper.max_width)), force)])
 
     def _drive(self, goals: list[tuple[Gripper, float, float]]) -> Work:
-        """Drive grippers one after the other to widths [m] with forces [N]; an object may stop them."""
+        """Move grippers one after the other to widths [m] with forces [N]; an object may stop them."""
 
         def follow(work: Work) -> ExecutionResult:
             result = ExecutionResult(ErrorCode.SUCCESS)
             for gripper, width, force in goals:
-                # One number on the topic: a width, or below zero the force to close with.
-                value = -min(force, gripper.max_force) if width <= 0 < force else width
                 self._targets[gripper.name] = width
-                self._grippers[gripper.name].publish(self._bus.schema.new("std_msgs/Float64", value))
-                result = self._follow_fingers(work, gripper, width)
+                force = min(force, gripper.max_force)
+                ended: Callable[[], ExecutionResult | None] = lambda: None  # noqa: E731
+                if self._controllers.moves_gripper(gripper):
+                    ended = self._controllers.grip(gripper, width, force)
+                else:  # the topic carries one number: a width, or, if negative, the closing force
+                    value = -force if width <= 0 < force else width
+                    self._grippers[gripper.name].publish(self._bus.schema.new("std_msgs/Float64", value))
+                result = self._follow_fingers(work, gripper, width, ended)
+                if not result.ok:
+                    break
             return result
 
         names = ", ".join(gripper.name for gripper, _, _ in goals)
         return self._begin(Work(f"gripper {names}", [gripper.joint_name for gripper, _, _ in goals]), follow)
 
-    def _follow_fingers(self, work: Work, gripper: Gripper, wanted: float) -> ExecutionResult:
+    def _follow_fingers(
+        self, work: Work, gripper: Gripper, wanted: float, ended: Callable[[], ExecutionResult | None]
+    ) -> ExecutionResult:
+        """Wait until the fingers arrive or stand still, or their controller reports a failure."""
         began = still = time.monotonic()
         last = np.inf
         while time.monotonic() - began < GRIP_TIMEOUT and not self._closed.is_set():
             if work.cancel.is_set():
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
+            if (reported := ended()) is not None and not reported.ok:
+                return reported
             width = gripper.width(self.joints()[gripper.joint_name])
             if abs(width - last) > 5e-4:
                 last, still = width, time.monotonic()
@@ -403,13 +481,19 @@ class RemoteCell:
         return ExecutionResult(ErrorCode.SUCCESS, evidence={"width": last, "stalled": True})
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """For the motion gate; what physics makes of a contact is the simulator's affair."""
+        """Declare expected contacts for the motion gate, which then allows them.
+
+        The simulator handles contacts independently of this declaration.
+        """
         pairs = {frozenset((body, other)) for other in others}
         with self._lock:
             self._expected = self._expected | pairs if expected else self._expected - pairs
 
     def stop_joints(self, names: Iterable[str]) -> None:
-        """An empty trajectory stops."""
+        """Stop joints by publishing an empty trajectory.
+
+        Goals that were sent to controllers are canceled by their own motions.
+        """
         self._trajectories.publish(
             self._bus.schema.new("trajectory_msgs/JointTrajectory", joint_names=list(names))
         )
@@ -421,11 +505,15 @@ class RemoteCell:
 
 
 def _told(said: list[str], begun: bool) -> ExecutionResult | None:
-    """How a motion ended by what /trajectory_status has said since it was sent; None: it has not.
+    """Return the result of a motion from the /trajectory_status messages since it was sent.
 
     Args:
-        begun: False: what comes before "executing" is of an earlier motion, or of its stop; only a refusal
-            comes without. True: the simulator never says "executing".
+        said: the status messages.
+        begun: False if the simulator announces each motion with "executing"; messages before the announcement
+            then belong to an earlier motion, except for a rejection. True if the simulator never announces
+            motions.
+    Returns:
+        The result, or None if the motion has not ended.
     """
     for text in said:
         what, _, why = text.partition(": ")

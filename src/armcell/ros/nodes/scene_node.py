@@ -1,4 +1,4 @@
-"""The planning scene on the bus: what clients ask, what they change, and what they are told of it."""
+"""The planning scene on the bus: queries and edits by clients, and updates to them."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ from armcell.ros.nodes.access import CellAccess
 from armcell.scene import OCTOMAP, WORLD, PlanningScene, SceneDiff, SetOctomap
 
 logger = logging.getLogger(__name__)
-PUBLISH_PERIOD = 0.25  # [s] 4 Hz, as move_group's planning scene monitor
+PUBLISH_PERIOD = 0.25  # [s] 4 Hz, as in move_group's planning scene monitor
 STATE = Components.ROBOT_STATE | Components.ROBOT_STATE_ATTACHED_OBJECTS
 MONITORED = ("/move_group/monitored_planning_scene", "/monitored_planning_scene")
 
 
 class SceneNode:
-    """/get_planning_scene, /apply_planning_scene, /clear_octomap.
+    """Node that serves the planning scene of a cell.
 
-    In: /planning_scene, /planning_scene_world (replaces the world), /collision_object,
-    /attached_collision_object. Out: /move_group/monitored_planning_scene (and without the namespace).
+    Services: /get_planning_scene, /apply_planning_scene, /clear_octomap. Input topics: /planning_scene,
+    /planning_scene_world (replaces the world), /collision_object, /attached_collision_object. Output topics:
+    /move_group/monitored_planning_scene and /monitored_planning_scene.
     """
 
     def __init__(self, cell: CellAccess, bus: Bus):
         self._cell, self._bus = cell, bus
         self._stop, self._changed = threading.Event(), threading.Event()
         self._complaints = Complaints()
+        self._clearing: list[Callable[[], None]] = []
         self._out = [bus.advertise(name, "moveit_msgs/PlanningScene", latch=True) for name in MONITORED]
         self._members: list[Any] = [
             bus.serve("/get_planning_scene", "moveit_msgs/GetPlanningScene", self._get),
@@ -66,7 +68,7 @@ class SceneNode:
             member.close()
 
     def header(self) -> Any:
-        """A header in the planning frame."""
+        """Return a header in the planning frame, which is the world."""
         return self._bus.header(WORLD)
 
     def message(self, scene: PlanningScene, parts: Components = Components.ALL) -> Any:
@@ -87,7 +89,18 @@ class SceneNode:
             return self._bus.schema.new("moveit_msgs/ApplyPlanningSceneResponse", False)
         return self._bus.schema.new("moveit_msgs/ApplyPlanningSceneResponse", True)
 
+    def on_clear(self, clear: Callable[[], None]) -> None:
+        """Register a function that is called when a client clears the octomap."""
+        self._clearing.append(clear)
+
+    def tell_changed(self) -> None:
+        """Schedule publication of the complete scene after a change that no client made."""
+        self._changed.set()
+
     def _clear_octomap(self, request: Any) -> Any:
+        for clear in self._clearing:
+            clear()
+
         def make(scene: PlanningScene) -> PlanningScene:
             return scene.apply(SceneDiff.of(SetOctomap(None))) if OCTOMAP in scene.objects else scene
 
@@ -111,7 +124,10 @@ class SceneNode:
         self._changed.set()
 
     def _tell(self) -> None:
-        """The whole scene after a change, the robot's state in between while somebody listens."""
+        """Publish the complete scene after each change.
+
+        Between changes, publish the robot state at 4 Hz while a client subscribes.
+        """
         while not self._stop.is_set():
             changed = self._changed.wait(PUBLISH_PERIOD)
             self._changed.clear()
@@ -124,7 +140,7 @@ class SceneNode:
                 for publisher in self._out:
                     if changed or publisher.subscribers:
                         publisher.publish(message)
-            except InputError as error:  # closed meanwhile, or the simulator is not there yet
+            except InputError as error:  # the cell was closed, or the simulator is not connected yet
                 logger.debug("planning scene not told: %s", error)
                 if changed and not self._stop.wait(PUBLISH_PERIOD):
                     self._changed.set()

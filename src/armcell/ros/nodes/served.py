@@ -1,4 +1,4 @@
-"""A cell with all that is served of it: states, motions, grippers, move_group, pick and place, grasping."""
+"""A cell with all of its nodes: states, motions, grippers, move_group, pick and place."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
+from armcell.perception import Sensors3d
 from armcell.planning import prepare, warm_up
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.access import CellAccess
@@ -23,68 +24,85 @@ from armcell.ros.nodes.local_cell import LocalCell
 from armcell.ros.nodes.move_group import MoveGroupNode
 from armcell.ros.nodes.pick_place import PickPlaceNode
 from armcell.ros.nodes.remote_cell import RemoteCell
+from armcell.ros.nodes.sensors import SensorNode
 from armcell.ros.nodes.states import RATE
 from armcell.tasks import TaskSettings
 
 T = TypeVar("T")
 RESUME = "/resume"
-AT_REST, STILL = 0.01, 0.2  # [rad/s or m/s], for so long [s]: an arm that was stopped swings
+AT_REST, STILL = 0.01, 0.2  # speed [rad/s or m/s] and its duration [s]: a stopped arm still oscillates
 
 
-def _serve_planner(cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack) -> None:
+def _serve_planner(
+    cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack, sensors: Sensors3d | None
+) -> None:
     group = MoveGroupNode(cell, bus)
     stack.callback(group.close)
+    if sensors is not None:
+        stack.callback(SensorNode(cell, bus, group.scene_node, sensors).close)
     stack.callback(PickPlaceNode(group, settings).close)
     if cell.model.grippers:
         stack.callback(GraspServer(cell, bus).close)
 
 
 class ServedCell:
-    """Runs from `start` (or `with`) to `close`.
+    """A live cell with its nodes, served from `start` (or `with`) to `close`.
 
-    Service /resume (std_srvs/Trigger): makes the cell ready after a stop, or answers with what to do first
-    (`LiveCell.resume`). In the caller's thread: to connect to an arm again takes seconds.
+    The service /resume (std_srvs/Trigger) makes the cell ready after a stop, or responds with the action that
+    the operator must take first (`LiveCell.resume`). It runs in the caller's thread, because reconnecting to
+    an arm takes seconds.
 
     Args:
-        plan: serve move_group, too, not the robot and its grippers alone.
+        live: the cell.
+        bus: the message bus.
+        rate: publishing rate of the states [Hz].
+        plan: if True, also serve move_group; if False, only the robot and its grippers.
         auto_grip: see `CellNode`.
+        sensors: sensors whose clouds and depth images update the octomap; default: the cell's sensors.
     """
 
     def __init__(
-        self, live: LiveCell, bus: Bus, rate: float = RATE, plan: bool = True, auto_grip: bool = False
-    ):
+        self, live: LiveCell, bus: Bus, rate: float = RATE, plan: bool = True, auto_grip: bool = False,
+        sensors: Sensors3d | None = None,
+    ):  # fmt: skip
         self.bus, self.live = bus, live
         self.node = CellNode(live, bus, rate, auto_grip)
         self.cell = LocalCell(self.node)
-        self._plan = plan
+        self._plan, self._sensors = plan, sensors or live.sensors
         self._stack = ExitStack()
         self.failure: BaseException | None = None
-        # Not the thread's own word: an interrupted `join` of Python 3.11 marks a running thread as dead.
+        # `Thread.is_alive` is unreliable: an interrupted `join` of Python 3.11 marks a live thread as dead.
         self.over = threading.Event()
         self.thread = threading.Thread(target=self._run, name=f"cell {live.name}", daemon=True)
 
     def _run(self) -> None:
         try:
             self.node.run()
-        except BaseException as error:  # said by whoever waits for it
+        except BaseException as error:  # the thread that waits for this one reports it
             self.failure = error
         finally:
             self.over.set()
 
     @property
+    def has_closed(self) -> bool:
+        """True if a gripper was commanded to close, or can close automatically."""
+        return self.node.grippers.closes_by_itself or self.node.grippers.has_closed
+
+    @property
     def is_running(self) -> bool:
-        """Whether the cell's thread steps it."""
+        """True while the cell's thread steps the cell."""
         return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
-        """Connect the cell and serve it; returns when it is ready.
+        """Connect the cell and serve it; return when the cell is ready.
 
         Args:
-            layer: around "drivers" and "planner" (`cell.health`).
+            poll: polling period [s] for the cell's thread.
+            layer: context manager around the layers "drivers" and "planner" (`cell.health`).
         Raises:
-            What made it end, where it ended before it was ready.
+            BaseException: the error that ended the cell's thread before the cell was ready.
         """
-        describe(self.bus, self.live.model)
+        self._stack.callback(describe(self.bus, self.live.model).close)
         with layer("drivers"):
             self.thread.start()
             while not self.node.ready.wait(poll):
@@ -93,14 +111,17 @@ class ServedCell:
         self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
         with layer("planner"):
             if self._plan:
-                _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack)
+                _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack, self._sensors)
 
     def _on_resume(self, request: Any) -> Any:
         outcome = self.live.resume()
         return self.bus.schema.new("std_srvs/TriggerResponse", outcome.ok, outcome.message or "ready")
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run something in the cell's thread between two steps, and wait; here, where that has ended."""
+        """Run a function in the cell's thread between two steps and return its result.
+
+        If that thread has ended, run the function in the caller's thread.
+        """
         if self.is_running:
             try:
                 return self.node.conductor.call(function)
@@ -110,7 +131,7 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop what moves, and wait until it rests; nothing moves again. See what the hands hold then."""
+        """Stop all motions for good, wait until the arms rest, and update the held objects."""
         self.node.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
@@ -122,12 +143,12 @@ class ServedCell:
         self.call(self.cell.now)
 
     def _speed(self) -> float:
-        """Of the fastest joint [rad/s or m/s]; 0 where it is not known."""
+        """Return the speed of the fastest joint [rad/s or m/s]; 0 if velocities are not measured."""
         v = self.live.driver.joint_state().velocities
         return 0.0 if v is None else float(np.max(np.abs(v), initial=0.0))
 
     def close(self) -> None:
-        """Stop what moves and leave the bus."""
+        """Stop all motions and leave the bus."""
         self._stack.close()
         self.node.close()
         if self.thread.ident is not None:
@@ -147,23 +168,43 @@ class ServedCell:
 
 
 class ServedPlanner:
-    """The planner and the grasp server of a cell whose simulator is another program on the bus."""
+    """Planner and grasp server for a cell whose simulator is another program on the bus."""
 
-    def __init__(self, cell: Cell, bus: Bus, seed: int = 0):
-        self.bus = bus
+    def __init__(self, cell: Cell, bus: Bus, seed: int = 0, sensors: Sensors3d | None = None):
+        self.bus, self._sensors = bus, sensors or cell.sensors
         self._scene, self._settings = cell.scene(seed), cell.settings
-        self.cell = RemoteCell(bus, self._scene)
+        self.cell = RemoteCell(bus, self._scene, cell.controllers)
         self._stack = ExitStack()
+        self.failure: BaseException | None = None
+        self.is_running = True  # until `close`
+
+    @property
+    def has_closed(self) -> bool:
+        """True if a gripper was commanded to close, or the simulator closed it."""
+        return self.cell.has_closed
+
+    def rest(self) -> None:
+        """Stop the motions of the remote cell and wait until they have ended."""
+        works = self.cell.works()
+        for work in works:
+            work.cancel.set()
+        for work in works:
+            work.wait(SETTLE)
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Run a function in the caller's thread, because this process has no driver thread."""
+        return function()
 
     def start(self) -> None:
-        describe(self.bus, self._scene.model)
+        self._stack.callback(describe(self.bus, self._scene.model).close)
         warm_up()
         for group in self._scene.model.groups.values():
             if group.tip_link:
                 prepare(self._scene, group.name)
-        _serve_planner(self.cell, self.bus, self._settings, self._stack)
+        _serve_planner(self.cell, self.bus, self._settings, self._stack, self._sensors)
 
     def close(self) -> None:
+        self.is_running = False
         self._stack.close()
         self.cell.close()
 

@@ -1,31 +1,58 @@
-"""Publishing what a driver measures: joint states, the transform tree, object poses, the clock."""
+"""Publisher of a driver's measurements: joint states, transforms, object poses, clock."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from armcell.control import Driver
-from armcell.core import SE3
+from armcell.core import SE3, InputError, JointState
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.records.mcap_writer import ros_name, urdf_text
 from armcell.ros.bus import Bus
 from armcell.ros.convert import joint_state_message, pose_message, transform_message
+from armcell.ros.nodes.arm_status import ArmStatusPublisher
 from armcell.scene import WORLD, PlanningScene
 
 RATE = 30.0  # [Hz]
 
 
-class StatePublisher:
-    """Publishes at a rate of the driver's own clock, which it makes the bus's clock.
-
-    Topics: /joint_states, with several arms also /<arm's group>/joint_states, /tf (every link, every
-    object; also those that never move, for Unity listens to no /tf_static), /object_pose/<name> and, when
-    there is but one movable object, /object_pose, /clock, and /robot_description (latched) where the URDF's
-    text is at hand.
+def check_rate(driver: Driver, rate: float) -> None:
+    """Check that the driver measures at least as often as states are published.
 
     Args:
-        rate: [Hz] of the driver's clock.
+        driver: the driver.
+        rate: publishing rate of the states [Hz].
+    Raises:
+        InputError: the rate exceeds the driver's rate; the error states the highest valid rate.
+    """
+    highest = 1.0 / driver.period
+    if rate > highest + 1e-6:
+        raise InputError(
+            f"the rate of the states is {rate:g} Hz, but this cell is measured every "
+            f"{driver.period * 1e3:g} ms",
+            cure=f"--rate {highest:g} or less",
+        )
+
+
+class StatePublisher:
+    """Publisher of a cell's state at a fixed rate of the driver's clock.
+
+    It sets the bus's clock to the driver's clock. Topics:
+
+    - /joint_states: all joints, mimic joints last; with several arms also /<arm group>/joint_states
+    - the topics of `ArmStatusPublisher`
+    - /tf: every link and object, including static ones, because Unity does not read /tf_static
+    - /object_pose/<name>, and /object_pose if the cell has exactly one movable object
+    - /clock
+    - /robot_description (latched), if the URDF text is available
+
+    Args:
+        bus: the message bus.
+        scene: the initial scene.
+        rate: publishing rate [Hz, driver's clock].
     """
 
     def __init__(self, bus: Bus, scene: PlanningScene, rate: float = RATE):
@@ -47,7 +74,16 @@ class StatePublisher:
             n: advertise(f"/object_pose/{ros_name(n)}", "geometry_msgs/PoseStamped") for n in movable
         }
         self._only = advertise("/object_pose", "geometry_msgs/PoseStamped") if len(movable) == 1 else None
-        self._members = [self._joints, *self._arms.values(), self.tf, self._clock, *self._objects.values()]
+        self._mimics = _Mimics(scene.model)
+        self._status = ArmStatusPublisher(bus, scene.model)
+        self._members: list[Any] = [
+            self._status,
+            self._joints,
+            *self._arms.values(),
+            self.tf,
+            self._clock,
+            *self._objects.values(),
+        ]
         self._members += [self._only] if self._only is not None else []
         urdf = urdf_text(scene)
         if urdf is not None:
@@ -57,21 +93,22 @@ class StatePublisher:
             self._members.append(description)
 
     def due(self, now: float) -> bool:
-        """Whether it is time again, by the driver's clock [s]."""
+        """Return True if the next publication is due at the time `now` [s, driver's clock]."""
         return now >= self._next - 1e-9
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish. Called from the thread that steps the driver."""
+        """Measure and publish the state; call it in the thread that steps the driver."""
         now = driver.now
-        self._next = max(self._next + self._period, now)  # no burst after a pause
+        self._next = max(self._next + self._period, now)  # avoids a burst of messages after a pause
         self._bus.clock.set(now)
         schema, state = self._bus.schema, driver.joint_state()
         self._clock.publish(schema.new("rosgraph_msgs/Clock", self._bus.stamp()))
-        self._joints.publish(joint_state_message(schema, self._bus.header(), state))
+        self._joints.publish(joint_state_message(schema, self._bus.header(), self._mimics.added(state)))
+        self._status.publish(driver)
         for names, publisher in self._arms.items():
             if publisher.subscribers:
-                mine = joint_state_message(schema, self._bus.header(), state.reindexed(names))
-                publisher.publish(mine)
+                mine = self._mimics.added(state.reindexed(names))
+                publisher.publish(joint_state_message(schema, self._bus.header(), mine))
         poses = driver.object_poses()
         if self.tf.subscribers:
             self.tf.publish(schema.new("tf2_msgs/TFMessage", self._transforms(state.positions, poses)))
@@ -85,7 +122,7 @@ class StatePublisher:
                     self._only.publish(stamped)
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Remove the publishers from the bus."""
         for member in self._members:
             member.close()
 
@@ -103,8 +140,41 @@ class StatePublisher:
         return found
 
 
+class _Mimics:
+    """Mimic joints of a model, such as the second finger of a gripper."""
+
+    def __init__(self, model: RobotModel):
+        self._follows: dict[str, tuple[str, float, float]] = {}  # source joint, multiplier, offset
+        for name, joint in model.joints.items():
+            factor, offset, source = 1.0, 0.0, joint
+            while source.mimic is not None:  # a mimic of a mimic
+                offset += factor * source.mimic.offset
+                factor *= source.mimic.multiplier
+                source = model.joints[source.mimic.joint]
+            if source is not joint:
+                self._follows[name] = (source.name, factor, offset)
+
+    def added(self, state: JointState) -> JointState:
+        """Return the joint state extended by the mimic joints of its joints.
+
+        The efforts of mimic joints are unknown and set to zero.
+        """
+        mine = {n: f for n, f in self._follows.items() if f[0] in state.joint_names}
+        if not mine:
+            return state
+        columns = list(state.columns([source for source, _, _ in mine.values()]))
+        factors, offsets = (np.array([f[i] for f in mine.values()]) for i in (1, 2))
+        q, v, effort = state.positions, state.velocities, state.efforts
+        return JointState(
+            (*state.joint_names, *mine),
+            np.append(q, q[columns] * factors + offsets),
+            None if v is None else np.append(v, v[columns] * factors),
+            None if effort is None else np.append(effort, np.zeros(len(mine))),
+        )
+
+
 def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """The joints of each arm with those of its grippers, by its group; empty where there is but one."""
+    """Return the joints of each arm and its grippers, by group; empty if there is only one arm."""
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():
         own = found.get(gripper.arm_group, model.group(gripper.arm_group).joint_names)

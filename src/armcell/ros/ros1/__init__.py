@@ -1,8 +1,8 @@
-"""ROS 1 with none of it installed: a node, a master, and a bus joined to a graph.
+"""ROS 1 node, master and bus bridge in pure Python; needs no ROS installation.
 
-settings: names and addresses. listener, rpc, header, reactor: what goes over sockets. publication,
-subscription, services: TCPROS. registrar, node: a node of the graph. master, parameter_tree: our own master.
-graph_names, graph_parameters, rosout, bridge, graph: a bus in the graph.
+settings: names and addresses. listener, rpc, header, reactor: socket-level protocols. publication,
+subscription, services: TCPROS. registrar, node: a ROS 1 node. master, parameter_tree: the built-in master.
+graph_parameters, rosout, bridge, graph: connect an armcell bus to a ROS 1 graph.
 """
 
 from armcell.ros.ros1.graph import Ros1Graph, Ros1Status

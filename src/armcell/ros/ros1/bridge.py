@@ -1,7 +1,8 @@
-"""Joins a bus to a graph: what the bus publishes, takes and serves is offered; the graph's is reachable.
+"""Connects an armcell bus to a ROS 1 graph, in both directions.
 
-Nobody lists anything: whoever comes to the bus or leaves it is registered and unregistered. So actions,
-which are five topics, and TF go along.
+Publishers, subscribers and services of the bus appear in the graph; topics and services of the graph are
+reachable from the bus. The bridge registers and unregisters publishers, subscribers and services as they join
+and leave the bus, so no topic list is necessary. Actions (five topics each) and TF therefore work as well.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ from typing import Any
 from armcell.core import ArmcellError
 from armcell.ros.bus import Bus, Handler, Publisher, TopicInfo
 from armcell.ros.codec import Codec, ros1
-from armcell.ros.ros1.graph_names import GraphNames
+from armcell.ros.names import NameMap
 from armcell.ros.ros1.header import Fields
 from armcell.ros.ros1.node import Ros1Node
 from armcell.ros.ros1.rpc import RpcError
 
 logger = logging.getLogger(__name__)
-SETTLE = 0.02  # [s] for several newcomers to be seen at once
+SETTLE = 0.02  # [s] to collect several bus changes into one synchronization
 CLOCK, USE_SIM_TIME = "/clock", "/use_sim_time"
 
 
 class BusBridge:
-    """Runs from `start` to `close`."""
+    """Bridge between an armcell bus and a ROS 1 graph, active from `start` to `close`."""
 
-    def __init__(self, bus: Bus, node: Ros1Node, names: GraphNames):
+    def __init__(self, bus: Bus, node: Ros1Node, names: NameMap):
         self._bus, self._node, self._names = bus, node, names
         self._codec = ros1(bus.schema)
-        self._published: dict[str, str] = {}  # bus topics, to type
+        self._published: dict[str, str] = {}  # bus topic -> message type
         self._subscribed: dict[str, str] = {}
         self._served: dict[str, str] = {}
         self._stop = threading.Event()
@@ -51,13 +52,19 @@ class BusBridge:
             self._thread.join(5.0)
 
     def wait_settled(self, timeout: float) -> bool:
-        """Whether all that is on the bus now is known to the master, after waiting for that."""
+        """Wait until the ROS master knows all topics and services of the armcell bus.
+
+        Args:
+            timeout: limit [s].
+        Returns:
+            Whether the master knows them.
+        """
         version = self._bus.wait_change(-1, 0)
         with self._synced:
             seen = self._synced.wait_for(lambda: self._seen >= version or self._stop.is_set(), timeout)
         return seen and self._node.wait_registered(timeout)
 
-    # --- what is on the bus ---
+    # --- from the bus to the graph ---
     def _run(self) -> None:
         version = -1
         while not self._stop.is_set():
@@ -88,7 +95,7 @@ class BusBridge:
             self._use_sim_time()
 
     def _use_sim_time(self) -> None:
-        """Who publishes the clock says so: other nodes read this when they start."""
+        """Set /use_sim_time: the bus publishes /clock, and other nodes read the flag at start-up."""
         with contextlib.suppress(RpcError):
             if not self._bus.parameters.get(USE_SIM_TIME, False):
                 logger.info("/use_sim_time is set: the time of this graph is that of the cell")
@@ -119,7 +126,7 @@ class BusBridge:
 
         self._node.serve(self._names.to_graph(name), type_name, answer)
 
-    # --- what is in the graph ---
+    # --- from the graph to the bus ---
     def _find(self, name: str) -> Handler | None:
         there = self._names.to_graph(name)
         if self._node.find_service(there) is None:
@@ -131,13 +138,14 @@ class BusBridge:
         return call
 
     def topics(self) -> list[TopicInfo]:
-        """The bus's topics, without what this bridge does there."""
+        """Return the topics of the bus, not counting the bridge's own publishers and subscribers."""
         return self._bus.topics(besides=self)
 
 
 class _ToBus:
-    """Puts what one publisher of the graph sends on the bus. One each, so that each one's latched message
-    is kept.
+    """Publishes the messages of one ROS 1 publisher on the armcell bus.
+
+    Each ROS 1 publisher has its own instance, so that the bus keeps the latched message of every publisher.
     """
 
     def __init__(self, codec: Codec, publisher: Publisher):
@@ -155,7 +163,14 @@ class _ToBus:
 def _change(
     have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
 ) -> None:
-    """Bring what is offered in line with what is there."""
+    """Advertise and withdraw names so that the offered names match the wanted names.
+
+    Args:
+        have: dict from offered name to type; changed in place.
+        want: dict from wanted name to type.
+        leave: withdraws a name that is no longer wanted, or whose type changed.
+        join: offers a new name with its type.
+    """
     for name in [n for n, kind in have.items() if want.get(n) != kind]:
         del have[name]
         leave(name)

@@ -1,4 +1,4 @@
-"""Joining a ROS 1 graph with a bus: the one class that a program needs."""
+"""Connects a program's bus to a ROS 1 graph; `Ros1Graph` is the class to use."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from armcell._interrupts import deferred, last_will
 from armcell.core import InputError
 from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus
+from armcell.ros.names import NameMap
 from armcell.ros.ros1.bridge import CLOCK, USE_SIM_TIME, BusBridge
-from armcell.ros.ros1.graph_names import GraphNames
 from armcell.ros.ros1.graph_parameters import GraphParameters
 from armcell.ros.ros1.master import Ros1Master
 from armcell.ros.ros1.node import Ros1Node
@@ -28,30 +28,33 @@ SETTLED = 10.0  # [s] to register everything
 
 @dataclass(frozen=True)
 class Ros1Status:
-    """A joined graph, for status lines."""
+    """State of a connection to a ROS 1 graph, for status lines."""
 
     node: str
     master: str
     own_master: bool
-    reachable: bool  # the master, now
-    peers: tuple[str, ...]  # nodes that are connected, either way
+    reachable: bool  # whether the master answers at present
+    peers: tuple[str, ...]  # names of nodes connected as publishers or subscribers
     connections: int
-    dropped: int  # messages that subscribers did not take in time
-    mistakes: int  # connections that were refused or made no sense
+    dropped: int  # messages discarded because a subscriber's queue was full
+    mistakes: int  # connections that this node refused or could not parse
 
 
 class Ros1Graph:
-    """A bus in a ROS 1 graph, from `start` (or `with`) to `close`.
+    """Connection of a bus to a ROS 1 graph, from `start` (or `with`) to `close`.
 
     Args:
-        on_end: told why, when somebody asks the node to end; from a thread of the node's.
-        keep: parameters that stay as they are in the graph where it has them.
+        on_end: called with the reason, in a thread of the node, when another node or the master requests
+            this node's shutdown.
+        keep: parameters for which a value in the graph takes precedence over the value on the bus.
+        bus_is_graph: the bus uses the graph's names already (`Bus.renamed`); the namespace and remappings in
+            the settings then apply to the node's name only.
 
-    Everything on the bus is offered to the graph, now and later; the graph's topics, services and actions
-    are used through the bus by their names; the bus's parameters are the graph's.
+    Everything on the bus, now and later, is offered to the graph. The bus reaches the graph's topics,
+    services and actions by their names. The bus uses the graph's parameters.
 
     Attributes:
-        ended: set, with `reason`, when somebody asked the node to end.
+        ended: event that is set, together with `reason`, when a shutdown of the node was requested.
     """
 
     def __init__(
@@ -60,31 +63,35 @@ class Ros1Graph:
         settings: Ros1Settings = Ros1Settings(),
         on_end: Callable[[str], None] = lambda _: None,
         keep: Iterable[str] = (),
+        bus_is_graph: bool = False,
     ):
+        self._bus_is_graph = bus_is_graph
         self.bus, self.settings, self._on_end, self._keep = bus, settings, on_end, tuple(keep)
-        self.master: Ros1Master | None = None  # our own
-        self.node: Ros1Node  # this and the next from `start` on
+        self.master: Ros1Master | None = None  # the built-in master, if this process runs it
+        self.node: Ros1Node  # `node` and `bridge` exist after `start`
         self.bridge: BusBridge
         self.ended, self.reason = threading.Event(), ""
         self.rosout: RosOut | None = None
-        self._found = False  # a master, or the port for our own
+        self._found = False  # `reserve` found a master or took the port for the built-in one
         self._stack = ExitStack()
 
     def reserve(self) -> None:
-        """Find the master, or take the port for our own; nothing is opened before `start`.
+        """Find the ROS master, or reserve the port for a built-in master.
+
+        The reserved port accepts no connections before `start`.
 
         Raises:
-            InputError: there is no master and none may be started, or a port is taken.
+            InputError: no master is reachable and the settings forbid the built-in one, or its port is taken.
         """
         self._find_master()
         self._found = True
         self._stack.callback(self._forget_master)
 
     def start(self) -> None:
-        """Join, and return when the master knows what is on the bus.
+        """Join the ROS graph; return when the master knows everything on the bus.
 
         Raises:
-            InputError: there is no master and none may be started, or a port is taken.
+            InputError: no master is reachable and the settings forbid the built-in one, or its port is taken.
         """
         if not self._found:
             self.reserve()
@@ -94,13 +101,15 @@ class Ros1Graph:
                 logger.info("started a ROS master at %s", self.master.uri)
             settings = self.settings
             self.node = node = Ros1Node(self.bus.schema, settings, self._end)
-            names = GraphNames(node.name, settings.namespace, settings.remap)
+            outside = ("/", {}) if self._bus_is_graph else (settings.namespace, settings.remap)
+            names = NameMap(node.name, *outside)
             stack.callback(last_will(node.close))
             stack.callback(node.close)
             node.start()
             self._join_parameters(stack, names)
-            # The bus's own names are without the namespace, that of the node, too.
-            self.rosout = rosout = RosOut(self.bus, f"/{settings.name}", aggregate=self.master is not None)
+            self.rosout = rosout = RosOut(
+                self.bus, names.to_bus(node.name), aggregate=self.master is not None
+            )
             stack.callback(rosout.close)
             rosout.start()
             self._follow_clock(stack)
@@ -112,7 +121,7 @@ class Ros1Graph:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Leave the graph; the bus is as it was before."""
+        """Leave the ROS graph and restore the bus to its state before `start`."""
         with deferred():
             self._stack.close()
 
@@ -129,16 +138,20 @@ class Ros1Graph:
         self._on_end(reason)
 
     def wait_settled(self, timeout: float = SETTLED) -> bool:
-        """Whether the graph knows all that is on the bus now, after waiting for that [s]."""
+        """Wait until the ROS graph knows everything on the bus; return whether it does.
+
+        Args:
+            timeout: limit [s].
+        """
         return self.bridge.wait_settled(timeout)
 
     def say(self, level: str, text: str) -> None:
-        """A line on /rosout; a level that ROS does not have is info."""
+        """Publish a line on /rosout; a level unknown to ROS becomes `info`."""
         if self.rosout is not None:
             self.rosout.say(level if level in LEVELS else "info", text)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Where we listen, once it has started."""
+        """Return the addresses on which the node and a built-in master listen; valid after `start`."""
         return (*(self.master.endpoints() if self.master else ()), *self.node.endpoints())
 
     def _find_master(self) -> None:
@@ -164,10 +177,10 @@ class Ros1Graph:
             self.master.close()
             self.master = None
 
-    def _join_parameters(self, stack: ExitStack, names: GraphNames) -> None:
+    def _join_parameters(self, stack: ExitStack, names: NameMap) -> None:
         before = self.bus.parameters
         for name, value in self.settings.parameters.items():
-            before.set(f"/{self.settings.name}/{name}", value)
+            before.set(f"{names.to_bus(self.node.name)}/{name}", value)
         joined = GraphParameters(self.node.ask_master, names, before)
         for name in self._keep:
             if name in before and self.node.ask_master("hasParam", names.to_graph(name)):
@@ -182,7 +195,10 @@ class Ros1Graph:
         stack.callback(leave)
 
     def _follow_clock(self, stack: ExitStack) -> None:
-        """Where the graph has a clock of its own and nobody on the bus makes one, the bus goes by it."""
+        """Set the bus clock from the graph's /clock, if ROS uses simulated time.
+
+        The clock stays local if the bus itself publishes /clock, or if /use_sim_time is not true.
+        """
         published = any(t.name == CLOCK and t.publishers for t in self.bus.topics())
         if published or self.bus.parameters.get(USE_SIM_TIME, False) is not True:
             return
@@ -191,7 +207,7 @@ class Ros1Graph:
         )
         stack.callback(clock.close)
 
-    # --- what is told of it ---
+    # --- status ---
     def status(self) -> Ros1Status:
         out = [link for p in self.node.publications() for link in p.links()]
         into = [link for s in self.node.subscriptions() for link in s.links() if link.connected]

@@ -1,7 +1,7 @@
-"""A bus's parameters in the parameter server of a graph's master.
+"""Parameters of a bus, stored in the parameter server of a ROS master.
 
-What is set here is also kept: while the master is away it is answered from what was kept, and a master that
-comes anew is told it again.
+Every value that is set here is also kept locally. While the master is unreachable, reads return the kept
+value; a restarted master receives all kept values again.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from armcell.core import InputError, UnknownNameError
+from armcell.ros.names import NameMap
 from armcell.ros.parameters import _NONE, Parameters
-from armcell.ros.ros1.graph_names import GraphNames
 from armcell.ros.ros1.rpc import ERROR, RpcError
 
 logger = logging.getLogger(__name__)
@@ -24,20 +24,20 @@ Ask = Callable[..., Any]
 
 
 class GraphParameters(Parameters):
-    """Thread-safe. Names are the bus's.
+    """Thread-safe view of a ROS master's parameters, under the names that the bus uses.
 
     Args:
-        ask: asks the master: method, arguments.
-        kept: what the bus had before; told to the master by `tell_all`.
+        ask: calls the master: `ask(method, *arguments)`.
+        kept: the bus's parameters before it joined the graph; `tell_all` sends them to the master.
     """
 
-    def __init__(self, ask: Ask, names: GraphNames, kept: Parameters):
+    def __init__(self, ask: Ask, names: NameMap, kept: Parameters):
         super().__init__()
         self._ask, self._names, self.kept = ask, names, kept
         self._telling = threading.Lock()
 
     def tell_all(self) -> None:
-        """Set everything that is kept at the master.
+        """Send all locally kept parameters to the master.
 
         Raises:
             RpcError: the master does not answer.
@@ -93,7 +93,7 @@ class GraphParameters(Parameters):
 
 
 def _plain(value: Any) -> Any:
-    """numpy's numbers and arrays, tuples: as XML-RPC has them."""
+    """Convert numpy numbers, numpy arrays and tuples to types that XML-RPC can carry."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, dict):

@@ -1,6 +1,7 @@
-"""TCPROS's connection header: `u32 length`, then fields `u32 length | key=value`, all little-endian.
+"""TCPROS connection headers: encoding, parsing and reading from a socket.
 
-Source: wiki.ros.org/ROS/TCPROS and wiki.ros.org/ROS/Connection%20Header.
+Format: `u32 length`, then fields `u32 length | key=value`, all little-endian. Source: wiki.ros.org/ROS/TCPROS
+and wiki.ros.org/ROS/Connection%20Header.
 """
 
 from __future__ import annotations
@@ -12,24 +13,24 @@ from collections.abc import Mapping
 from armcell.ros.codec import WireError
 
 LENGTH = struct.Struct("<I")
-MAX_HEADER = 1 << 20  # [bytes] a message's full definition is in it
+MAX_HEADER = 1 << 20  # [bytes] headers contain the full text of a message definition
 MAX_FIELDS = 64
 
 Fields = dict[str, str]
 
 
 def encoded(fields: Mapping[str, str]) -> bytes:
-    """The header's bytes with their length."""
+    """Return a TCPROS connection header as bytes, including its length prefix."""
     lines = [f"{key}={value}".encode() for key, value in sorted(fields.items())]
     body = b"".join(LENGTH.pack(len(line)) + line for line in lines)
     return LENGTH.pack(len(body)) + body
 
 
 def decoded(body: bytes) -> Fields:
-    """The fields of a header without its length.
+    """Parse a TCPROS connection header that has no length prefix; return its fields.
 
     Raises:
-        WireError: it is none.
+        WireError: the bytes are not a valid header.
     """
     fields: Fields = {}
     at = count = 0
@@ -53,11 +54,11 @@ def decoded(body: bytes) -> Fields:
 
 
 def receive(sock: socket.socket) -> Fields:
-    """Read a header; the socket's timeout holds for each read.
+    """Read a TCPROS connection header from a socket; the socket's timeout applies to each read.
 
     Raises:
-        WireError: what comes is none.
-        OSError: the connection broke, or took too long.
+        WireError: the received bytes are not a valid header.
+        OSError: the connection broke, or the timeout ran out.
     """
     (size,) = LENGTH.unpack(exactly(sock, 4))
     if size > MAX_HEADER:
@@ -66,10 +67,10 @@ def receive(sock: socket.socket) -> Fields:
 
 
 def exactly(sock: socket.socket, count: int) -> bytes:
-    """So many bytes.
+    """Read exactly `count` bytes from a socket.
 
     Raises:
-        ConnectionError: the other side closed before.
+        ConnectionError: the peer closed the connection before `count` bytes arrived.
     """
     parts = []
     while count > 0:

@@ -1,4 +1,4 @@
-"""A listening socket whose connections each get a thread, all of which are gone after `close`."""
+"""Listening TCP socket with one thread per connection; `close` ends all of these threads."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from armcell.core.endpoints import Endpoint, listen, reserve
 
 logger = logging.getLogger(__name__)
 MAX_CONNECTIONS = 512
-BACKLOG = 128  # connections that wait to be accepted
-JOIN_TIMEOUT = 3.0  # [s] for a thread to see that its socket is closed
+BACKLOG = 128  # connections that may wait for `accept`
+JOIN_TIMEOUT = 3.0  # [s] for a thread to notice that its socket is closed
 
 Handle = Callable[[socket.socket, str], bool]
-"""Serves a connection, from a thread of its own; true: the socket was given on and stays open."""
+"""Handles a connection in its own thread; returns True if it passed the socket on, which then stays open."""
 
 
 class Listener:
-    """Listens from `start` to `close`.
+    """Listening TCP socket that passes each connection to a handler, from `start` to `close`.
 
     Args:
-        port: 0 is any free one.
-        handle: gets each socket and its peer's address.
+        port: port to listen on; 0 selects a free port.
+        handle: called with each connected socket and the peer's address (`host:port`).
     """
 
     def __init__(
@@ -40,10 +40,10 @@ class Listener:
         self._open: dict[threading.Thread, socket.socket] = {}
         self._closing = False
         self._thread = threading.Thread(target=self._accept, name=f"{name} accept", daemon=True)
-        self.refused = 0  # connections beyond the cap
+        self.refused = 0  # connections closed because `max_connections` were open
 
     def reserve(self) -> None:
-        """Take the port without opening it.
+        """Bind the listening port, without accepting connections yet.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -59,7 +59,8 @@ class Listener:
         self.address = self._socket.getsockname()[:2]
 
     def start(self) -> None:
-        """
+        """Start to accept connections on the listening port.
+
         Raises:
             InputError: the address cannot be listened on.
         """
@@ -70,7 +71,7 @@ class Listener:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening and end every connection."""
+        """Stop listening and end every accepted connection."""
         self._closing = True
         if self._socket is None:
             return
@@ -88,7 +89,7 @@ class Listener:
                 thread.join(JOIN_TIMEOUT)
 
     def endpoint(self, service: str) -> Endpoint:
-        """Where it listens, once it has started."""
+        """Return the address on which the socket listens; valid after `start`."""
         assert self._socket is not None
         return Endpoint.of(self._socket, service)
 
@@ -101,7 +102,7 @@ class Listener:
                 if self._closing:
                     return
                 logger.warning("%s: accept failed: %s", self._name, error)
-                time.sleep(0.1)  # out of file descriptors: the next try fails as well
+                time.sleep(0.1)  # if file descriptors ran out, an immediate retry would fail as well
                 continue
             thread = threading.Thread(
                 target=self._serve, args=(sock, f"{address[0]}:{address[1]}"),
@@ -137,6 +138,6 @@ class Listener:
 
 
 def shut(sock: socket.socket) -> None:
-    """End a connection that another thread reads from: that one closes it."""
+    """Shut down a socket that another thread reads from; the reading thread closes the socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

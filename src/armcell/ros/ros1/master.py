@@ -1,7 +1,7 @@
-"""Our own ROS master: who publishes, subscribes and serves what, and the parameter server.
+"""Built-in ROS master: registry of topics and services, and parameter server.
 
-Source of the API and its answers: wiki.ros.org/ROS/Master_API, Parameter%20Server%20API; checked against
-rosmaster in the tests.
+Source of the API and its answers: wiki.ros.org/ROS/Master_API, Parameter%20Server%20API; the tests compare
+the answers with those of rosmaster.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from armcell.ros.ros1.rpc import Answer, Method, RpcServer, call
 from armcell.ros.ros1.settings import Ros1Settings
 
 logger = logging.getLogger(__name__)
-TELLERS = 4  # threads that tell nodes of changes
+TELLERS = 4  # threads that notify nodes of changes
 TELL_TIMEOUT = 5.0  # [s]
 NAME = "/master"
 
 
 @dataclass
 class _Registrations:
-    """Who has registered for what: by topic or service, the nodes in order of their coming."""
+    """Nodes registered for each topic, service or parameter, in order of registration."""
 
     nodes: dict[str, list[str]] = field(default_factory=dict)
 
@@ -57,13 +57,13 @@ class _Registrations:
 
 
 class Ros1Master:
-    """Serves at the port of `settings.master`, from `start` (or `with`) to `close`."""
+    """Built-in ROS master at the port of `settings.master`, from `start` (or `with`) to `close`."""
 
     def __init__(self, settings: Ros1Settings):
         self.settings = settings
         self.uri = f"http://{settings.host}:{settings.master_address[1]}/"
         self._lock = threading.Lock()
-        self._apis: dict[str, str] = {}  # nodes' addresses
+        self._apis: dict[str, str] = {}  # node name -> address of its XML-RPC server
         self._publishers, self._subscribers = _Registrations(), _Registrations()
         self._services, self._parameter_subscribers = _Registrations(), _Registrations()
         self._service_uris: dict[str, str] = {}
@@ -74,7 +74,7 @@ class Ros1Master:
         self._server = RpcServer(settings.bind, settings.master_address[1], self._methods(), "ros1 master")
 
     def reserve(self) -> None:
-        """Take the port without opening it.
+        """Bind the master's port without accepting connections yet.
 
         Raises:
             InputError: the port is taken.
@@ -83,7 +83,8 @@ class Ros1Master:
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
 
     def start(self) -> None:
-        """
+        """Start to serve the ROS master API.
+
         Raises:
             InputError: the port is taken.
         """
@@ -91,7 +92,7 @@ class Ros1Master:
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Where it listens, once it has started."""
+        """Return the address on which the master listens; valid after `start`."""
         return (self._server.endpoint("ROS 1 master"),)
 
     def close(self) -> None:
@@ -136,7 +137,7 @@ class Ros1Master:
 
     @staticmethod
     def _key(value: Any, caller: str) -> str:
-        """A parameter's full name; unlike topics, its parts may be anything."""
+        """Return a parameter's full name; unlike topic names, its parts may contain any character."""
         if not isinstance(value, str) or not value:
             raise rpc.Rejected("ERROR: parameter [key] must be a non-empty string")
         if value.startswith("~"):
@@ -147,7 +148,7 @@ class Ros1Master:
 
     # --- nodes ---
     def _meet(self, node: str, api: str) -> None:
-        """A node registers something; one of the same name at another address is asked to end."""
+        """Record a node's address; if an older node has the same name, request its shutdown."""
         before = self._apis.get(node)
         if before == api:
             return
@@ -233,7 +234,7 @@ class Ros1Master:
     def _register_service(self, node: str, service: str, uri: str, api: str) -> Answer:
         with self._lock:
             self._meet(node, api)
-            before = self._services.nodes.pop(service, [])  # the newest one serves
+            before = self._services.nodes.pop(service, [])  # the newest registration replaces the older one
             self._services.add(service, node)
             self._service_uris[service] = uri
             for other in before:
@@ -323,12 +324,18 @@ class Ros1Master:
 
 
 def _copied(value: Any) -> Any:
-    """Namespaces are changed in place: what leaves the lock is a copy."""
+    """Copy nested dicts of parameters, which the master changes in place.
+
+    Only copies may leave the master's lock.
+    """
     return {k: _copied(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
 class _Tellers:
-    """Tells nodes of changes: each node in order, several at a time; a dead one holds nobody else up."""
+    """Sends change notifications to nodes from several threads, in order for each node.
+
+    A node that does not answer delays no other node.
+    """
 
     def __init__(self) -> None:
         self._threads = ThreadPoolExecutor(TELLERS, "ros1 master tell")
@@ -367,7 +374,7 @@ class _Tellers:
 
 
 def _newest(todo: list[tuple[str, tuple[Any, ...]]]) -> list[tuple[str, tuple[Any, ...]]]:
-    """Of several updates of one topic, only the last matters."""
+    """Return only the last update of each topic or parameter; it replaces all earlier ones."""
     last: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {}
     for method, arguments in todo:
         key = (method, arguments[0])

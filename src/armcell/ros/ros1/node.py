@@ -1,4 +1,4 @@
-"""A ROS 1 node: the slave API, the TCPROS port, registrations; knows a schema, but no bus.
+"""ROS 1 node: slave API, TCPROS port and registrations, independent of a bus.
 
 Source: wiki.ros.org/ROS/Slave_API, wiki.ros.org/ROS/TCPROS.
 """
@@ -33,16 +33,18 @@ from armcell.ros.ros1.subscription import Sink, Subscription
 from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
-CONNECTORS = 16  # connections that are being made at one time
-MAX_SUBSCRIBERS = 2048  # connections of all topics together
+CONNECTORS = 16  # connections that the node establishes in parallel
+MAX_SUBSCRIBERS = 2048  # subscriber connections over all topics
 
 
 class Ros1Node:
-    """Joins a graph from `start` (or `with`) to `close`. All names here are the graph's, in full.
+    """ROS 1 node, part of a graph from `start` (or `with`) to `close`.
+
+    All names in its methods are full graph names.
 
     Args:
-        on_shutdown: told why, when somebody ends the node: the master because another node took its name,
-            or `rosnode kill`. The node is not closed by that: whoever owns it does so.
+        on_shutdown: called with the reason when the master (because another node took the name) or
+            `rosnode kill` requests a shutdown. The node stays open until its owner calls `close`.
     """
 
     def __init__(
@@ -67,9 +69,10 @@ class Ros1Node:
         )
         self._closed = False
 
-    # --- life ---
+    # --- start and close ---
     def start(self) -> None:
-        """
+        """Start the node's servers and its registration with the master.
+
         Raises:
             InputError: no master answers, or the address cannot be listened on.
         """
@@ -91,7 +94,7 @@ class Ros1Node:
         self.registrar.start()
 
     def close(self) -> None:
-        """Unregister everything and leave no connection and no thread."""
+        """Unregister the node and end all of its connections and threads."""
         with self._lock:
             if self._closed:
                 return
@@ -116,7 +119,7 @@ class Ros1Node:
 
     @property
     def mistakes(self) -> int:
-        """Connections that were refused or made no sense."""
+        """Number of connections that the node refused or could not parse."""
         return self._complaints.total
 
     @property
@@ -128,23 +131,28 @@ class Ros1Node:
         return f"rosrpc://{self.settings.host}:{self._tcpros.address[1]}"
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Where it listens, once it has started."""
+        """Return the addresses on which the node listens; valid after `start`."""
         return self._rpc.endpoint("ROS 1 node"), self._tcpros.endpoint("ROS 1 topics and services")
 
     def wait_registered(self, timeout: float | None = None) -> bool:
-        """Whether the master knows of everything, after waiting for that."""
+        """Wait until the master knows all registrations of the node; return whether it does.
+
+        Args:
+            timeout: limit [s]; None waits without limit.
+        """
         return self.registrar.wait(timeout)
 
     def ask_master(self, method: str, *arguments: Any) -> Any:
-        """
+        """Call a method of the master API and return its value.
+
         Raises:
-            RpcError: the master does not answer, or says no.
+            RpcError: the master does not answer, or answers with a failure.
         """
         return ask(self.master, method, self.name, *arguments, timeout=self.settings.timeout)
 
     # --- topics ---
     def publish(self, topic: str, type_name: str, attach: Attach, latching: Callable[[], bool]) -> None:
-        """Offer a topic; see `Publication`."""
+        """Advertise a topic in the ROS graph; see `Publication`."""
         s = self.settings
         made = Publication(
             topic, type_name, self.schema, self.name, self._reactor, attach, latching, s.queue, s.queue_bytes
@@ -163,7 +171,12 @@ class Ros1Node:
             gone.close()
 
     def subscribe(self, topic: str, type_name: str, open_sink: Callable[[Fields], Sink]) -> None:
-        """Subscribe to a topic; see `Subscription`. Type `*` takes any."""
+        """Subscribe to a topic of the ROS graph; see `Subscription`.
+
+        Args:
+            type_name: message type; `*` accepts any.
+            open_sink: called with the connection header of each publisher; returns the sink for its messages.
+        """
         any_type = type_name == ANY
         md5 = ANY if any_type else self.schema.md5(type_name)
         text = "" if any_type else self.schema.full_text(type_name)
@@ -194,7 +207,7 @@ class Ros1Node:
 
     # --- services ---
     def serve(self, name: str, type_name: str, answer: Answerer) -> None:
-        """Offer a service; see `ServedService`."""
+        """Advertise a service in the ROS graph; see `ServedService`."""
         made = ServedService(name, type_name, self.schema, self.name, answer, self.settings.max_message)
         with self._lock:
             self._services[name] = made
@@ -207,7 +220,7 @@ class Ros1Node:
             self.registrar.drop(Kind.SERVICE, name)
 
     def find_service(self, name: str) -> str | None:
-        """The address of another node's service; None where there is none."""
+        """Return the address of another node's service, or None if no other node serves it."""
         try:
             uri = self.ask_master("lookupService", name)
         except RpcError:
@@ -215,10 +228,10 @@ class Ros1Node:
         return uri if isinstance(uri, str) and uri and uri != self.service_uri else None
 
     def call_service(self, name: str, type_name: str, request: Any) -> Any:
-        """Call another node's service, which may take as long as it likes.
+        """Call another node's service and return the response; waits without a time limit.
 
         Raises:
-            ServiceError: nobody serves it, it is of another type, or it says why not.
+            ServiceError: no node serves it, its type differs, or it reports a failure.
         """
         uri = self.find_service(name)
         if uri is None:
@@ -227,10 +240,12 @@ class Ros1Node:
             return connection.call(request)
 
     def service(self, name: str, type_name: str) -> Any:
-        """A connection to another node's service that stays open: `call(request)`, `close()`.
+        """Open a persistent connection to another node's service.
 
+        Returns:
+            A `Connection` with `call(request)` and `close()`.
         Raises:
-            ServiceError: nobody serves it, or it is of another type.
+            ServiceError: no node serves it, or its type differs.
         """
         uri = self.find_service(name)
         if uri is None:
@@ -238,16 +253,17 @@ class Ros1Node:
         return self._caller.connect(name, uri, type_name, persistent=True)
 
     def service_type(self, name: str) -> str:
-        """
+        """Return the type of another node's service.
+
         Raises:
-            ServiceError: nobody serves it, or who does gives no answer.
+            ServiceError: no node serves it, or its node does not answer.
         """
         uri = self.find_service(name)
         if uri is None:
             raise ServiceError(f"service {name} is not served by any node")
         return self._caller.probe(name, uri)
 
-    # --- what others ask ---
+    # --- slave API ---
     def _methods(self) -> dict[str, Method]:
         topic, key = rpc.graph_name("topic"), rpc.graph_name("parameter_key")
         publishers = rpc.several("publishers", rpc.address("publishers"))
@@ -326,7 +342,7 @@ class Ros1Node:
         host, port = self.settings.host, self._tcpros.address[1]
         return 1, f"ready on {host}:{port}", ["TCPROS", host, port]
 
-    # --- who connects to the TCPROS port ---
+    # --- connections to the TCPROS port ---
     def _connected(self, sock: socket.socket, peer: str) -> bool:
         sock.settimeout(self.settings.timeout)
         try:
@@ -381,6 +397,6 @@ class Ros1Node:
         sock.sendall(encoded({"error": text}))
 
     def _complain(self, peer: str, text: str) -> None:
-        """Log once per kind, count all."""
+        """Count a connection error, and log the first error of each kind."""
         if self._complaints.is_new(re.sub(r"[0-9]+", "", text[:200])):
             logger.warning("TCPROS: %s: %s", peer, " ".join(text[:400].split()))

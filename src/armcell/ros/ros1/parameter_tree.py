@@ -1,6 +1,6 @@
-"""The parameter server's values: a tree of dicts, whose keys may be anything that XML-RPC carries.
+"""Values of a ROS 1 parameter server, stored as a tree of dicts.
 
-Source: wiki.ros.org/ROS/Parameter%20Server%20API.
+Keys may be any strings that XML-RPC carries. Source: wiki.ros.org/ROS/Parameter%20Server%20API.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ def _parts(key: str) -> list[str]:
 
 
 class ParameterTree:
-    """Not thread-safe: the master's lock guards it. Keys are full names."""
+    """Tree of ROS parameters under full names; not thread-safe (the master's lock guards it)."""
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
 
     def get(self, key: str) -> Any:
-        """A value, or a namespace as nested dicts.
+        """Return a parameter's value; a namespace is returned as nested dicts.
 
         Raises:
-            KeyError: not set.
+            KeyError: the parameter is not set.
         """
         value: Any = self._root
         for part in _parts(key):
@@ -39,10 +39,12 @@ class ParameterTree:
         return True
 
     def set(self, key: str, value: Any) -> None:
-        """Set a value; a dict replaces the whole namespace. A value on the way becomes a namespace.
+        """Set a parameter; a dict replaces the whole namespace.
+
+        A parent in the key's path that holds a value becomes a namespace.
 
         Raises:
-            ValueError: the root can only be a dict.
+            ValueError: `key` is the root and `value` is not a dict.
         """
         *parents, last = _parts(key) or [""]
         if not last:
@@ -59,9 +61,10 @@ class ParameterTree:
         node[last] = value
 
     def delete(self, key: str) -> None:
-        """
+        """Delete a parameter or a namespace.
+
         Raises:
-            KeyError: not set.
+            KeyError: the parameter is not set.
         """
         *parents, last = _parts(key) or [""]
         node = self.get("/".join(parents)) if last else None
@@ -70,7 +73,11 @@ class ParameterTree:
         del node[last]
 
     def search(self, namespace: str, key: str) -> str | None:
-        """The full name of a key whose first part is set in a namespace or the nearest one above it."""
+        """Find a parameter by its first part in a namespace or the nearest namespace above it.
+
+        Returns:
+            The full name of the parameter, or None if no such namespace contains the first part of the key.
+        """
         if key.startswith("/"):
             return key if key in self else None
         first = _parts(key)[0]
@@ -82,7 +89,7 @@ class ParameterTree:
         return None
 
     def names(self) -> list[str]:
-        """Every value's full name."""
+        """Return the full names of all parameters."""
         found: list[str] = []
 
         def walk(node: dict[str, Any], prefix: str) -> None:
@@ -97,16 +104,22 @@ class ParameterTree:
 
 
 def told(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
-    """What the subscriber of a key hears of a change: the key and value, or None if it is not concerned.
+    """Return the key and value to send to the subscriber of a parameter after a change.
 
-    A deleted value is told as an empty dict. Source: rosmaster's answers.
+    Args:
+        subscribed: full name that the node subscribed to.
+        changed: full name that was set or deleted.
+        value: the new value; an empty dict for a deleted parameter.
+    Returns:
+        Key and value, or None if the change does not affect the subscribed parameter. Source: the answers of
+        rosmaster.
     """
     inner, outer = _parts(subscribed), _parts(changed)
-    if outer[: len(inner)] == inner:  # the key itself or something below it
+    if outer[: len(inner)] == inner:  # the subscribed key or a descendant changed
         return "/" + "/".join([*outer, ""]), value
     if inner[: len(outer)] != outer:
         return None
-    for part in inner[len(outer) :]:  # something above it was replaced
+    for part in inner[len(outer) :]:  # an ancestor namespace was replaced
         if not isinstance(value, dict) or part not in value:
             return "/" + "/".join([*inner, ""]), {}
         value = value[part]

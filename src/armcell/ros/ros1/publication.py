@@ -1,4 +1,4 @@
-"""A topic that this node publishes: its subscribers' connections, and what each still has to get."""
+"""A topic that a ROS 1 node publishes: subscriber connections and their send queues."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from armcell.ros.ros1.reactor import Reactor
 from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
-ANY = "*"  # type and md5 sum of who takes everything
-UNSENT_BYTES = 128 << 10  # what the kernel may hold unsent, so that backlog waits where its oldest is dropped
+ANY = "*"  # type and MD5 sum of a subscriber that accepts every type
+UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; the rest waits in our queue, which can drop
 
 
 class Closable(Protocol):
@@ -28,15 +28,20 @@ class Closable(Protocol):
 
 
 Attach = Callable[[Callable[[Any], None]], Closable]
-"""Makes a function get every message of a topic from now on, the latched ones at once."""
+"""Calls a function with every message of a topic from now on; latched messages arrive at once."""
 
 
 class Publication:
-    """Offers a topic. Each connection is attached to the topic by itself, so that each gets what is latched.
+    """A topic that a ROS 1 node advertises, with one connection per subscriber.
+
+    The publication attaches each subscriber connection separately, so that each one gets the latched
+    messages.
 
     Args:
-        attach: see `Attach`; the function is called in the publisher's thread and never waits.
-        latching: whether a publisher of the topic keeps its last message.
+        attach: see `Attach`; the attached function runs in the publisher's thread and never blocks.
+        latching: returns whether a publisher of the topic keeps its last message.
+        queue: messages that may wait for one subscriber; a full queue drops its oldest message.
+        queue_bytes: bytes that may wait for one subscriber.
     """
 
     def __init__(
@@ -59,12 +64,12 @@ class Publication:
         self.failed = 0  # messages that could not be encoded
 
     def links(self) -> list[SubscriberLink]:
-        """The connections as they are now."""
+        """Return the current connections to subscribers of the topic."""
         with self._lock:
             return list(self._links)
 
     def refusal(self, header: Fields) -> str | None:
-        """Why a subscriber cannot be served, in the words of the real one; None if it can."""
+        """Return why a subscriber cannot be served, in roscpp's and rospy's wording, or None."""
         md5, kind = header["md5sum"], header.get("type", self.type)
         if md5 in (ANY, self.md5):
             return None
@@ -76,7 +81,7 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Serve a subscriber that `refusal` had nothing against."""
+        """Serve a subscriber whose connection header `refusal` has accepted."""
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
             "message_definition": self._text, "latching": "1" if self._latching() else "0",
@@ -95,7 +100,7 @@ class Publication:
         if closed:
             sock.close()
             return
-        # Attached before it is greeted: who knows that it is connected misses nothing.
+        # Attach before the handshake answer: a subscriber that knows it is connected then misses no message.
         link.attachment = self._attach(lambda message: self._give(link, message))
         self._reactor.add(link)
 
@@ -111,7 +116,10 @@ class Publication:
             self._reactor.flush(link)
 
     def _frame(self, message: Any) -> bytes:
-        """A message's bytes with their length, made once for all connections; a header's `seq` is counted."""
+        """Encode a message with its length prefix, once for all connections.
+
+        If the message starts with a std_msgs/Header, its `seq` counts up.
+        """
         have = self._encoded
         if have is not None and have[0] is message:
             return have[1]
@@ -140,7 +148,7 @@ class Publication:
 
 
 class SubscriberLink:
-    """One subscriber's connection. What cannot be sent at once waits; too much of it drops its oldest."""
+    """Connection to one subscriber; its send queue drops the oldest message when full."""
 
     _numbers = itertools.count(1)
 
@@ -150,7 +158,7 @@ class SubscriberLink:
     ):  # fmt: skip
         self.sock, self.caller, self.peer = sock, caller, peer
         self.number = next(self._numbers)
-        self.sent = -1  # messages; the greeting goes first
+        self.sent = -1  # messages sent; starts at -1 because the connection header is counted as well
         self.sent_bytes = self.dropped = 0
         self.closed = False
         self.attachment: Closable | None = None
@@ -158,16 +166,16 @@ class SubscriberLink:
         self._lock = threading.Lock()
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = 0
-        self._rest = memoryview(greeting)  # of what was sent in part
+        self._rest = memoryview(greeting)  # unsent remainder of a partly sent frame
 
     @property
     def waiting(self) -> bool:
-        """Whether something is not sent yet."""
+        """Whether the connection still has unsent bytes."""
         with self._lock:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a message, from any thread; whether the reactor has to go on with it."""
+        """Send or queue a message, from any thread; return whether the reactor must send the rest."""
         with self._lock:
             if self.closed:
                 return False
@@ -180,13 +188,13 @@ class SubscriberLink:
             self._waiting.append(frame)
             self._waiting_bytes += len(frame)
             if not idle:
-                return False  # the reactor is at it
-            with contextlib.suppress(OSError):  # seen by the reactor, too
+                return False  # the reactor is sending already
+            with contextlib.suppress(OSError):  # the reactor gets the same error and ends the connection
                 return self._send()
             return False
 
     def _send(self) -> bool:
-        """Send what the kernel takes; whether something is left."""
+        """Send as many queued bytes as the kernel accepts; return whether some remain."""
         while self._rest or self._waiting:
             if not self._rest:
                 frame = self._waiting.popleft()
@@ -203,7 +211,7 @@ class SubscriberLink:
         return False
 
     def readable(self) -> None:
-        """A subscriber says nothing after its header: what is readable is the end."""
+        """Detect a closed connection; subscribers send nothing else after their header."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")

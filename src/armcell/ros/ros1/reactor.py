@@ -1,4 +1,4 @@
-"""One thread for all topic connections of a node: it reads what comes, sends what waits, runs timers."""
+"""One thread for all topic connections of a ROS 1 node: receives, sends and runs timers."""
 
 from __future__ import annotations
 
@@ -20,25 +20,32 @@ Task = Callable[[], None]
 
 
 class Channel(Protocol):
-    """A connected, non-blocking socket and what is to be done with it, all in the reactor's thread."""
+    """A connected, non-blocking socket with event handlers that the reactor's thread calls."""
 
     sock: socket.socket
 
     def readable(self) -> None:
-        """Raises OSError when the connection is over."""
+        """Read the received data from the socket; raise OSError when the connection is over."""
         ...
 
     def writable(self) -> bool:
-        """Send; whether something still waits. Raises OSError when the connection is over."""
+        """Send queued data; return whether some remains.
+
+        Raises:
+            OSError: the connection is over.
+        """
         ...
 
     def ended(self, reason: str) -> None:
-        """The socket is closed now."""
+        """Handle the end of the connection; the reactor has closed the socket already."""
         ...
 
 
 class Reactor:
-    """Runs from `start` to `close`. Channels may be added and dropped from any thread."""
+    """Event loop for a node's sockets; any thread may add and drop channels.
+
+    Runs from `start` to `close`.
+    """
 
     def __init__(self, name: str):
         self._selector = selectors.DefaultSelector()
@@ -57,7 +64,7 @@ class Reactor:
         self._thread.start()
 
     def close(self) -> None:
-        """End every connection and the thread."""
+        """End every connection and the reactor's thread."""
         with self._lock:
             self._closing = True
         self._ring()
@@ -72,11 +79,11 @@ class Reactor:
         self._soon(lambda: self._end(channel, reason))
 
     def flush(self, channel: Channel) -> None:
-        """Call its `writable` as soon as it can send."""
+        """Call the channel's `writable` as soon as its socket can send."""
         self._soon(lambda: self._watch(channel, True))
 
     def later(self, delay: float, task: Task) -> None:
-        """Run a task in so many seconds."""
+        """Run a task in the reactor's thread after `delay` [s]."""
         at = time.monotonic() + delay
         self._soon(lambda: heapq.heappush(self._timers, (at, next(self._numbers), task)))
 
@@ -86,7 +93,7 @@ class Reactor:
         self._ring()
 
     def _ring(self) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):  # rung already, or closed
+        with contextlib.suppress(BlockingIOError, OSError):  # a wake-up is pending, or the reactor is closed
             self._bell.send(b"\0")
 
     # --- in the reactor's thread ---
@@ -105,7 +112,7 @@ class Reactor:
         for key in list(self._selector.get_map().values()):
             if key.data is not None:
                 self._end(key.data, "closed")
-        self._run_tasks()  # channels that were added meanwhile are closed in turn
+        self._run_tasks()  # closes channels that were added in the meantime
         self._selector.close()
         self._ear.close()
         self._bell.close()
@@ -143,7 +150,7 @@ class Reactor:
             self._end(channel, "closed")
             return
         self._selector.register(channel.sock, selectors.EVENT_READ, channel)
-        self._watch(channel, True)  # what was put before
+        self._watch(channel, True)  # send messages that were queued before the registration
 
     def _watch(self, channel: Channel, write: bool) -> None:
         if channel.sock.fileno() >= 0 and channel.sock in self._selector.get_map():

@@ -1,4 +1,4 @@
-"""Keeps the master told of what a node publishes, subscribes to and serves; a new master, too."""
+"""Keeps a ROS 1 node's registrations at the master up to date, also after a master restart."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import NamedTuple
 from armcell.ros.ros1.rpc import ERROR, RpcError, ask
 
 logger = logging.getLogger(__name__)
-CHECK_PERIOD = 1.0  # [s] between two looks whether the master still knows us
-OVERTAKEN = 10  # times to ask again; then the news stands
-GOODBYE = 1.0  # [s] for each word with the master while closing
+CHECK_PERIOD = 1.0  # [s] between two checks that the master still knows this node
+OVERTAKEN = 10  # attempts to register without a concurrent publisherUpdate; then the update counts
+GOODBYE = 1.0  # [s] for each call to the master while closing
 
 
 class Kind(Enum):
@@ -29,13 +29,13 @@ class Entry(NamedTuple):
 
 
 class Registrar:
-    """Runs from `start` to `close`.
+    """Registers a node's topics and services with the ROS master, from `start` to `close`.
 
     Args:
         caller: the node's name.
-        uri: gives the address of its XML-RPC server, which is known once it has started.
-        on_publishers: told the publishers of a topic that was subscribed to.
-        on_replaced: told when another node has taken the name.
+        uri: returns the address of the node's XML-RPC server, which is known once the server has started.
+        on_publishers: called with a subscribed topic and the addresses of its publishers.
+        on_replaced: called with a reason when another node has taken the name.
     """
 
     def __init__(
@@ -45,15 +45,17 @@ class Registrar:
         self.master, self._caller, self._uri, self._timeout = master, caller, uri, timeout
         self._on_publishers, self._on_replaced = on_publishers, on_replaced
         self._changed = threading.Condition()
-        self._wanted: dict[Entry, str] = {}  # to type, or a service's address
+        self._wanted: dict[Entry, str] = {}  # entry -> message type, or address of a service
         self._done: dict[Entry, str] = {}
         self._refused: set[Entry] = set()
         self._telling = threading.Lock()
-        self._asking, self._overtaken = "", False  # a topic, and whether news of it came in the meantime
+        # Topic being registered, and whether a publisherUpdate for it arrived in the meantime.
+        self._asking, self._overtaken = "", False
         self._stop = False
-        self.on_return: Callable[[], None] = lambda: None  # called when a new master knows nothing of us
+        # Called when the master has restarted and no longer knows this node.
+        self.on_return: Callable[[], None] = lambda: None
         self.reachable = True
-        self.losses = 0  # times that the master was gone
+        self.losses = 0  # number of times that the master became unreachable
         self._thread = threading.Thread(target=self._run, name=f"registrar {caller}", daemon=True)
 
     def start(self) -> None:
@@ -71,19 +73,23 @@ class Registrar:
             self._changed.notify_all()
 
     def publishers_are(self, topic: str, uris: list[str]) -> None:
-        """The master's news."""
+        """Handle the master's publisherUpdate: the new list of a topic's publishers."""
         with self._telling:
             if topic == self._asking:
                 self._overtaken = True
             self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Whether the master knows everything, after waiting for that."""
+        """Wait until the master knows all of the node's registrations; return whether it does.
+
+        Args:
+            timeout: limit [s]; None waits without limit.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: not self._differences() or self._stop, timeout)
 
     def close(self) -> None:
-        """Tell the master that the node goes."""
+        """Unregister the node's topics and services at the master, and end the thread."""
         with self._changed:
             self._stop = True
             self._changed.notify_all()
@@ -95,9 +101,13 @@ class Registrar:
             for entry, what in list(self._done.items()):
                 self._tell("unregister", entry, what, GOODBYE)
 
-    # --- in its thread ---
+    # --- in the registrar's thread ---
     def _differences(self) -> list[tuple[Entry, str | None]]:
-        """What to register (with its type or address) and to unregister (None)."""
+        """Return the entries to register and to unregister at the master.
+
+        Returns:
+            Pairs of an entry and its type or address; None instead of the type means to unregister.
+        """
         found: list[tuple[Entry, str | None]] = [(e, None) for e in self._done if e not in self._wanted]
         for entry, what in self._wanted.items():
             if self._done.get(entry) != what and entry not in self._refused:
@@ -111,8 +121,8 @@ class Registrar:
                 if self._stop:
                     return
             try:
-                # Before news, too: a master that came back unnoticed would know the news alone and so
-                # seem to know us.
+                # Also check before new registrations: a master that restarted unnoticed would learn only
+                # the new entry, and would then seem to know this node.
                 if self._done or not (changed and self.reachable):
                     self._check()
                 with self._changed:
@@ -149,7 +159,11 @@ class Registrar:
             self._changed.notify_all()
 
     def _subscribe(self, entry: Entry, what: str) -> None:
-        """Register, until no news of the master has overtaken its answer: which is newer, nobody can say."""
+        """Register a subscriber at the master and pass on the publishers that it answers.
+
+        If a publisherUpdate arrives during the call, the order of the answer and the update is unknown. The
+        method then repeats the call, up to `OVERTAKEN` times; after that, the update counts.
+        """
         for _ in range(OVERTAKEN):
             with self._telling:
                 self._asking, self._overtaken = entry.name, False
@@ -169,7 +183,7 @@ class Registrar:
         return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
-        """Ask the master who we are; one that has been started anew does not know."""
+        """Ask the master for this node's address; a restarted master does not know the node."""
         try:
             known = ask(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)
         except RpcError as error:

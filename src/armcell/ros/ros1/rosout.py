@@ -1,4 +1,4 @@
-"""Logs on /rosout, and the services by which `rqt_logger_level` and `rosservice` set what is logged."""
+"""Logs on /rosout, and the services with which rqt_logger_level sets log levels."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ NUMBERS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}  # rosgrap
 
 
 def level_name(level: int) -> str:
-    """ROS's name of a level of Python's."""
+    """Return the ROS name of a Python log level."""
     return next((name for name, value in reversed(LEVELS.items()) if level >= value), "debug")
 
 
 class RosOut(logging.Handler):
-    """Publishes what the package logs, from `start` to `close`.
+    """Publishes the package's log records on /rosout, from `start` to `close`.
 
     Args:
-        node: full name of the node whose logs these are.
-        aggregate: publish everybody's logs on /rosout_agg, too, as the rosout node beside a master does.
+        node: full name of the node that appears as the source of the records.
+        aggregate: also publish the log records of all nodes on /rosout_agg, like the rosout node of roscore.
     """
 
     def __init__(self, bus: Bus, node: str, aggregate: bool = False):
@@ -54,7 +54,7 @@ class RosOut(logging.Handler):
         super().close()
 
     def emit(self, record: logging.LogRecord) -> None:
-        if getattr(self._inside, "busy", False):  # what publishing itself logs
+        if getattr(self._inside, "busy", False):  # ignore records that publishing itself logs
             return
         self._inside.busy = True
         try:
@@ -66,7 +66,7 @@ class RosOut(logging.Handler):
             self._inside.busy = False
 
     def say(self, level: str, text: str, file: str = "", function: str = "", line: int = 0) -> None:
-        """Put a line on /rosout."""
+        """Publish a line on /rosout."""
         if self._publisher.closed:
             return
         message = self._bus.schema.new(

@@ -1,7 +1,8 @@
-"""XML-RPC as ROS 1 speaks it: every call has a caller's name first and answers [code, text, value].
+"""XML-RPC as ROS 1 uses it: each call starts with the caller's name.
 
-Code 1 is success, 0 a failure, -1 the caller's mistake (wiki.ros.org/ROS/Slave_API). XML comes from anybody
-on the network: no document types (entities), no compression, bodies up to a cap.
+Each answer is [code, text, value]. Code 1 means success, 0 failure, -1 an error of the caller
+(wiki.ros.org/ROS/Slave_API). Any host on the network can send XML, so the parser accepts no document types
+(entities) and no compression, and limits the size of a body.
 """
 
 from __future__ import annotations
@@ -23,19 +24,19 @@ from armcell.ros.ros1.listener import Listener
 from armcell.ros.ros1.settings import host_and_port
 
 logger = logging.getLogger(__name__)
-MAX_BODY = 16 << 20  # [bytes] a robot's description is a parameter
+MAX_BODY = 16 << 20  # [bytes] large enough for robot descriptions, which are parameters
 MAX_CALLS = 10_000  # in one system.multicall
-IDLE = 60.0  # [s] a connection may stay open between two calls
+IDLE = 60.0  # [s] that a connection may stay open between two calls
 SUCCESS, FAILURE, ERROR = 1, 0, -1
 
 Answer = tuple[int, str, Any]
 
 
 class RpcError(ArmcellError):
-    """A call that got no answer, or one that says it failed.
+    """An XML-RPC call that got no answer, or an answer that reports a failure.
 
     Attributes:
-        code: what was answered; None where nobody answered.
+        code: the answered status code; None if no answer arrived.
     """
 
     def __init__(self, text: str, code: int | None = None):
@@ -44,16 +45,16 @@ class RpcError(ArmcellError):
 
 
 class Rejected(Exception):
-    """An argument that cannot be accepted; the text is the answer."""
+    """An invalid argument of an XML-RPC call; the exception's text is sent as the answer."""
 
 
 # --- calling ---
 def ask(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
-    """Call a method and give its value.
+    """Call an XML-RPC method and return the value of its answer.
 
     Raises:
-        RpcError: nobody answers, or the answer is not one of success.
-        InputError: the address is none, or XML-RPC has no form for an argument.
+        RpcError: the server does not answer, or the answer reports a failure.
+        InputError: the address is invalid, or XML-RPC cannot carry an argument.
     """
     answer = call(uri, method, *arguments, timeout=timeout)
     if not (isinstance(answer, list) and len(answer) == 3 and isinstance(answer[0], int)):
@@ -64,11 +65,11 @@ def ask(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
 
 
 def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
-    """Call a method; what it answered, as it is.
+    """Call an XML-RPC method and return its raw answer.
 
     Raises:
-        RpcError: nobody answers, or what is answered is no XML-RPC.
-        InputError: the address is none, or XML-RPC has no form for an argument.
+        RpcError: the server does not answer, or the answer is not valid XML-RPC.
+        InputError: the address is invalid, or XML-RPC cannot carry an argument.
     """
     host, port = host_and_port(uri)
     try:
@@ -100,11 +101,11 @@ def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
 
 
 def parsed(data: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """The values in an XML-RPC text, and the method where it is a call.
+    """Parse an XML-RPC document; return its values, and the method name if it is a call.
 
     Raises:
-        ValueError: it is none.
-        xmlrpc.client.Fault: it is a fault.
+        ValueError: the data is not valid XML-RPC.
+        xmlrpc.client.Fault: the document is a fault.
     """
     target = xmlrpc.client.Unmarshaller(use_builtin_types=True)
     parser = xmlrpc.client.ExpatParser(target)
@@ -115,7 +116,7 @@ def parsed(data: bytes) -> tuple[tuple[Any, ...], str | None]:
         return target.close(), target.getmethodname()
     except (xmlrpc.client.Fault, ValueError):
         raise
-    except Exception as error:  # the parser's own ways to fail are many
+    except Exception as error:  # the parser raises many types of exceptions
         raise ValueError(f"{type(error).__name__}: {error}") from None
 
 
@@ -125,10 +126,10 @@ def _no_document_type(*_: Any) -> None:
 
 # --- answering ---
 Check = Callable[[Any, str], Any]
-"""Makes an argument's value usable, given the caller's name.
+"""Validates and converts an argument: called with its value and the caller's name, returns the new value.
 
 Raises:
-    Rejected: it cannot be used.
+    Rejected: the value is invalid.
 """
 
 
@@ -146,7 +147,10 @@ def text(name: str) -> Check:
 
 
 def graph_name(name: str) -> Check:
-    """A topic, service or parameter, resolved in the caller's namespace."""
+    """Return a check that resolves an argument as a graph name in the caller's namespace.
+
+    The argument names a topic, service or parameter.
+    """
 
     def check(value: Any, caller: str) -> str:
         if not isinstance(value, str) or not value:
@@ -181,13 +185,13 @@ def several(name: str, each: Check) -> Check:
 
 @dataclass(frozen=True)
 class Method:
-    """One method of an API.
+    """One method of an XML-RPC API, with checks for its arguments.
 
     Args:
-        run: gets the caller's name and the checked arguments.
-        checks: one for each argument after the caller's name.
-        empty: the value that is answered with an error.
-        optional: how many of the last arguments may be left out.
+        run: called with the caller's name and the validated arguments.
+        checks: one check for each argument after the caller's name.
+        empty: the value in an answer that reports an error.
+        optional: number of trailing arguments that the caller may omit.
     """
 
     run: Callable[..., Answer]
@@ -217,19 +221,19 @@ class Method:
 
 
 class RpcServer:
-    """Serves methods from `start` to `close`."""
+    """XML-RPC server for a set of methods, active from `start` to `close`."""
 
     def __init__(self, host: str, port: int, methods: Mapping[str, Method], name: str):
         self._methods = methods
         self._listener = Listener(host, port, self._handle, name)
-        self.mistakes = 0  # requests that were no calls
+        self.mistakes = 0  # requests that were not valid XML-RPC calls
 
     @property
     def port(self) -> int:
         return self._listener.address[1]
 
     def reserve(self) -> None:
-        """Take the port without opening it.
+        """Bind the server's port without accepting connections yet.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -237,14 +241,15 @@ class RpcServer:
         self._listener.reserve()
 
     def start(self) -> None:
-        """
+        """Start to serve XML-RPC calls.
+
         Raises:
             InputError: the address cannot be listened on.
         """
         self._listener.start()
 
     def endpoint(self, service: str) -> Endpoint:
-        """Where it listens, once it has started."""
+        """Return the address on which the server listens; valid after `start`."""
         return self._listener.endpoint(service)
 
     def close(self) -> None:
@@ -252,11 +257,11 @@ class RpcServer:
 
     def _handle(self, sock: socket.socket, peer: str) -> bool:
         with contextlib.suppress(OSError, ValueError):
-            _Connection(sock, (peer, 0), self)  # type: ignore[arg-type]  # serves until it is over
+            _Connection(sock, (peer, 0), self)  # type: ignore[arg-type]  # serves until the connection ends
         return False
 
     def answer(self, body: bytes) -> bytes:
-        """The answer to one request's body."""
+        """Return the XML-RPC answer to the body of one HTTP request."""
         try:
             arguments, method = parsed(body)
             if method is None:
@@ -302,13 +307,13 @@ def _calls(arguments: Sequence[Any]) -> list[Any]:
 
 
 class _Connection(BaseHTTPRequestHandler):
-    """HTTP/1.1 with one method, POST."""
+    """HTTP/1.1 connection of the XML-RPC server; supports only POST."""
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "armcell", ""
     timeout = IDLE
     disable_nagle_algorithm = True
-    wbufsize = -1  # head and body in one write
+    wbufsize = -1  # buffered, so that header and body leave in one write
     server: Any
 
     def do_POST(self) -> None:

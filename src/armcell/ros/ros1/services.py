@@ -1,7 +1,8 @@
-"""Services over TCPROS: answering calls on a connection, and making them.
+"""ROS 1 services over TCPROS: server and client.
 
-A request is `u32 length | bytes`; an answer has one byte before that: 1, or 0 and then a text that says why
-not. With `persistent=1` in the header the connection stays open for more calls.
+A request is `u32 length | bytes`. A response has the same form with one byte before it: 1 for success, or 0
+followed by a text with the reason of the failure. With `persistent=1` in the header the connection stays
+open for more calls.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ Answerer = Callable[[Any], Any]
 
 
 class ServedService:
-    """A service of this node.
+    """A service that this ROS 1 node serves.
 
     Args:
-        answer: gets the request message, gives the response; raises ServiceError to say why not.
+        answer: called with the request message, returns the response message; raises ServiceError to report
+            why the request failed.
+        most: maximum size of a request [bytes].
     """
 
     def __init__(self, name: str, type_name: str, schema: Schema, caller: str, answer: Answerer, most: int):
@@ -41,14 +44,14 @@ class ServedService:
         self.calls = 0
 
     def refusal(self, header: Fields) -> str | None:
-        """Why a client cannot be served, in the words of the real one; None if it can."""
+        """Return why a client cannot be served, in roscpp's and rospy's wording, or None."""
         md5 = header["md5sum"]
         if md5 in (ANY, self.md5):
             return None
         return f"request from [{header['callerid']}]: md5sums do not match: [{md5}] vs. [{self.md5}]"
 
     def handle(self, sock: socket.socket, header: Fields) -> None:
-        """Answer calls until the client goes, or one where it wants no more."""
+        """Answer a client's calls until it disconnects, or one call if it is not persistent."""
         fields = {
             "callerid": self._caller, "service": self.name, "md5sum": self.md5, "type": self.type,
             "request_type": f"{self.type}Request", "response_type": f"{self.type}Response",
@@ -86,7 +89,7 @@ def _refused(text: str) -> bytes:
 
 
 class Caller:
-    """Calls services of other nodes; `close` ends what waits for an answer."""
+    """Client for the services of other ROS 1 nodes; `close` also ends calls in progress."""
 
     def __init__(self, caller: str, schema: Schema, timeout: float, most: int):
         self._caller, self._schema, self._timeout, self._most = caller, schema, timeout, most
@@ -95,9 +98,10 @@ class Caller:
         self._closed = False
 
     def connect(self, name: str, uri: str, type_name: str, persistent: bool = False) -> Connection:
-        """
+        """Connect to a service of another node.
+
         Raises:
-            ServiceError: it cannot be reached, or is of another type.
+            ServiceError: the service cannot be reached, or its type differs.
         """
         fields = {
             "callerid": self._caller, "service": name, "type": type_name,
@@ -107,10 +111,10 @@ class Caller:
         return Connection(self, sock, name, type_name, self._schema, self._most, header)
 
     def probe(self, name: str, uri: str) -> str:
-        """A service's type.
+        """Return the type of a service, read from its connection header.
 
         Raises:
-            ServiceError: it cannot be reached, or does not say.
+            ServiceError: the service cannot be reached, or its header contains no type.
         """
         fields = {"callerid": self._caller, "service": name, "md5sum": ANY, "probe": "1"}
         sock, header = self._opened(name, uri, fields)
@@ -156,7 +160,7 @@ class Caller:
 
 
 class Connection:
-    """A connection to a service; one call at a time."""
+    """Client connection to a ROS 1 service; carries one call at a time."""
 
     def __init__(
         self, caller: Caller, sock: socket.socket, name: str, type_name: str, schema: Schema, most: int,
@@ -168,10 +172,10 @@ class Connection:
         self._turn = threading.Lock()
 
     def call(self, request: Any) -> Any:
-        """The response; waits as long as it takes.
+        """Call the ROS 1 service and return its response; waits without a time limit.
 
         Raises:
-            ServiceError: the service says why not, or went away.
+            ServiceError: the service reports a failure, or the connection broke.
         """
         body = self._codec.encode(request)
         with self._turn:

@@ -1,7 +1,7 @@
-"""How a node joins a ROS 1 graph: names, addresses and remappings, from arguments and the environment.
+"""Names, addresses and remappings of a ROS 1 node, from arguments and environment variables.
 
-Source: wiki.ros.org/ROS/EnvironmentVariables and wiki.ros.org/Remapping%20Arguments. What differs on purpose:
-without ROS_IP, ROS_HOSTNAME or a bind address the node listens on loopback alone, not on every interface.
+Source: wiki.ros.org/ROS/EnvironmentVariables and wiki.ros.org/Remapping%20Arguments. One intended difference:
+without ROS_IP, ROS_HOSTNAME or a bind address, the node listens on loopback only, not on every interface.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ _NODE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 
 @dataclass(frozen=True)
 class Ros1Settings:
-    """A node's name and addresses; what is empty is taken from the environment by `from_environment`."""
+    """Name and addresses of a ROS 1 node; `from_environment` fills in empty values."""
 
-    name: str = "armcell"  # of the node, without namespace
+    name: str = "armcell"  # node name without namespace
     namespace: str = "/"
     master: str = MASTER  # XML-RPC address of the master
-    own_master: bool | None = None  # True: start one; None: where none is reachable; False: never
-    host: str = "127.0.0.1"  # what others are told to connect to
-    bind: str = "127.0.0.1"  # where to listen
-    remap: Mapping[str, str] = field(default_factory=dict)  # as given: from, to
-    parameters: Mapping[str, Any] = field(default_factory=dict)  # private ones, without ~
-    queue: int = 100  # messages that wait for one subscriber; a full queue drops its oldest
-    queue_bytes: int = 16 << 20  # per subscriber, though always one message
-    max_message: int = 256 << 20  # [bytes] of one message or request; a longer one ends the connection
-    timeout: float = 5.0  # [s] for a peer to connect and to say what it wants
+    own_master: bool | None = None  # built-in master: True always, False never, None if no other is reachable
+    host: str = "127.0.0.1"  # address that other nodes connect to
+    bind: str = "127.0.0.1"  # address to listen on
+    remap: Mapping[str, str] = field(default_factory=dict)  # remappings before resolution: from -> to
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # private parameters, names without ~
+    queue: int = 100  # messages that may wait for one subscriber; a full queue drops its oldest
+    queue_bytes: int = 16 << 20  # bytes that may wait for one subscriber; one message is always kept
+    max_message: int = 256 << 20  # [bytes] maximum of a message or request; a longer one ends the connection
+    timeout: float = 5.0  # [s] for a peer to connect and to send its header
 
     def __post_init__(self) -> None:
         if not _NODE.match(self.name):
@@ -51,7 +51,7 @@ class Ros1Settings:
 
     @property
     def is_local(self) -> bool:
-        """Whether nobody outside this machine can connect."""
+        """Whether only programs on this machine can connect to the node."""
         return is_loopback(self.bind)
 
 
@@ -59,14 +59,17 @@ def from_environment(
     name: str, arguments: Iterable[str] = (), bind: str | None = None,
     environment: Mapping[str, str] | None = None, **changes: Any,
 ) -> Ros1Settings:  # fmt: skip
-    """Settings as a ROS program gets them.
+    """Return the settings of a ROS node from command-line arguments and environment variables.
 
     Args:
         arguments: remappings, each `from:=to`, `_private:=value`, `__name:=`, `__ns:=`, `__ip:=`,
             `__hostname:=` or `__master:=`.
-        bind: where to listen; else loopback, or everywhere if ROS_HOSTNAME or ROS_IP name another address.
+        bind: address to listen on; by default loopback, or all interfaces if ROS_HOSTNAME or ROS_IP name an
+            address that is not loopback.
+        environment: environment variables; None reads those of this process.
+        changes: fields of `Ros1Settings` to override.
     Raises:
-        InputError: an argument is no remapping, an address is none.
+        InputError: an argument is not a remapping, or an address is invalid.
     """
     env = os.environ if environment is None else environment
     remap, special = split_arguments(arguments)
@@ -93,10 +96,10 @@ def from_environment(
 
 
 def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Remappings of names, and the arguments that begin with an underscore.
+    """Split arguments into name remappings and special arguments that begin with an underscore.
 
     Raises:
-        InputError: one is not of the form from:=to.
+        InputError: an argument is not of the form from:=to.
     """
     remap: dict[str, str] = {}
     special: dict[str, str] = {}
@@ -109,7 +112,7 @@ def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str,
 
 
 def _value(text: str) -> Any:
-    """A private parameter's value is YAML, as rosrun reads it."""
+    """Parse a private parameter's value as YAML, like rosrun."""
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError:
@@ -117,10 +120,10 @@ def _value(text: str) -> Any:
 
 
 def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
-    """Of an address as `http://host:port/`.
+    """Return host and port of an address such as `http://host:port/`; the default port is 11311.
 
     Raises:
-        InputError: it is none.
+        InputError: the address is invalid.
     """
     try:
         parts = urlsplit(uri)
@@ -136,23 +139,23 @@ def is_loopback(host: str) -> bool:
 
 
 def is_this_machine(host: str) -> bool:
-    """Whether an address or name is one of this machine's."""
+    """Return whether an address or host name belongs to this machine."""
     if is_loopback(host) or host in (socket.gethostname(), "0.0.0.0"):
         return True
     try:
         address = socket.gethostbyname(host)
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-            probe.bind((address, 0))  # only an address of this machine can be bound to
+            probe.bind((address, 0))  # succeeds only for an address of this machine
         return True
     except OSError:
         return False
 
 
 def own_address() -> str:
-    """The address by which other machines reach this one: that of the default route."""
+    """Return this machine's address on its default route, by which other machines reach it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # a documentation address; nothing is sent
+            probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737); UDP sends nothing here
             return str(probe.getsockname()[0])
         except OSError:
             return "127.0.0.1"

@@ -1,4 +1,4 @@
-"""A topic that this node subscribes to: a connection to each publisher, made again when it breaks."""
+"""A topic that a ROS 1 node subscribes to: reconnecting connections to its publishers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from armcell.ros.ros1.rpc import RpcError, ask
 
 logger = logging.getLogger(__name__)
 RECEIVE_BYTES = 256 << 10
-FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] between two attempts, doubled each time
+FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] first and longest delay between attempts; doubles each time
 
 
 class Sink(Protocol):
-    """Takes the messages of one publisher."""
+    """Receiver for the messages of one publisher."""
 
     def take(self, body: bytes) -> None:
-        """
+        """Handle one serialized message of a publisher.
+
         Raises:
-            WireError: it is no message of the type.
+            WireError: the bytes are not a message of the topic's type.
         """
         ...
 
@@ -38,12 +39,14 @@ class Sink(Protocol):
 
 
 class Subscription:
-    """Subscribes to a topic.
+    """Subscription of a ROS 1 node to a topic.
 
     Args:
-        own_uri: of this node; nobody connects to itself, for the bus delivers here.
-        open_sink: called with the publisher's header for each connection.
-        type_name, md5: `*` for any.
+        type_name: message type; `*` accepts any.
+        md5: MD5 sum of the message type; `*` accepts any.
+        own_uri: address of this node, which is skipped among the publishers: the bus delivers those messages.
+        open_sink: called with the publisher's connection header; returns the sink for the connection.
+        max_message: maximum size of a message [bytes].
     """
 
     def __init__(
@@ -60,12 +63,12 @@ class Subscription:
         self._closed = False
 
     def links(self) -> list[PublisherLink]:
-        """The connections as they are now, those that are being made among them."""
+        """Return the current publisher connections, including those that are being established."""
         with self._lock:
             return list(self._links.values())
 
     def update(self, uris: list[str]) -> None:
-        """These are the publishers now."""
+        """Connect to new publishers of the topic, and disconnect from those no longer listed."""
         with self._lock:
             if self._closed:
                 return
@@ -82,9 +85,9 @@ class Subscription:
             self.connect(link)
 
     def connect(self, link: PublisherLink) -> None:
-        """Connect soon, in a thread of the executor."""
+        """Start a connection to a publisher in a thread of the executor."""
         if not self._closed:
-            with contextlib.suppress(RuntimeError):  # shut down: the node is closing
+            with contextlib.suppress(RuntimeError):  # the executor is shut down because the node is closing
                 self._executor.submit(link.connect)
 
     def say_once(self, text: str) -> None:
@@ -100,14 +103,14 @@ class Subscription:
 
 
 class PublisherLink:
-    """The connection to one publisher."""
+    """Connection of a subscription to one publisher."""
 
     _numbers = itertools.count(1)
 
     def __init__(self, subscription: Subscription, uri: str):
         self.uri, self._of = uri, subscription
         self.number = next(self._numbers)
-        self.sock: socket.socket  # once connected
+        self.sock: socket.socket  # exists once connected
         self.publisher = ""  # the other node's name
         self.received = self.received_bytes = 0
         self.connected = False
@@ -119,7 +122,7 @@ class PublisherLink:
 
     # --- in the executor ---
     def connect(self) -> None:
-        """Ask the publisher for its port, connect, exchange headers; on failure come back later."""
+        """Request the publisher's TCPROS port, connect and exchange headers; retry later on failure."""
         if self._closed:
             return
         try:
@@ -226,7 +229,7 @@ class PublisherLink:
         self._again()
 
     def close(self) -> None:
-        """From any thread."""
+        """Close the connection to the publisher; callable from any thread."""
         with self._lock:
             self._closed = True
             connected = self.connected

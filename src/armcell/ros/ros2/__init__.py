@@ -1,9 +1,9 @@
-"""ROS 2 through Cyclone DDS (extra `ros2`), with nothing of ROS installed.
+"""ROS 2 through Cyclone DDS (extra `ros2`); needs no ROS installation.
 
-names: how ROS 2 calls things on DDS. dialect, codec: its message definitions and bytes. qos, range: its
-profiles and environment variables. idl, dds: the library. graph: who else is there. context: what the parts
-share. topics, services, goals, reaching, parameters, descriptions: the parts. bridge: joins a bus to a
-domain.
+names: ROS 2 names on DDS. dialect, codec: message definitions and serialization of a distribution. qos,
+range: quality-of-service profiles and environment variables. idl, dds: the Cyclone DDS library. graph:
+discovery of other nodes. context: state that all parts share. topics, services, goals, reaching, parameters:
+the parts of the bridge. bridge: connects a bus to a domain.
 """
 
 from armcell.ros.ros2.bridge import Ros2Bridge, Ros2Settings, Ros2Status

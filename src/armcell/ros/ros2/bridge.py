@@ -1,8 +1,8 @@
-"""The bridge between a bus and a ROS 2 domain.
+"""Bridge between an armcell bus and a ROS 2 domain.
 
-Everything that the bus publishes, serves or acts on is offered in the domain; what the bus subscribes to is
-looked for there; services and actions that nobody serves on the bus are asked for there. Topics follow the
-bus: the bridge looks whenever somebody comes or goes.
+The bridge offers all topics, services and actions of the bus in the domain. It subscribes in the domain to
+the topics that the bus subscribes to, and forwards calls and goals to services and actions that only the
+domain serves. It follows the bus: whenever a publisher, subscriber or server joins or leaves, it updates.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from armcell._interrupts import deferred, last_will
 from armcell.core import ArmcellError, InputError
 from armcell.core.endpoints import Endpoint
 from armcell.ros.bus import Bus, Handler, TopicInfo
+from armcell.ros.descriptions import Descriptions
+from armcell.ros.distros import distro_from_environment
 from armcell.ros.names import resolve
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import ros2_codec
 from armcell.ros.ros2.context import Context
-from armcell.ros.ros2.descriptions import Descriptions
-from armcell.ros.ros2.dialect import distro_from_environment
 from armcell.ros.ros2.goals import ActionServing
 from armcell.ros.ros2.parameters import ParameterServices
 from armcell.ros.ros2.qos import Profile
@@ -33,8 +33,8 @@ from armcell.ros.ros2.services import Asked, Client, Server
 from armcell.ros.ros2.topics import Incoming, Outgoing
 
 logger = logging.getLogger(__name__)
-LOOK = 0.1  # [s] at the latest, discovery is looked at
-PERIOD = 1.0  # [s] between two looks even if nobody came or went, and for those who cannot talk to us
+LOOK = 0.1  # [s] longest time between two checks of discovery
+PERIOD = 1.0  # [s] between two full updates without a change, and between two checks for incompatible peers
 SHUT_DOWN = 5.0  # [s]
 ACTION_TOPICS = {
     "/goal": "ActionGoal", "/result": "ActionResult", "/feedback": "ActionFeedback",
@@ -43,13 +43,13 @@ ACTION_TOPICS = {
 
 @dataclass(frozen=True)
 class Ros2Settings:
-    """How a bus joins a ROS 2 domain."""
+    """Settings with which a bus joins a ROS 2 domain."""
 
     reach: Reach = field(default_factory=from_environment)
-    node: str = "/armcell"  # how `ros2 node list` shows us
-    distro: str = field(default_factory=distro_from_environment)  # whose message definitions are used
-    qos: Mapping[str, Profile] = field(default_factory=dict)  # by topic; others get ROS 2's usual one
-    service_timeout: float = 60.0  # [s] a service in the domain has to answer
+    node: str = "/armcell"  # node name in `ros2 node list`
+    distro: str = field(default_factory=distro_from_environment)  # distribution of the message definitions
+    qos: Mapping[str, Profile] = field(default_factory=dict)  # by topic; others get ROS 2's usual profile
+    service_timeout: float = 60.0  # [s] within which a service in the domain must answer
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "node", resolve(self.node))
@@ -57,10 +57,10 @@ class Ros2Settings:
 
 @dataclass(frozen=True)
 class Ros2Status:
-    """For status lines."""
+    """State of a ROS 2 bridge, for status lines."""
 
     domain: int
-    nodes: tuple[str, ...]  # the others
+    nodes: tuple[str, ...]  # full names of the other nodes
     topics_out: int
     topics_in: int
     services: int
@@ -70,12 +70,12 @@ class Ros2Status:
 
 
 class Ros2Bridge:
-    """Joins a bus to a domain, from `start` (or `with`) to `close`.
+    """Connection of a bus to a ROS 2 domain, from `start` (or `with`) to `close`.
 
     Raises (start):
         MissingExtraError: cyclonedds is not installed.
-        UnknownNameError: no such distribution.
-        InputError, DdsError: the domain cannot be joined.
+        UnknownNameError: the distribution does not exist.
+        InputError, DdsError: the bridge cannot join the domain.
     """
 
     def __init__(self, bus: Bus, settings: Ros2Settings | None = None):
@@ -113,7 +113,7 @@ class Ros2Bridge:
         return self
 
     def close(self) -> None:
-        """Leave the domain and the bus. Closing twice is fine."""
+        """Leave the ROS 2 domain and the bus; a second call has no effect."""
         context = self._context
         if context is None or self._stop.is_set():
             return
@@ -144,12 +144,12 @@ class Ros2Bridge:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """The sockets that the domain has opened here, once the bridge has started."""
+        """Return the sockets that the domain opened in this process; valid after `start`."""
         return self._joined().participant.endpoints
 
-    # --- what others see of it ---
+    # --- status and discovery ---
     def status(self) -> Ros2Status:
-        """How it stands now."""
+        """Return the current state of the ROS 2 bridge."""
         context = self._joined()
         return Ros2Status(
             self.settings.reach.domain,
@@ -163,19 +163,24 @@ class Ros2Bridge:
         )
 
     def topics(self) -> dict[str, str]:
-        """Types of the topics that other nodes have, by name."""
+        """Return a dict from topic name to type for the topics of other ROS 2 nodes."""
         return self._joined().graph.topics()
 
     def services(self) -> dict[str, str]:
-        """Types of the services that other nodes serve, by name."""
+        """Return a dict from service name to type for the services of other ROS 2 nodes."""
         return self._joined().graph.services()
 
     def nodes(self) -> list[str]:
-        """Full names of the other nodes."""
+        """Return the full names of the other nodes in the ROS 2 domain."""
         return self._joined().graph.nodes()
 
     def wait_for_node(self, name: str, timeout: float) -> bool:
-        """Whether another node is there, after waiting for it [s]."""
+        """Wait until another node appears in the ROS 2 domain; return whether it does.
+
+        Args:
+            name: full name of the node.
+            timeout: limit [s].
+        """
         give_up = time.monotonic() + timeout
         while resolve(name) not in self.nodes():
             if time.monotonic() > give_up:
@@ -188,9 +193,9 @@ class Ros2Bridge:
             raise InputError("the bridge has not been started")
         return self._context
 
-    # --- services behind us ---
+    # --- services in the domain ---
     def _find(self, name: str) -> Handler | None:
-        """What answers a service in the domain; None where nobody serves it there."""
+        """Return a handler that calls a service in the domain, or None if no node serves it."""
         context = self._joined()
         type_name = context.graph.services().get(name)
         if type_name is None or type_name not in self.bus.schema.services or self._stop.is_set():
@@ -225,7 +230,7 @@ class Ros2Bridge:
                     part.look()
 
     def _look(self, context: Context) -> None:
-        """Make what the bus has now known in the domain, and close what it has no more."""
+        """Update the endpoints in the domain to match the topics, services and actions of the bus."""
         self._descriptions.look()
         infos = {info.name: info for info in self.bus.topics(besides=self)}
         acting = self._action_names(infos)
@@ -251,7 +256,7 @@ class Ros2Bridge:
         context.announcer.tell()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
-        """Add a part; what cannot be sent is said once."""
+        """Add a bridged topic; if it cannot be bridged, report the reason once."""
         if (name, type_name) in self._refused:
             return
         profile = self.settings.qos.get(name)
@@ -277,9 +282,12 @@ class Ros2Bridge:
 
         return Server(context, name, type_name, on_request)
 
-    # --- actions: ROS 1's five topics on the bus ---
+    # --- actions, which are ROS 1's five topics on the bus ---
     def _action_names(self, infos: Mapping[str, TopicInfo]) -> dict[str, str]:
-        """Types of actions by name: what has a goal topic with an action's type."""
+        """Return a dict from action name to type.
+
+        An action is every name with a topic `<name>/goal` whose message is an action goal.
+        """
         found = {}
         for info in infos.values():
             action = info.type.removesuffix("ActionGoal")
@@ -310,7 +318,10 @@ class Ros2Bridge:
 
 
 def _is_of_action(info: TopicInfo, acting: Mapping[str, str]) -> bool:
-    """Whether a topic is one of an action's five, which ROS 2 has in its own way."""
+    """Return whether a topic is one of the five topics of a ROS 1 action.
+
+    The bridge does not forward these topics, because ROS 2 transports actions differently.
+    """
     base, _, part = info.name.rpartition("/")
     if base not in acting:
         return False

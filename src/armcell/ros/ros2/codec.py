@@ -1,8 +1,9 @@
-"""ROS 2 bytes of the bus's messages, by the definitions of a distribution.
+"""ROS 2 serialization (CDR) of the bus's messages, by the definitions of a distribution.
 
-Messages stay the bus's own (ROS 1's fields). A field that only ROS 2 has is written with its default and
-left out when read; one that only the bus has (a header's `seq`) the other way round. Types that only ROS 2
-has (rcl_interfaces, action_msgs) get classes here.
+Messages keep the bus's own classes, which carry the fields of both ROS 1 and ROS 2. The codec writes the
+default for a field that a message lacks (a script's message has only ROS 1's fields). It omits a field that
+the distribution lacks (a header's `seq`), and sets that field to its default when it reads. Types of the rmw
+layer get their classes here.
 """
 
 from __future__ import annotations
@@ -19,18 +20,20 @@ from rosbags.typesys.store import Typestore
 from armcell.core import InputError, UnknownNameError
 from armcell.ros.codec import MAX_ITEMS, WireError
 from armcell.ros.definitions import PLACEHOLDER, field_parts, plain_name, rosbags_name
+from armcell.ros.distros import DISTROS
 from armcell.ros.messages import Message, Tidy, make_class, python_name
-from armcell.ros.ros2.dialect import DISTROS, definitions
+from armcell.ros.ros2.dialect import definitions
+from armcell.ros.ros2.type_hash import TypeHashes
 from armcell.ros.schema import Schema
 
-HEADER_BYTES = 4  # CDR's own, before the fields
+HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
 
 
 class Ros2Codec:
-    """One schema in one distribution's encoding (CDR, little-endian). Thread-safe.
+    """CDR codec (little-endian) for one schema and one ROS 2 distribution; thread-safe.
 
     Raises:
-        UnknownNameError: no such distribution.
+        UnknownNameError: the distribution does not exist.
     """
 
     name = "ros2"
@@ -38,6 +41,7 @@ class Ros2Codec:
     def __init__(self, schema: Schema, distro: str):
         self.schema, self.distro = schema, distro
         self.definitions = definitions(schema, distro)
+        self.hashes = TypeHashes(self.definitions, schema.services, schema.actions)
         self._store = Typestore(max_sequence_length=MAX_ITEMS)
         for name, definition in self.definitions.items():
             self._store.fielddefs[rosbags_name(name)] = cast(Any, tuple(definition))
@@ -47,14 +51,11 @@ class Ros2Codec:
         self._translations: dict[str, _Translation] = {}
 
     # --- types ---
-    def knows(self, name: str) -> bool:
-        return name in self.definitions
-
     def message(self, name: str) -> type[Message]:
-        """The class a message of this type has on our side.
+        """Return the Python class of a message type.
 
         Raises:
-            UnknownNameError: no such type.
+            UnknownNameError: the type does not exist.
         """
         return self.schema.message(name) if name in self.schema.definitions else self.wire_class(name)
 
@@ -62,26 +63,38 @@ class Ros2Codec:
         return self.message(name)(*values, **fields)
 
     def wire_class(self, name: str) -> type[Message]:
-        """The class with exactly ROS 2's fields."""
+        """Return the message class with exactly the fields of the ROS 2 definition."""
         if name not in self._wire:
             if name not in self.definitions:
                 raise UnknownNameError("ROS 2 type", name, self.definitions)
             self._wire[name] = make_class(name, self.definitions[name], self.wire_class)
         return self._wire[name]
 
+    def has_more(self, name: str) -> bool:
+        """Return whether the ROS 2 type has fields beyond ROS 1's.
+
+        Messages that a script creates lack those fields.
+        """
+        return name in self.schema.definitions and self.schema.whole(name) != self.schema.definition(name)
+
     def prepare(self, name: str) -> None:
-        """Make the functions of a type now (up to 0.1 s), not at its first message."""
+        """Generate the serialization functions of a message type now, not at its first message.
+
+        Generation takes up to 0.1 s.
+        """
         self._store.get_msgdef(rosbags_name(name))
 
-    def type_hash(self, name: str) -> str | None:
-        """REP 2016's hash of a message type; None in distributions that have none."""
-        if not DISTROS[self.distro].has_hashes:
-            return None
-        return self._store.hash_rihs01(rosbags_name(name))
+    def type_hash(self, name: str, kind: str = "msg") -> str | None:
+        """Return the REP 2016 hash of a message, service or action.
+
+        Returns:
+            The hash, or None for distributions without type hashes.
+        """
+        return self.hashes.of(name, kind) if DISTROS[self.distro].has_hashes else None
 
     # --- bytes ---
     def encode(self, message: Any) -> memoryview:
-        """A message's bytes with CDR's four before them.
+        """Serialize a message to CDR bytes, including the 4-byte encapsulation header.
 
         Raises:
             InputError: a field's value does not fit its type.
@@ -96,10 +109,10 @@ class Ros2Codec:
             raise InputError(f"{name} cannot be encoded: {error}") from None
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """The message in `data`, which must be all of it.
+        """Deserialize a message from CDR bytes, which must contain nothing else.
 
         Raises:
-            WireError: the bytes are not such a message.
+            WireError: the bytes are not a message of this type.
         """
         if len(data) == HEADER_BYTES and _is_empty(self, name):
             return self.new(name)
@@ -118,7 +131,7 @@ class Ros2Codec:
         return self._tidies[name]
 
     def translation(self, name: str) -> _Translation:
-        """What turns a message of ours into one with ROS 2's fields."""
+        """Return the function that converts a bus message to ROS 2's field layout."""
         if name not in self._translations:
             self._translations[name] = _Translation(self, name)
         return self._translations[name]
@@ -129,7 +142,10 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """ROS 2's fields, each with our attribute: None where we have none. CameraInfo's `d` is our `D`."""
+    """Return each ROS 2 field with the matching attribute of the bus's message class, or None.
+
+    Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
+    """
     ours = codec.message(name)._fields
     lower = {field.lower(): field for field in ours}
     found = []
@@ -140,14 +156,20 @@ def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
     return found
 
 
+_MISSING: Any = object()
+
+
 class _Translation:
-    """Ours to ROS 2's. Messages whose fields can be read as they are pass through, uncopied."""
+    """Callable that converts a bus message to ROS 2's field layout.
+
+    Messages whose fields match already are returned without a copy.
+    """
 
     def __init__(self, codec: Ros2Codec, name: str):
         self._make: Callable[..., Any] = codec.wire_class(name)
         self._pairs: list[tuple[str, str | None, _Translation | None, bool]] = []
-        self.needed = False
         nodes = [node for field, node in codec.definitions[name].fields if field != PLACEHOLDER]
+        self.needed = codec.has_more(name)
         for (field, ours), node in zip(_pairs(codec, name), nodes):
             is_message, kind, length = field_parts(node)
             inner = codec.translation(kind) if is_message else None
@@ -162,7 +184,9 @@ class _Translation:
         for field, ours, inner, several in self._pairs:
             if ours is None:
                 continue
-            value = getattr(message, ours)
+            value = getattr(message, ours, _MISSING)
+            if value is _MISSING:
+                continue
             if inner is not None:
                 value = [inner(v) for v in value] if several else inner(value)
             values[field] = value
@@ -170,7 +194,10 @@ class _Translation:
 
 
 class _Makers(dict):
-    """What makes a message of the values read, by rosbags' names; made when first asked for."""
+    """Message constructors by rosbags type name, each built on first use.
+
+    The deserializer calls a constructor with the values that it has read.
+    """
 
     def __init__(self, codec: Ros2Codec):
         super().__init__()
@@ -197,5 +224,5 @@ def _maker(codec: Ros2Codec, name: str) -> Any:
 
 @cache
 def ros2_codec(schema: Schema, distro: str) -> Ros2Codec:
-    """The codec of a schema and a distribution, made once."""
+    """Return the cached codec of a schema and a ROS 2 distribution."""
     return Ros2Codec(schema, distro)

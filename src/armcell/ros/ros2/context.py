@@ -1,4 +1,4 @@
-"""What all parts of the bridge share: the bus, our place in the domain, and one log of what went wrong."""
+"""State that all parts of the ROS 2 bridge share: bus, DDS participant, workers, error log."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from armcell.ros.ros2.qos import Profile
 from armcell.ros.ros2.range import Reach
 
 logger = logging.getLogger(__name__)
-WORKERS = 8  # service calls answered at a time
-MAX_CALLS = 64  # waiting and running
-MAX_COMPLAINTS = 200  # different ones
+WORKERS = 8  # service calls that are answered in parallel
+MAX_CALLS = 64  # service calls that wait or run
+MAX_COMPLAINTS = 200  # different kinds of errors that are logged
 
 
 class Context:
-    """Made once a bridge starts, closed with it.
+    """Shared state of a ROS 2 bridge, created when the bridge starts and closed with it.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
-        InputError, DdsError: the domain cannot be joined.
+        InputError, DdsError: the participant cannot join the domain.
     """
 
     def __init__(self, bus: Bus, codec: Ros2Codec, reach: Reach, node: str):
@@ -52,7 +52,7 @@ class Context:
         return self.participant.closed
 
     def complain(self, kind: str, text: str) -> None:
-        """Log something once per kind; count the rest."""
+        """Log the first error of each kind, and count all errors of the ROS 2 bridge."""
         if self.complaints.is_new(kind):
             logger.warning("%s", text[:400])
 
@@ -60,7 +60,7 @@ class Context:
         with self._lock:
             self.dropped += 1
 
-    # --- endpoints that belong to our node ---
+    # --- endpoints that belong to this bridge's node ---
     def writer(self, name: DdsName, profile: Profile, user_data: str = "", wait: bool = False) -> Writer:
         writer = self.participant.writer(name, profile, user_data.encode(), wait)
         self.announcer.add(writer.guid, True)
@@ -79,23 +79,26 @@ class Context:
             endpoint.close()
 
     def service_id(self) -> str:
-        """A name for one client or server, as rmw_cyclonedds_cpp makes it: both of its endpoints carry it."""
+        """Return a new id for a service client or server, in the format of rmw_cyclonedds_cpp.
+
+        Both endpoints (reader and writer) of the client or server carry the id.
+        """
         with self._lock:
             self._clients += 1
             number = self._clients
         data = self.participant.guid[:12] + number.to_bytes(4, "big")
         return ".".join(f"{byte:x}" for byte in data)
 
-    # --- work that may take its time ---
+    # --- work that may take long ---
     def work(self, run: Callable[..., Any], *arguments: Any) -> bool:
-        """Run in a thread of the pool; False where too much waits already."""
+        """Run a function in the worker pool; return False if too many calls wait already."""
         with self._lock:
             if self._calls >= MAX_CALLS:
                 return False
             self._calls += 1
         try:
             self._workers.submit(self._run, run, arguments)
-        except RuntimeError:  # shut down
+        except RuntimeError:  # the pool is shut down
             with self._lock:
                 self._calls -= 1
             return False

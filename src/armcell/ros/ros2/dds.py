@@ -1,8 +1,8 @@
-"""Cyclone DDS with bytes: our codec makes them, the library carries them.
+"""Cyclone DDS for serialized samples: participant, writers and readers.
 
-`cyclonedds` for Python checks and describes types, so it is given those of our definitions (`idl.py`); its
-own, slower encoding is not used. Writing goes straight to the C library, whose calls let other Python
-threads run (those of the wrapper do not).
+Our codec encodes the messages, and the library transports them. The `cyclonedds` Python package needs type
+descriptions, which `idl.py` generates from our definitions; the package's own, slower encoder is not used.
+Writing calls the C library directly through ctypes, which releases the GIL (the package's own calls do not).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from armcell.ros.ros2.qos import Profile, policies
 from armcell.ros.ros2.range import Reach
 
 logger = logging.getLogger(__name__)
-BATCH = 64  # samples taken at once
+BATCH = 64  # samples per take
 ANY_STATE = 3 | 12 | 112  # sample, view and instance states
 SHUT_DOWN = 5.0  # [s]
 NEVER = (1 << 63) - 1
@@ -40,11 +40,11 @@ OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE = (
 
 
 class DdsError(ArmcellError):
-    """The DDS library refused something."""
+    """An error that the DDS library reported."""
 
 
 class _Sample(ct.Structure):
-    """What the wrapper's types read and write: bytes and their number."""
+    """C struct that cyclonedds's types read and write: pointer to a sample's bytes and its size."""
 
     _fields_ = [("data", ct.c_void_p), ("size", ct.c_size_t)]
 
@@ -80,7 +80,7 @@ def _prototypes() -> dict[str, tuple[Any, tuple[Any, ...]]]:
 
 @cache
 def library() -> SimpleNamespace:
-    """The functions used, of the C library and of the wrapper's C part.
+    """Return the C functions of Cyclone DDS and of its Python package that armcell uses.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
@@ -100,10 +100,10 @@ def library() -> SimpleNamespace:
 
 
 def check(result: int, what: str) -> int:
-    """A handle or count as the library returned it.
+    """Return a result of the DDS library, or raise if it is an error code.
 
     Raises:
-        DdsError: it returned an error.
+        DdsError: the result is an error code.
     """
     if result < 0:
         raise DdsError(f"{what}: {library().dds_strretcode(-result).decode()}")
@@ -111,15 +111,18 @@ def check(result: int, what: str) -> int:
 
 
 class Sample(NamedTuple):
-    """One sample as it came."""
+    """A received DDS sample in serialized form."""
 
     data: bytes
-    writer: int  # the publication's handle
-    timestamp: int  # [ns] of the source's clock
+    writer: int  # instance handle of the publication
+    timestamp: int  # [ns] time of writing, by the sender's clock
 
 
 class _Domains:
-    """Domains of this process: one configuration each, ended with their last participant."""
+    """DDS domains that this process has joined.
+
+    Each domain has one configuration and ends with its last participant.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -148,15 +151,15 @@ _DOMAINS = _Domains()
 
 
 class Participant:
-    """Our place in a domain, with one thread that reads for all its readers.
+    """DDS participant in a domain, with one thread that reads for all of its readers.
 
     Attributes:
-        endpoints: sockets that joining has opened; empty where the system does not tell, and for a further
-            participant of a domain, which shares those of the first.
+        endpoints: sockets that joining the domain opened; empty if the system does not report them, and for
+            a second participant of the domain, which shares the sockets of the first.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
-        InputError, DdsError: the domain cannot be joined.
+        InputError, DdsError: the participant cannot join the domain.
     """
 
     def __init__(self, reach: Reach, codec: Ros2Codec, enclave: str = "/"):
@@ -190,13 +193,13 @@ class Participant:
         return self.guid_of(self.handle)
 
     def guid_of(self, handle: int) -> bytes:
-        """The 16 bytes by which others know an entity."""
+        """Return the 16-byte GUID of a DDS entity, its identifier on the network."""
         found = ct.create_string_buffer(16)
         check(self._dds.dds_get_guid(handle, found), "guid")
         return found.raw
 
     def close(self) -> None:
-        """Leave the domain. Must not be called from a reader's callback."""
+        """Leave the DDS domain; must not be called from a reader's callback."""
         with self._lock:
             if self.closed:
                 return
@@ -208,7 +211,7 @@ class Participant:
 
     # --- endpoints ---
     def writer(self, name: DdsName, profile: Profile, user_data: bytes = b"", wait: bool = False) -> Writer:
-        with self._qos(profile, user_data, wait=wait) as qos:
+        with self._qos(profile, user_data + self._type_hash(name), wait=wait) as qos:
             made = self._dds.dds_create_writer(self.handle, self._topic(name), qos, None)
         return Writer(self, name, check(made, f"writer of {name.topic}"))
 
@@ -220,14 +223,24 @@ class Participant:
         user_data: bytes = b"",
         ignore_own: bool = True,
     ) -> Reader:
-        """`on_sample` runs in the participant's reading thread, in order."""
-        with self._qos(profile, user_data, ignore_own) as qos:
+        """Create a DDS reader for a topic.
+
+        Args:
+            on_sample: called with each sample, in order of arrival, in the participant's reading thread.
+            ignore_own: ignore samples that this participant writes.
+        """
+        with self._qos(profile, user_data + self._type_hash(name), ignore_own) as qos:
             made = self._dds.dds_create_reader(self.handle, self._topic(name), qos, None)
         handle = check(made, f"reader of {name.topic}")
         return Reader(self, name, handle, self._watch(handle, lambda: self._take(handle, on_sample)))
 
     def watch_endpoints(self, publications: bool, on_endpoint: Callable[[Any], None]) -> Reader:
-        """Tell of every endpoint that comes or goes, as `cyclonedds` DcpsEndpoints."""
+        """Call a function for every DDS endpoint that joins or leaves the domain.
+
+        Args:
+            publications: True reports writers, False readers.
+            on_endpoint: called with each `cyclonedds` DcpsEndpoint.
+        """
         builtin = self._dds.builtin
         topic = builtin.BuiltinTopicDcpsPublication if publications else builtin.BuiltinTopicDcpsSubscription
         handle = check(self._dds.dds_create_reader(self.handle, topic._ref, None, None), "discovery")
@@ -242,6 +255,14 @@ class Participant:
                     on_endpoint(endpoint)
 
         return Reader(self, DdsName("", "", ""), handle, self._watch(handle, take))
+
+    def _type_hash(self, name: DdsName) -> bytes:
+        """Return the user data that carries the REP 2016 hash of a topic's type.
+
+        rmw warns about every endpoint without a type hash.
+        """
+        found = self.codec.type_hash(name.message)
+        return f"typehash={found};".encode() if found else b""
 
     @contextlib.contextmanager
     def _qos(self, profile: Profile, user_data: bytes, ignore: bool = False, wait: bool = False, bare=False):
@@ -269,7 +290,7 @@ class Participant:
 
     # --- reading ---
     def _watch(self, reader: int, take: Callable[[], None]) -> int:
-        """Call `take` whenever a reader has something; returns the number to stop that with."""
+        """Call `take` whenever a DDS reader has data; return the number that `forget` needs."""
         condition = check(self._dds.dds_create_readcondition(reader, ANY_STATE), "condition")
         with self._lock:
             number = next(self._numbers)
@@ -314,7 +335,7 @@ class _Endpoint:
 
     @property
     def instance(self) -> int:
-        """The number by which this process knows the endpoint."""
+        """The endpoint's instance handle, its identifier within this process."""
         found = ct.c_uint64()
         check(self._dds.dds_get_instance_handle(self.handle, ct.byref(found)), "handle")
         return found.value
@@ -325,7 +346,7 @@ class _Endpoint:
         return list(handles[: max(min(count, BATCH), 0)])
 
     def newly_incompatible(self, function: str) -> bool:
-        """Whether an endpoint was met since the last call whose quality of service does not fit."""
+        """Return whether a peer with incompatible QoS appeared since the last call."""
         status = _QosStatus()
         if getattr(self._dds, function)(self.handle, ct.byref(status)) < 0:
             return False
@@ -337,13 +358,15 @@ class _Endpoint:
 
 
 class Writer(_Endpoint):
-    """Writes bytes."""
+    """DDS writer for serialized samples."""
 
     def write(self, data: bytes | bytearray | memoryview) -> bool:
-        """Whether there was room for a sample (CDR's four bytes included).
+        """Write a serialized sample; return False if the writer's queue is full.
 
+        Args:
+            data: bytes of the sample, including CDR's 4-byte header.
         Raises:
-            DdsError: the library refused it for another reason.
+            DdsError: the library reported another error.
         """
         size = len(data)
         padded = (ct.c_char * (size + -size % 4))()
@@ -356,11 +379,11 @@ class Writer(_Endpoint):
         return True
 
     def readers(self) -> list[int]:
-        """Handles of the readers that get what is written."""
+        """Return the handles of the DDS readers that receive this writer's samples."""
         return self._matched(self._dds.dds_get_matched_subscriptions)
 
     def reader_qos(self, handle: int) -> Any:
-        """The quality of service of a matched reader; None when it has gone."""
+        """Return the QoS of a matched reader, or None if the reader has left."""
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_subscription_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos
@@ -369,18 +392,18 @@ class Writer(_Endpoint):
 
 
 class Reader(_Endpoint):
-    """Reads until closed."""
+    """DDS reader that delivers samples until `close`."""
 
     def __init__(self, participant: Participant, name: DdsName, handle: int, number: int):
         super().__init__(participant, name, handle)
         self._number = number
 
     def writers(self) -> list[int]:
-        """Handles of the writers that are read."""
+        """Return the handles of the DDS writers whose samples this reader receives."""
         return self._matched(self._dds.dds_get_matched_publications)
 
     def writer_qos(self, handle: int) -> Any:
-        """The quality of service of a matched writer; None when it has gone."""
+        """Return the QoS of a matched writer, or None if the writer has left."""
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_publication_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos

@@ -1,72 +1,38 @@
-"""ROS 2's message definitions, where they differ from those of the bus, which are ROS 1's.
+"""Message definitions of a ROS 2 distribution, including messages derived from actions.
 
-Sources: rosbags' set of the distribution for the common packages; our texts in `definitions`; the bus's own
-definitions for everything else (the user's types too). Actions get the messages that rosidl makes of them.
+The bus's own definitions, which are ROS 1's, apply to user-defined types and to types that have the same
+layout in ROS 2.
 """
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 
-from armcell.core import UnknownNameError
-from armcell.ros.definitions import PLACEHOLDER, Definition, plain_name, read_folder, rosbags_name
+from armcell.ros.definitions import Definition, rosbags_name
+from armcell.ros.distros import layouts
 from armcell.ros.schema import Schema
-
-FOLDER = Path(__file__).parent / "definitions"
-
-
-class Distro(NamedTuple):
-    """A ROS 2 distribution: rosbags' set and our folders of texts."""
-
-    store: Stores
-    folders: tuple[str, ...]
-    has_hashes: bool  # types are told apart by a hash since Iron (REP 2016)
-
-
-DISTROS = {
-    "humble": Distro(Stores.ROS2_HUMBLE, ("all",), False),
-    "jazzy": Distro(Stores.ROS2_JAZZY, ("all", "jazzy"), True),
-    "kilted": Distro(Stores.ROS2_KILTED, ("all", "jazzy"), True),
-    "lyrical": Distro(Stores.ROS2_LYRICAL, ("all", "jazzy"), True),
-}
-DEFAULT_DISTRO = "jazzy"
-
-
-def distro_from_environment() -> str:
-    """ROS_DISTRO where it is one we know, else Jazzy."""
-    name = os.environ.get("ROS_DISTRO", "")
-    return name if name in DISTROS else DEFAULT_DISTRO
 
 
 def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
-    """Every type as this distribution has it, by `pkg/Name`.
+    """Return all message definitions of a ROS 2 distribution by `pkg/Name`.
 
     Raises:
-        UnknownNameError: no such distribution.
+        UnknownNameError: the distribution does not exist.
     """
-    if distro not in DISTROS:
-        raise UnknownNameError("ROS 2 distribution", distro, DISTROS)
-    known = DISTROS[distro]
-    found = dict(schema.definitions)
-    for name, (constants, fields) in get_typestore(known.store).fielddefs.items():
-        found[plain_name(name)] = Definition(list(constants), list(fields) or _EMPTY)
-    for folder in known.folders:
-        found |= read_folder(FOLDER / folder).messages
+    theirs = layouts(distro).messages
+    found = schema.definitions | {n: d for n, d in theirs.items() if n not in schema.own}
     for action in schema.actions:
         found |= _action_messages(action)
     return found
 
 
-_EMPTY: list[Any] = [(PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))]
-
-
 def _action_messages(action: str) -> dict[str, Definition]:
-    """What rosidl makes of an action. Source: design.ros2.org/articles/actions.html."""
+    """Return the messages that rosidl derives from an action.
+
+    Source: design.ros2.org/articles/actions.html.
+    """
     uuid = ("goal_id", _node("unique_identifier_msgs/UUID"))
     parts: dict[str, list[Any]] = {
         "_SendGoal_Request": [uuid, ("goal", _node(f"{action}Goal"))],

@@ -1,8 +1,8 @@
-"""Actions of the bus, served in the domain: three services and two topics for each.
+"""Serves the bus's actions in the ROS 2 domain: three services and two topics per action.
 
-Source: design.ros2.org/articles/actions.html, rcl_action. The bus has ROS 1's actions, so a goal that its
-server rejects has been accepted here already: it is aborted, and its result says why (ROS 2's rejections
-cannot). Goals that cannot even be read are rejected.
+Source: design.ros2.org/articles/actions.html, rcl_action. The bus has ROS 1's actions, whose server decides
+on a goal only after this bridge has accepted it. A goal that the server rejects is therefore aborted, and its
+result contains the reason (a ROS 2 rejection cannot). The bridge rejects goals that it cannot decode.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from typing import Any
 
 from armcell.core import ArmcellError
 from armcell.ros.actions import MAX_GOALS, State
+from armcell.ros.reasons import failed
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.qos import DEFAULT, LATCHED
 from armcell.ros.ros2.services import Asked, Server
 
-KEPT_FOR = 900.0  # [s] results are kept: rcl_action's default in Humble
+KEPT_FOR = 900.0  # [s] that results are kept: rcl_action's default in Humble
 MAX_KEPT = 1000
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6  # action_msgs/GoalStatus
 NO_ERROR, REJECTED, UNKNOWN_GOAL, TERMINATED = 0, 1, 2, 3  # action_msgs/CancelGoal
@@ -29,15 +30,15 @@ RUNNING = {
 
 
 class Goal:
-    """A goal of a ROS 2 client."""
+    """A goal that a ROS 2 client has sent."""
 
     def __init__(self, uuid: bytes, stamp: Any):
         self.uuid, self.stamp = uuid, stamp
         self.status = ACCEPTED
-        self.cancelled = False  # somebody asked for that
+        self.cancelled = False  # whether a client requested it
         self.result: Any = None
-        self.waiting: list[Asked] = []  # who asked for the result
-        self.ended: float | None = None  # [s] of the wall's clock
+        self.waiting: list[Asked] = []  # clients that wait for the result
+        self.ended: float | None = None  # [s] end of the goal, by `time.monotonic`
 
     @property
     def is_over(self) -> bool:
@@ -45,9 +46,12 @@ class Goal:
 
 
 class ActionServing:
-    """One action. What the bus's server says arrives in a thread of its own, in order."""
+    """Serves one action of the bus in the ROS 2 domain.
 
-    busy = False  # its server is on the bus: when that has gone, nothing more will come of its goals
+    A separate thread handles the messages of the bus's action server, in order.
+    """
+
+    busy = False  # the action's server is on the bus; once it has left, its goals cannot finish
 
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
@@ -74,7 +78,7 @@ class ActionServing:
         self._thread = threading.Thread(target=self._receive, name=f"ros2 action {name}", daemon=True)
         self._thread.start()
         self._tell()
-        # The one that takes goals comes last: then everything is there for them.
+        # Create the server that accepts goals last, so that everything else is ready for the first goal.
         self._get_server = Server(
             context, outside + names.GET_RESULT, f"{type_name}_GetResult", self._on_get, "action"
         )
@@ -84,13 +88,14 @@ class ActionServing:
         ]
 
     def close(self) -> None:
-        """Whoever waits for a result is told that the goal was aborted."""
+        """Stop serving the action and abort its unfinished goals; waiting clients receive a result."""
         for server in self._servers:
             server.close()
         with self._lock:
             running = [g for g in self._goals.values() if not g.is_over]
         for goal in running:
-            self._end(goal, ABORTED, self._context.codec.new(f"{self.type}Result"))
+            result = self._context.codec.new(f"{self.type}Result")
+            self._end(goal, ABORTED, failed(result, "the action's server has left"))
         self._get_server.close()
         for member in (*self._attached, self._goal, self._cancel):
             member.close()
@@ -99,7 +104,7 @@ class ActionServing:
             self._thread.join(2.0)
         self._context.drop(self._feedback, self._status)
 
-    # --- what ROS 2 clients ask, in the pool's threads ---
+    # --- requests of ROS 2 clients, in the worker threads ---
     def _on_goal(self, server: Server, request: Any, asked: Asked) -> None:
         codec, bus = self._context.codec, self._context.bus
         uuid, stamp = bytes(request.goal_id.uuid), bus.stamp()
@@ -117,7 +122,10 @@ class ActionServing:
             self._goal.publish(goal)
 
     def _on_cancel(self, server: Server, request: Any, asked: Asked) -> None:
-        """By id; by time (every goal up to the stamp); by both; or all, when neither is given."""
+        """Cancel goals by id, by time stamp, by both, or all goals if the request names neither.
+
+        A time stamp selects all goals up to that time.
+        """
         codec, info = self._context.codec, request.goal_info
         uuid, stamp = bytes(info.goal_id.uuid), info.stamp.to_nsec()
         everything = not any(uuid) and not stamp
@@ -149,11 +157,11 @@ class ActionServing:
                 goal.waiting.append(asked)
                 return
         if goal is None:
-            server.refuse(asked)  # status 0: unknown
+            server.refuse(asked, "unknown goal")  # the default status 0 means unknown
         else:
             self._answer(goal, [asked])
 
-    # --- what the bus's server says ---
+    # --- messages of the bus's action server ---
     def _receive(self) -> None:
         while (message := self._inbox.get()) is not None:
             try:
@@ -185,7 +193,10 @@ class ActionServing:
                 self._tell()
 
     def _final(self, goal: Goal, state: State) -> int:
-        """A goal that a newer one took over was not cancelled by its client: it is aborted."""
+        """Return the ROS 2 status of a finished goal.
+
+        A goal that a newer one preempted without a cancel request counts as aborted.
+        """
         if state is State.SUCCEEDED:
             return SUCCEEDED
         if state in (State.PREEMPTED, State.RECALLED) and goal.cancelled:
@@ -205,7 +216,7 @@ class ActionServing:
             self._get_server.reply(asked, response)
 
     def _tell(self) -> None:
-        """Publish the status of all goals."""
+        """Publish the status of all goals of the action."""
         new = self._context.codec.new
         with self._lock:
             goals = list(self._goals.values())
@@ -217,7 +228,7 @@ class ActionServing:
     def _find(self, text: str) -> Goal | None:
         try:
             return self._goals.get(bytes.fromhex(text))
-        except ValueError:  # a goal of a client on the bus
+        except ValueError:  # the goal came from a client on the bus
             return None
 
     def _uuid(self, goal: Goal) -> Any:

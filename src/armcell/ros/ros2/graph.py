@@ -1,4 +1,4 @@
-"""Who else is in the domain: endpoints, services and nodes, kept up to date by discovery."""
+"""Endpoints, services and nodes of other participants in the domain, from DDS discovery."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from armcell.ros.ros2.qos import DISCOVERY, DISCOVERY_READER, Profile, profile_o
 
 logger = logging.getLogger(__name__)
 ALIVE = 16  # DDS_ALIVE_INSTANCE_STATE
-MAX_ENDPOINTS = 20_000  # a flood of them must not fill the memory
+MAX_ENDPOINTS = 20_000  # limits the memory that a flood of endpoints can use
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A writer or reader of another participant."""
+    """A DDS writer or reader of another participant."""
 
     topic: str
     type: str
@@ -31,7 +31,7 @@ class Endpoint:
 
 
 class Graph:
-    """The others of a participant's domain. Thread-safe; `version` counts changes."""
+    """Thread-safe view of the other participants in a DDS domain; `version` counts changes."""
 
     def __init__(self, participant: Participant, codec: Ros2Codec):
         self._participant, self._codec = participant, codec
@@ -46,14 +46,17 @@ class Graph:
         ]
         self._readers.append(participant.reader(names.DISCOVERY, DISCOVERY_READER, self._on_nodes))
 
-    # --- what there is ---
+    # --- queries ---
     def endpoints(self, dds_topic: str, writes: bool) -> list[Endpoint]:
-        """The writers or readers of a topic, ours left out."""
+        """Return the other participants' writers or readers of a DDS topic."""
         with self._lock:
             return [e for e in self._endpoints.values() if e.topic == dds_topic and e.writes == writes]
 
     def topics(self) -> dict[str, str]:
-        """Types of ROS topics by name; of the first endpoint where they differ."""
+        """Return a dict from topic name to type for all ROS topics of other participants.
+
+        If endpoints of a topic have different types, the first endpoint counts.
+        """
         with self._lock:
             endpoints = list(self._endpoints.values())
         found: dict[str, str] = {}
@@ -64,7 +67,10 @@ class Graph:
         return found
 
     def services(self) -> dict[str, str]:
-        """Types by name of services with a server that reads requests and writes replies."""
+        """Return a dict from service name to type for all services of other participants.
+
+        A service counts if its server reads requests and writes replies.
+        """
         with self._lock:
             endpoints = list(self._endpoints.values())
         replies = {e.topic for e in endpoints if e.writes}
@@ -77,7 +83,7 @@ class Graph:
         return found
 
     def nodes(self) -> list[str]:
-        """Full names of the other nodes."""
+        """Return the full names of the other ROS 2 nodes."""
         with self._lock:
             return sorted(name for nodes in self._nodes.values() for name in nodes)
 
@@ -115,7 +121,7 @@ class Graph:
 
 
 class Announcer:
-    """Tells others that our endpoints belong to a node, so that `ros2 node list` shows it."""
+    """Announces which endpoints belong to this node, so that `ros2 node list` shows it."""
 
     def __init__(self, participant: Participant, codec: Ros2Codec, node: str):
         self._participant, self._codec = participant, codec
@@ -135,7 +141,7 @@ class Announcer:
             self._gids.pop(guid, None)
 
     def tell(self) -> None:
-        """Publish where something has changed since the last time."""
+        """Announce the node's endpoints to other participants if they changed since the last call."""
         with self._lock:
             gids = dict(self._gids)
         if gids == self._told:
@@ -156,5 +162,5 @@ class Announcer:
 
     def _gid(self, guid: bytes) -> Any:
         gid = self._codec.new("rmw_dds_common/Gid")
-        gid.data[:16] = list(guid)  # Humble's has eight zeros behind
+        gid.data[:16] = list(guid)  # in Humble, eight zeros follow
         return gid

@@ -1,4 +1,7 @@
-"""Our definitions as `cyclonedds` types, which the library checks samples with and tells other peers of."""
+"""Converts message definitions to `cyclonedds` types.
+
+The library validates samples with these types and announces them to other participants.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from armcell.ros.ros2.names import DdsName, dds_type
 
 
 class Types:
-    """Made when first asked for. Thread-safe."""
+    """Cache of `cyclonedds` types, each built on first use; thread-safe."""
 
     def __init__(self, codec: Ros2Codec):
         self._codec = codec
@@ -23,10 +26,10 @@ class Types:
         self._topics: dict[tuple[str, str], Any] = {}
 
     def of(self, name: DdsName) -> Any:
-        """The type of a topic.
+        """Return the `cyclonedds` type of a topic.
 
         Raises:
-            InputError: the library has no such kind of field.
+            InputError: DDS has no type for one of the fields.
         """
         with self._lock:
             key = (name.type, name.message)
@@ -50,7 +53,7 @@ class Types:
 
     def _struct(self, name: str) -> Any:
         if name not in self._structs:
-            self._structs[name] = self._make(dds_type(name), name, False)
+            self._structs[name] = self._make(dds_type(self._codec.hashes.names.full(name)), name, False)
         return self._structs[name]
 
     def _field(self, node: Any) -> Any:

@@ -1,8 +1,8 @@
-"""How ROS 2 calls its topics, services and types on DDS.
+"""Names of ROS 2 topics, services and types on DDS.
 
-Source: design.ros2.org/articles/topic_and_service_names.html and rmw_cyclonedds_cpp: `rt/chatter` with type
-`std_msgs::msg::dds_::String_`; a service is `rq/<name>Request` and `rr/<name>Reply`; an action is three
-services and two topics below `<name>/_action`.
+Source: design.ros2.org/articles/topic_and_service_names.html and rmw_cyclonedds_cpp. A topic `/chatter` is
+`rt/chatter` with the type `std_msgs::msg::dds_::String_`; a service is `rq/<name>Request` and
+`rr/<name>Reply`; an action is three services and two topics below `<name>/_action`.
 """
 
 from __future__ import annotations
@@ -16,41 +16,63 @@ _TYPE = re.compile(r"^(\w+)::(msg|srv|action)::dds_::(\w+)_$")
 
 
 class DdsName(NamedTuple):
-    """A DDS topic."""
+    """Name and type of a DDS topic."""
 
     topic: str
-    type: str  # as DDS has it
-    message: str  # our name of the message: `std_msgs/String`, `std_srvs/TriggerRequest`
-    has_header: bool = False  # requests and replies begin with who asked and the number of the call
+    type: str  # type name on DDS
+    message: str  # armcell's name of the message: `std_msgs/String`, `std_srvs/TriggerRequest`
+    has_header: bool = False  # requests and replies begin with the client's id and the call's number
 
 
-def dds_type(name: str, kind: str = "msg") -> str:
-    """`std_msgs/String` as `std_msgs::msg::dds_::String_`."""
-    package, _, item = name.partition("/")
+def dds_type(full: str) -> str:
+    """Convert a ROS 2 type name `std_msgs/msg/String` to `std_msgs::msg::dds_::String_`."""
+    package, kind, item = full.split("/")
     return f"{package}::{kind}::dds_::{item}_"
 
 
+def _dds(name: str, kind: str) -> str:
+    package, _, item = name.partition("/")
+    return dds_type(f"{package}/{kind}/{item}")
+
+
 def ros_type(name: str) -> str | None:
-    """`std_msgs::msg::dds_::String_` as `std_msgs/String`; None for what is no ROS type."""
+    """Convert a DDS type name `std_msgs::msg::dds_::String_` to `std_msgs/String`.
+
+    Returns:
+        The ROS type name, or None if the DDS type is not a ROS type.
+    """
     match = _TYPE.match(name)
     return f"{match[1]}/{match[3]}" if match else None
 
 
 def topic(name: str, type_name: str, kind: str = "msg") -> DdsName:
-    """A ROS topic on DDS. `name` is a full name with its leading slash."""
-    return DdsName(f"rt{name}", dds_type(type_name, kind), type_name)
+    """Return the DDS name of a ROS 2 topic.
+
+    Args:
+        name: full name of the topic with its leading slash.
+        kind: part of the type's full name: "msg", or "action" for feedback messages.
+    """
+    return DdsName(f"rt{name}", _dds(type_name, kind), type_name)
 
 
 def request(name: str, type_name: str, kind: str = "srv") -> DdsName:
-    """What a service's client writes; `kind` is action for the services of an action."""
+    """Return the DDS name of the topic that carries a service's requests.
+
+    Args:
+        kind: "srv", or "action" for the services of an action.
+    """
     message = f"{type_name}Request" if kind == "srv" else f"{type_name}_Request"
-    return DdsName(f"rq{name}Request", dds_type(f"{type_name}_Request", kind), message, True)
+    return DdsName(f"rq{name}Request", _dds(f"{type_name}_Request", kind), message, True)
 
 
 def reply(name: str, type_name: str, kind: str = "srv") -> DdsName:
-    """What a service's server writes."""
+    """Return the DDS name of the topic that carries a service's replies.
+
+    Args:
+        kind: "srv", or "action" for the services of an action.
+    """
     message = f"{type_name}Response" if kind == "srv" else f"{type_name}_Response"
-    return DdsName(f"rr{name}Reply", dds_type(f"{type_name}_Response", kind), message, True)
+    return DdsName(f"rr{name}Reply", _dds(f"{type_name}_Response", kind), message, True)
 
 
 DISCOVERY = DdsName(
@@ -61,9 +83,10 @@ DISCOVERY = DdsName(
 
 
 def action_name(name: str, type_name: str) -> str:
-    """An action's name in ROS 2: what MoveIt calls `move_group` in ROS 1 is `move_action` in MoveIt 2.
+    """Return an action's name in ROS 2.
 
-    Source: move_group/capability_names.h.
+    ROS 1's MoveIt action `move_group` is `move_action` in MoveIt 2; other names do not change. Source:
+    move_group/capability_names.h.
     """
     if type_name == "moveit_msgs/MoveGroup" and name.endswith("/move_group"):
         return name.removesuffix("move_group") + "move_action"
@@ -71,12 +94,20 @@ def action_name(name: str, type_name: str) -> str:
 
 
 def ros_topic(dds_topic: str) -> str | None:
-    """`rt/chatter` as `/chatter`; None for what is no ROS topic."""
+    """Convert a DDS topic name `rt/chatter` to the ROS topic `/chatter`.
+
+    Returns:
+        The ROS topic, or None if the DDS topic is not a ROS topic.
+    """
     return dds_topic[2:] if dds_topic.startswith("rt/") else None
 
 
 def ros_service(dds_topic: str) -> str | None:
-    """`rq/add_two_intsRequest` as `/add_two_ints`; None for what is no request topic of ROS."""
+    """Convert a DDS topic name `rq/add_two_intsRequest` to the service name `/add_two_ints`.
+
+    Returns:
+        The service name, or None if the DDS topic is not a ROS request topic.
+    """
     if dds_topic.startswith("rq/") and dds_topic.endswith("Request"):
         return dds_topic[2 : -len("Request")]
     return None

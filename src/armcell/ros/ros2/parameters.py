@@ -1,6 +1,6 @@
-"""The bus's parameters, as a ROS 2 node serves its own: `ros2 param list|get|set|describe|dump`.
+"""Serves the bus's parameters as those of a ROS 2 node, for the `ros2 param` commands.
 
-The bus keeps ROS 1's global names; `/a/b` is the node's parameter `a.b`.
+The bus uses ROS 1's global names; `/a/b` becomes the node's parameter `a.b`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ USE_SIM_TIME = "use_sim_time"
 
 
 def kind_of(value: Any) -> int:
-    """The ParameterType of a value; NOT_SET for what ROS 2 has no type for."""
+    """Return the rcl_interfaces ParameterType of a value; NOT_SET if ROS 2 has no such type."""
     if isinstance(value, (bytes, bytearray)):
         return 5
     if isinstance(value, np.generic):
@@ -42,7 +42,7 @@ def kind_of(value: Any) -> int:
 
 
 class ParameterServices:
-    """Serves the six parameter services of a node."""
+    """Serves the six parameter services of a ROS 2 node."""
 
     def __init__(self, context: Context, node: str):
         self._context, self._parameters = context, context.bus.parameters
@@ -78,12 +78,12 @@ class ParameterServices:
         return sorted({name[1:].replace("/", ".") for name in known} | {USE_SIM_TIME})
 
     def _read(self, name: str) -> Any:
-        """None where it is not set."""
+        """Return a parameter's value, or None if it is not set."""
         if name == USE_SIM_TIME:
             return self._context.bus.clock.is_simulated
         try:
             return self._parameters.get("/" + name.replace(".", "/"), None)
-        except ArmcellError:  # no name
+        except ArmcellError:  # the name is invalid
             return None
 
     def _value(self, value: Any) -> Any:
@@ -140,7 +140,7 @@ class ParameterServices:
         return self._new("rcl_interfaces/SetParametersResult", not reason, reason)
 
     def _check(self, parameter: Any) -> str:
-        """Why a parameter cannot be set; empty where it can."""
+        """Return why a ROS 2 client cannot set a parameter, or an empty string if it can."""
         if parameter.name == USE_SIM_TIME:
             return "use_sim_time follows the clock of the cell"
         if parameter.value.type not in (NOT_SET, *FIELDS):
@@ -149,7 +149,11 @@ class ParameterServices:
 
 
 def _below(name: str, prefixes: list[str], depth: int) -> bool:
-    """Whether a name is listed: below a prefix, at most `depth` levels deep (0: any)."""
+    """Return whether a parameter is below one of the prefixes of a list request.
+
+    Args:
+        depth: largest number of levels below the prefix; 0 means any.
+    """
     for prefix in prefixes or [""]:
         rest = name if not prefix else name[len(prefix) + 1 :] if name.startswith(prefix + ".") else None
         if prefix and name == prefix:

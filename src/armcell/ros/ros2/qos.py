@@ -1,4 +1,4 @@
-"""Quality of service: ROS 2's profiles, and which of them a topic gets.
+"""ROS 2's quality-of-service profiles, and the choice of a profile for each topic.
 
 Source of the values: rmw's qos_profiles.h, tf2_ros/qos.hpp, rclcpp's ClockQoS.
 """
@@ -14,11 +14,11 @@ from armcell.core.checks import require
 
 @dataclass(frozen=True)
 class Profile:
-    """What an endpoint offers or asks for."""
+    """Quality of service that a ROS 2 endpoint offers or requests."""
 
     reliable: bool = True
-    latched: bool = False  # transient local: the last `depth` messages are kept for whoever comes later
-    depth: int = 10  # messages kept; 0: all
+    latched: bool = False  # transient local: the last `depth` messages are kept for late subscribers
+    depth: int = 10  # number of messages kept; 0 keeps all
 
     def __post_init__(self) -> None:
         require(self.depth >= 0, f"depth is {self.depth}, it must be 0 (all) or more")
@@ -28,7 +28,10 @@ class Profile:
         return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
 
     def lacks(self, requested: Profile) -> list[str]:
-        """What a publisher with this profile does not give a subscriber; empty where they can talk."""
+        """Return what a subscriber requests but a publisher with this profile does not offer.
+
+        The list is empty if publisher and subscriber are compatible.
+        """
         missing = []
         if requested.reliable and not self.reliable:
             missing.append("reliable delivery")
@@ -52,10 +55,10 @@ LARGE = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/PointC
 
 
 def offered(topic: str, type_name: str, latched: bool) -> Profile:
-    """What we publish a topic with.
+    """Return the QoS profile with which the bridge publishes a topic.
 
-    Images and clouds are offered reliably, too, with sensor data's short queue: subscribers of either kind
-    get them (RViz asks for reliable ones, camera pipelines for best effort).
+    Images and point clouds are reliable as well, with the short queue of sensor data, so that subscribers of
+    either kind receive them (RViz requests reliable ones, camera pipelines best effort).
     """
     if topic == "/tf_static":
         return TF_STATIC
@@ -71,22 +74,26 @@ def offered(topic: str, type_name: str, latched: bool) -> Profile:
 
 
 def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
-    """What we subscribe with: the most that every known publisher gives, ROS 2's default without any."""
+    """Return the QoS profile for a subscription: the most that every known publisher offers.
+
+    Without known publishers, the profile is ROS 2's default.
+    """
     known = list(publishers)
     if not known:
         return Profile(depth=depth)
     return Profile(all(p.reliable for p in known), all(p.latched for p in known), depth)
 
 
-BLOCKING = 100_000_000  # [ns] the longest that writing a service message may wait
+BLOCKING = 100_000_000  # [ns] longest wait for room when writing a service message
 
 
 def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False) -> Any:
-    """As a `cyclonedds` Qos.
+    """Convert a profile to a `cyclonedds` Qos.
 
     Args:
-        ignore_own: a reader does not get what its own participant writes.
-        wait: writing waits up to `BLOCKING` for room; else a full writer refuses at once.
+        user_data: user data of the endpoint, which discovery distributes.
+        ignore_own: a reader ignores samples of its own participant.
+        wait: writing waits up to `BLOCKING` for room; otherwise a full writer fails immediately.
     """
     from cyclonedds.qos import Policy, Qos
 
@@ -109,7 +116,10 @@ def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False,
 
 
 def profile_of(qos: Any) -> Profile:
-    """What another endpoint's `cyclonedds` Qos says; its depth is told to nobody."""
+    """Return the profile of another endpoint's `cyclonedds` Qos.
+
+    Discovery does not report the depth, which keeps its default.
+    """
     from cyclonedds.qos import Policy
 
     return Profile(
@@ -119,7 +129,7 @@ def profile_of(qos: Any) -> Profile:
 
 
 def user_values(qos: Any) -> dict[str, str]:
-    """The `key=value;` pairs that ROS puts into an endpoint's user data."""
+    """Return the `key=value;` pairs that ROS stores in an endpoint's user data."""
     policy = _policy(qos, "Userdata")
     text: str = policy.data.decode("latin-1") if policy is not None else ""
     pairs = [part.partition("=") for part in text.split(";")]

@@ -1,32 +1,56 @@
-"""How far discovery reaches, and the domain's number: ROS 2's environment variables, as ROS 2 reads them.
+"""Discovery range and domain number, from the environment variables that ROS 2 defines.
 
-Source: docs.ros.org, "Improved Dynamic Discovery"; the XML is what rmw_cyclonedds_cpp (Jazzy) makes of them.
-The loopback interface alone would not do: nodes that use another one ignore what comes from it.
+Source: docs.ros.org, "Improved Dynamic Discovery"; the XML follows rmw_cyclonedds_cpp (Jazzy). Listening on
+the loopback interface alone does not suffice: Cyclone nodes that use another interface ignore packets from
+loopback.
 """
 
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from armcell.core import InputError, UnknownNameError
 
 RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
-MAX_DOMAIN = 232  # above, UDP has no ports left
-MAX_PARTICIPANTS = 32  # of one machine, as rmw_cyclonedds_cpp looks for them
-ANNOUNCE = "1s"  # between two announcements (30 s by default): found soon by nodes that ask nobody, too
-WATERMARK = "64MB"  # unacknowledged data at which a writer stops; each keeps no more than its depth anyway
+MAX_DOMAIN = 232  # higher numbers exceed the range of UDP ports
+MAX_PARTICIPANTS = 32  # participants per machine that discovery contacts, as in rmw_cyclonedds_cpp
+ANNOUNCE = "1s"  # period of announcements (default 30 s), so that nodes without peers find us soon as well
+ELSEWHERE = ("192.0.2.1", 9)  # address reserved for documentation (RFC 5737)
+WATERMARK = "64MB"  # unacknowledged data at which a writer blocks; QoS depth is the effective limit
+
+
+INTERFACES = (
+    '<Interfaces><NetworkInterface autodetermine="true" priority="1"/>'
+    '<NetworkInterface address="127.0.0.1" priority="0"/></Interfaces>'
+)
+"""The interface that Cyclone chooses (preferred for data), and the loopback interface. Without loopback,
+Cyclone 11 drops packets to 127.0.0.1, such as the first messages of Fast DDS in the range LOCALHOST."""
+
+
+def _has_network() -> bool:
+    """Return whether packets for other machines would leave through a network interface.
+
+    The test sends no packets.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(ELSEWHERE)
+        except OSError:
+            return False
+        return not probe.getsockname()[0].startswith("127.")
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Which domain, and who in it is looked for."""
+    """A ROS 2 domain and the range within which discovery finds other nodes."""
 
     domain: int = 0
     range: str = "LOCALHOST"
-    peers: tuple[str, ...] = ()  # addresses that are asked besides
-    config: str = ""  # CYCLONEDDS_URI, which has the last word
+    peers: tuple[str, ...] = ()  # further addresses that discovery contacts
+    config: str = ""  # CYCLONEDDS_URI, which overrides all other settings
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= MAX_DOMAIN:
@@ -36,33 +60,37 @@ class Reach:
 
     @property
     def is_open(self) -> bool:
-        """Whether other machines may find us."""
+        """Whether nodes on other machines can discover this process."""
         return self.range in ("SUBNET", "SYSTEM_DEFAULT") or (bool(self.peers) and self.range == "LOCALHOST")
 
     def xml(self) -> str:
-        """The configuration of Cyclone DDS."""
-        multicast = peers = tag = ""
+        """Return the Cyclone DDS configuration as XML."""
+        multicast = interfaces = peers = tag = ""
         index = "auto"
-        if self.range in ("LOCALHOST", "SUBNET"):  # SUBNET: nodes in range LOCALHOST hear no multicast
+        if self.range in ("LOCALHOST", "SUBNET"):
             peers = '<Peer address="localhost"/>'
+            if "NetworkInterface" not in self.config and _has_network():
+                interfaces = INTERFACES
         if self.range in ("LOCALHOST", "OFF"):
             multicast = "<AllowMulticast>false</AllowMulticast>"
         if self.range == "OFF":
             index, tag = "none", f"<Tag>ros_discovery_off_{os.getpid()}</Tag>"
         if self.range in ("LOCALHOST", "SUBNET"):
             peers += "".join(f'<Peer address="{peer}"/>' for peer in self.peers)
+        if peers:  # also in SUBNET, because nodes in the range LOCALHOST receive no multicast
+            peers = f'<Peers addlocalhost="true">{peers}</Peers>'
         discovery = (
             f"<ParticipantIndex>{index}</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS}</MaxAutoParticipantIndex>{tag}"
             f"<SPDPInterval>{ANNOUNCE}</SPDPInterval>"
-            # Cyclone 11 gives up addresses that stay silent for 30 s: later nodes would never be found
+            # Cyclone 11 drops addresses that stay silent for 30 s and would never find nodes that start later
             "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
-            f"{f'<Peers>{peers}</Peers>' if peers else ''}"
+            f"{peers}"
         )
         if self.range == "SYSTEM_DEFAULT":
             discovery = ""
         found = (
-            f"<CycloneDDS><Domain><General>{multicast}</General>"
+            f"<CycloneDDS><Domain><General>{interfaces}{multicast}</General>"
             f"<Discovery>{discovery}</Discovery>"
             f"<Internal><Watermarks><WhcHigh>{WATERMARK}</WhcHigh></Watermarks></Internal>"
             "</Domain></CycloneDDS>"
@@ -73,14 +101,17 @@ class Reach:
 def from_environment(
     domain: int | None = None, network: bool = False, environ: Mapping[str, str] = os.environ
 ) -> Reach:
-    """ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY, ROS_STATIC_PEERS, CYCLONEDDS_URI.
+    """Return domain and discovery range from ROS 2's environment variables.
+
+    The variables are ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY, ROS_STATIC_PEERS and
+    CYCLONEDDS_URI.
 
     Args:
-        domain: instead of ROS_DOMAIN_ID.
-        network: reach the subnet where no variable says otherwise. ROS 2 does so by itself, we do not:
-            who can talk to us can move the robot.
+        domain: domain number that replaces ROS_DOMAIN_ID.
+        network: use the range SUBNET if no variable sets a range. ROS 2 does so by default; armcell does not,
+            because every node that can reach it can move the robot.
     Raises:
-        InputError: a variable has a value that ROS 2 does not know.
+        InputError: a variable has a value that ROS 2 does not accept.
     """
     if domain is None:
         text = environ.get("ROS_DOMAIN_ID") or "0"

@@ -1,4 +1,4 @@
-"""Actions that are served in the domain, for clients on the bus."""
+"""Makes actions that are served in the ROS 2 domain available to clients on the bus."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from armcell.ros.ros2.goals import ABORTED, CANCELED, SUCCEEDED
 from armcell.ros.ros2.qos import DEFAULT
 from armcell.ros.ros2.services import Client
 
-FIND = 5.0  # [s] for the action's server to be found, and to say whether it accepts
+FIND = 5.0  # [s] to find the action's server and to learn whether it accepts the goal
 POLL = 0.02  # [s]
 DONE = {SUCCEEDED: State.SUCCEEDED, CANCELED: State.PREEMPTED, ABORTED: State.ABORTED}
 
 
 class ActionReaching:
-    """Serves an action on the bus by asking its server in the domain."""
+    """Serves an action on the bus by forwarding goals to its server in the ROS 2 domain."""
 
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
@@ -34,16 +34,16 @@ class ActionReaching:
         self._cancel = Client(context, outside + names.CANCEL_GOAL, "action_msgs/CancelGoal")
         self._get = Client(context, outside + names.GET_RESULT, f"{type_name}_GetResult", "action")
         self._feedback = context.reader(feedback, DEFAULT, self._on_feedback)
-        self._server = ActionServer(context.bus, name, type_name, self._execute, True, owner)
+        self._server = ActionServer(context.bus, name, type_name, self._execute, True, owner, accepts=False)
 
     @property
     def is_there(self) -> bool:
-        """Whether a server in the domain has been found."""
+        """Whether discovery has found the action's server in the domain."""
         return self._send.is_there and self._get.is_there
 
     @property
     def busy(self) -> bool:
-        """Whether a goal is under way: whoever sent it has to be told how it ends."""
+        """Whether goals are active; their clients on the bus must still receive the results."""
         return bool(self._goals)
 
     def close(self) -> None:
@@ -69,6 +69,7 @@ class ActionReaching:
         if not asked.accepted:
             empty = self._context.bus.schema.new(f"{self.type}Result")
             return Done(State.REJECTED, empty, "the ROS 2 server rejected the goal")
+        goal.accept()
         answer = self._get.ask(new(f"{self.type}_GetResult_Request", goal_id))
         cancelled, seen = False, time.monotonic()
         while (response := answer.wait(POLL)) is None:

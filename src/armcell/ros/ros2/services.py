@@ -1,8 +1,8 @@
-"""Services: answering requests from the domain, and asking servers there.
+"""ROS 2 services on DDS: a server for requests and a client for services in the domain.
 
-Source: rmw_cyclonedds_cpp. Requests and replies begin with 16 bytes: who asked (an instance handle of the
-client's writer) and the number of the call. Both endpoints of a client or server carry a common id in their
-user data, by which the other side knows when both have been found.
+Source: rmw_cyclonedds_cpp. Requests and replies begin with 16 bytes: an instance handle of the client's
+writer and the number of the call. Both endpoints of a client or server carry a common id in their user data;
+by it the peer knows when it has found both endpoints.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError
+from armcell.ros.reasons import failed
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import HEADER_BYTES
 from armcell.ros.ros2.context import Context
@@ -24,13 +25,16 @@ from armcell.ros.ros2.dds import DdsError, Sample
 from armcell.ros.ros2.qos import SERVICES, Profile, user_values
 
 CALL_HEADER = 16
-WAIT_FOR_CLIENT = 0.5  # [s] for the client's reader to be found before a reply is written
+WAIT_FOR_CLIENT = 0.5  # [s] to find the client's reader before a reply is written
 POLL = 0.005  # [s]
-MAX_KNOWN = 1000  # clients remembered as ready
+MAX_KNOWN = 1000  # clients whose readiness is cached
 
 
 class Asked(NamedTuple):
-    """Who is to be answered: `client` is the client's own number, `writer` ours for its writer."""
+    """Identity of a service call, to which the reply is sent.
+
+    `client` and `seq` come from the request's header; `writer` is our handle of the client's writer.
+    """
 
     client: int
     seq: int
@@ -38,10 +42,10 @@ class Asked(NamedTuple):
 
 
 def split(sample: Sample) -> tuple[Asked, bytes]:
-    """Header and message of a request or reply.
+    """Split a serialized request or reply into its call header and its message bytes.
 
     Raises:
-        WireError: shorter than its header.
+        WireError: the sample is shorter than its header.
     """
     data = sample.data
     if len(data) < HEADER_BYTES + CALL_HEADER:
@@ -55,11 +59,11 @@ def joined(client: int, seq: int, encoded: memoryview) -> bytes:
 
 
 class Server:
-    """Answers a service in the domain.
+    """Server of a ROS 2 service.
 
     Args:
-        on_request: given this server, the request and who asked; answers by `reply`, now or later. In a
-            pool's thread.
+        on_request: called in a worker thread with this server, the request and the identity of the call; it
+            answers through `reply`, during the call or later.
     """
 
     def __init__(
@@ -89,7 +93,7 @@ class Server:
             return
         if not self._context.work(self._answer, asked, body):
             self._context.complain(f"full {self.name}", f"service {self.name}: too many calls wait")
-            self.refuse(asked)
+            self.refuse(asked, "too many calls wait")
 
     def _answer(self, asked: Asked, body: bytes) -> None:
         self._made.wait()
@@ -97,14 +101,14 @@ class Server:
             self._on_request(self, self._context.codec.decode(self._request.message, body), asked)
         except ArmcellError as error:
             self._context.complain(f"service {self.name} {str(error)[:80]}", f"service {self.name}: {error}")
-            self.refuse(asked)
+            self.refuse(asked, str(error))
 
-    def refuse(self, asked: Asked) -> None:
-        """A failed call is answered, too, all fields at their defaults: who asked does not wait for ever."""
-        self.reply(asked, self._context.codec.new(self._reply.message))
+    def refuse(self, asked: Asked, why: str) -> None:
+        """Reply to a failed call with defaults and the reason, so that its client stops waiting."""
+        self.reply(asked, failed(self._context.codec.new(self._reply.message), why))
 
     def reply(self, asked: Asked, response: Any) -> None:
-        """Send a reply once its reader is known.
+        """Send the response to a service call once the client's reader is known.
 
         Raises:
             InputError: a field of the response does not fit its type.
@@ -120,7 +124,7 @@ class Server:
                 self._context.complain(f"reply {self.name}", f"service {self.name}: {error}")
 
     def _is_there(self, writer: int) -> bool:
-        """Whether the client is still there; waits a little for its reader to be found."""
+        """Return whether the client still exists; waits up to `WAIT_FOR_CLIENT` for its reader."""
         give_up = time.monotonic() + WAIT_FOR_CLIENT
         while writer not in self._ready and not self._context.closed:
             qos = self._reader.writer_qos(writer)
@@ -142,7 +146,7 @@ class Server:
 
 
 class Client:
-    """Asks a service in the domain. Thread-safe."""
+    """Client of a ROS 2 service; thread-safe."""
 
     def __init__(self, context: Context, name: str, type_name: str, kind: str = "srv"):
         self._context, self.name, self.type = context, name, type_name
@@ -166,11 +170,15 @@ class Client:
 
     @property
     def is_there(self) -> bool:
-        """Whether a server has been found, both ways."""
+        """Whether discovery has matched a server's request reader and reply writer."""
         return bool(self._writer.readers()) and bool(self._reader.writers())
 
     def wait(self, timeout: float) -> bool:
-        """Whether a server is there, after waiting for it [s]."""
+        """Wait until a server of the service is available; return whether it is.
+
+        Args:
+            timeout: limit [s].
+        """
         give_up = time.monotonic() + timeout
         while not self.is_there:
             if time.monotonic() > give_up or self._context.closed:
@@ -179,10 +187,12 @@ class Client:
         return True
 
     def call(self, request: Any, timeout: float) -> Any:
-        """The response.
+        """Call the ROS 2 service and return its response.
 
+        Args:
+            timeout: limit [s] for finding the server and receiving the response.
         Raises:
-            ServiceError: no server, or no answer in time [s].
+            ServiceError: no server was found, or no response arrived in time.
         """
         began = time.monotonic()
         if not self.wait(timeout):
@@ -194,11 +204,11 @@ class Client:
         return answer
 
     def ask(self, request: Any) -> Waiting:
-        """Send a request; the answer comes to what is returned.
+        """Send a service request without waiting; return a `Waiting` that receives the response.
 
         Raises:
             InputError: a field of the request does not fit its type.
-            ServiceError: it could not be sent.
+            ServiceError: the request could not be sent.
         """
         number = next(self._numbers)
         waiting = Waiting(lambda: self._forget(number))
@@ -221,7 +231,7 @@ class Client:
         try:
             asked, body = split(sample)
             if asked.client != self._own:
-                return  # another client's
+                return  # the reply belongs to another client
             with self._lock:
                 waiting = self._waiting.pop(asked.seq, None)
             answer = self._context.codec.decode(self._reply.message, body)
@@ -232,7 +242,7 @@ class Client:
 
 
 class Waiting:
-    """One answer to come."""
+    """A pending response to a service call."""
 
     def __init__(self, forget: Callable[[], None]):
         self._there = threading.Event()
@@ -244,7 +254,13 @@ class Waiting:
         self._there.set()
 
     def wait(self, timeout: float) -> Any:
-        """The answer, or None when none came in time [s]; waiting again is fine."""
+        """Wait for the response; return it, or None if it does not arrive in time.
+
+        The method may be called repeatedly.
+
+        Args:
+            timeout: limit [s].
+        """
         self._there.wait(timeout)
         return self._answer
 

@@ -1,4 +1,4 @@
-"""Topics between the bus and the domain, one direction each."""
+"""Topics that the bridge transports between bus and ROS 2 domain, one direction each."""
 
 from __future__ import annotations
 
@@ -16,18 +16,12 @@ ON_DEMAND = (
     "sensor_msgs/CameraInfo",
     "tf2_msgs/TFMessage",
     *LARGE,
-)  # publishers look whether anybody listens
-OTHER = "this definition of the message"  # ours, where everything else would fit
-
-
-def type_hash_data(context: Context, type_name: str) -> str:
-    """The user data in which REP 2016's hash travels."""
-    found = context.codec.type_hash(type_name)
-    return f"typehash={found};" if found else ""
+)  # the bus's publishers produce these only while a subscriber exists
+OTHER = "this definition of the message"  # the only remaining cause if all QoS policies are compatible
 
 
 class Outgoing:
-    """A topic of the bus, published in the domain."""
+    """A topic of the bus that the bridge publishes in the ROS 2 domain."""
 
     def __init__(
         self, context: Context, owner: object, topic: str, type_name: str, latched: bool,
@@ -37,14 +31,17 @@ class Outgoing:
         self.profile = profile or offered(topic, type_name, latched)
         self.sent = 0
         context.codec.prepare(type_name)
-        user_data = type_hash_data(context, type_name)
         self._owner = owner
-        self._writer = context.writer(names.topic(topic, type_name), self.profile, user_data)
+        self._writer = context.writer(names.topic(topic, type_name), self.profile)
         self._attachment: Attachment | None = None
         self.follow()
 
     def follow(self) -> None:
-        """Listen on the bus, or do not: what costs much is made only for those who listen."""
+        """Subscribe to the topic on the bus only while the domain needs it.
+
+        Messages that are expensive to produce (images, point clouds, TF) are needed only while the domain has
+        a reader for them.
+        """
         wanted = self.type not in ON_DEMAND or self.profile.latched or bool(self._writer.readers())
         if wanted and self._attachment is None:
             self._attachment = self._context.bus.attach(self.topic, self.type, self._put, self._owner)
@@ -58,7 +55,10 @@ class Outgoing:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """From the publisher's thread: a full writer refuses and does not wait."""
+        """Send a message of the bus to the domain; a full writer drops it instead of blocking.
+
+        The method runs in the publisher's thread.
+        """
         context = self._context
         if context.closed or not (self.profile.latched or self._writer.readers()):
             return
@@ -74,7 +74,7 @@ class Outgoing:
             context.has_dropped()
 
     def look(self) -> None:
-        """Say who cannot listen, and why."""
+        """Report ROS 2 subscribers that cannot receive the topic, with the reason."""
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
         same = [e for e in others if e.type == self._writer.name.type]
@@ -88,7 +88,7 @@ class Outgoing:
 
 
 class Incoming:
-    """A topic of the domain, published on the bus."""
+    """A topic of the ROS 2 domain that the bridge publishes on the bus."""
 
     def __init__(
         self, context: Context, owner: object, topic: str, type_name: str, profile: Profile | None = None
@@ -103,7 +103,10 @@ class Incoming:
         self._reader = self._read()
 
     def _wanted(self) -> Profile:
-        """What all publishers outside give, or what was asked for."""
+        """Return the QoS profile to request for a topic of the domain.
+
+        It is the configured profile, or else what all known publishers offer.
+        """
         if self._fixed is not None:
             return self._fixed
         others = self._context.graph.endpoints(self._name.topic, writes=True)
@@ -111,9 +114,7 @@ class Incoming:
         return requested((e.profile for e in others if e.type == self._name.type), depth)
 
     def _read(self) -> Reader:
-        return self._context.reader(
-            self._name, self.profile, self._take, type_hash_data(self._context, self.type)
-        )
+        return self._context.reader(self._name, self.profile, self._take)
 
     def close(self) -> None:
         self._context.drop(self._reader)
@@ -130,7 +131,7 @@ class Incoming:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def look(self) -> None:
-        """Follow what the publishers offer; say whom we cannot hear, and why."""
+        """Adapt to the QoS of the topic's publishers, and report publishers that cannot be received."""
         context = self._context
         others = context.graph.endpoints(self._name.topic, writes=True)
         _check_types(context, self.topic, self._name, [e.type for e in others])

@@ -1,7 +1,8 @@
-"""ROS-TCP, the wire of Unity's ROS-TCP-Connector: a server for Unity, and a client in Unity's place.
+"""ROS-TCP, the protocol of Unity's ROS-TCP-Connector: a server for Unity, and a client.
 
-frames: bytes of a frame. outbox: what waits to be sent. link: one socket with its two threads.
-peer: the protocol, the same on both sides. server, client: who registers what.
+The client takes Unity's role at any ROS-TCP endpoint. frames: encoding of frames. outbox: send queues.
+link: one socket with its two threads. peer: the protocol, common to both sides. server, client: the sides
+that register topics and services.
 """
 
 from armcell.ros.tcp.client import Bridge, RosTcpClient

@@ -1,4 +1,7 @@
-"""The ROS-TCP client: puts a bus in Unity's place at a ROS-TCP endpoint, the reference one or ours."""
+"""ROS-TCP client: connects a bus to a ROS-TCP endpoint, taking Unity's role.
+
+The endpoint may be the reference one (ROS-TCP-Endpoint) or armcell's `RosTcpServer`.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +21,21 @@ from armcell.ros.tcp.outbox import Caps
 from armcell.ros.tcp.peer import Params, Peer, need
 
 logger = logging.getLogger(__name__)
-RETRY = 1.0  # [s] as Unity's connector
+RETRY = 1.0  # [s] between two connection attempts, as in Unity's connector
 CONNECT_TIMEOUT = 2.0  # [s]
-HANDSHAKE_TIMEOUT = 2.0  # [s] an endpoint older than 0.7 sends none
-KEEP_ALIVE = 1.0  # [s] as Unity's connector
+HANDSHAKE_TIMEOUT = 2.0  # [s] to wait for the handshake, which endpoints older than 0.7 do not send
+KEEP_ALIVE = 1.0  # [s] of silence before a keep-alive frame, as in Unity's connector
 LOGS = {"__log": logging.INFO, "__warn": logging.WARNING, "__error": logging.ERROR}
 
 
 @dataclass(frozen=True)
 class Bridge:
-    """What goes over the wire; names to types."""
+    """Topics and services to transport over ROS-TCP, as dicts from name to type."""
 
-    publish: dict[str, str] = field(default_factory=dict)  # topics of the bus, to the endpoint
-    subscribe: dict[str, str] = field(default_factory=dict)  # topics of the endpoint, to the bus
-    implement: dict[str, str] = field(default_factory=dict)  # services of the bus, offered there
-    use: dict[str, str] = field(default_factory=dict)  # services there, offered on the bus
+    publish: dict[str, str] = field(default_factory=dict)  # topics from the bus to the endpoint
+    subscribe: dict[str, str] = field(default_factory=dict)  # topics from the endpoint to the bus
+    implement: dict[str, str] = field(default_factory=dict)  # services of the bus, offered at the endpoint
+    use: dict[str, str] = field(default_factory=dict)  # services of the endpoint, offered on the bus
 
     def __post_init__(self) -> None:
         for one, other in ((self.publish, self.subscribe), (self.implement, self.use)):
@@ -41,10 +44,14 @@ class Bridge:
 
 
 class RosTcpClient:
-    """Connects, and connects again whenever the endpoint has gone, from `start` (or `with`) to `close`.
+    """ROS-TCP client that reconnects automatically, from `start` (or `with`) to `close`.
 
     Args:
-        protocol: ROS1 or ROS2 for an endpoint that sends no handshake; one that does decides itself.
+        bridge: topics and services to transport.
+        protocol: "ROS1" or "ROS2", for an endpoint that sends no handshake; a handshake sets the protocol
+            itself.
+        service_timeout: limit [s] for answers from the endpoint.
+        queue: messages per topic that may wait to be sent; a full queue drops its oldest.
     """
 
     def __init__(
@@ -82,11 +89,23 @@ class RosTcpClient:
         self.close()
 
     def wait_connected(self, timeout: float | None = None) -> bool:
-        """Whether everything is registered at the endpoint, after waiting for that."""
+        """Wait until all topics and services are registered at the endpoint.
+
+        Args:
+            timeout: limit [s]; None waits without limit.
+        Returns:
+            Whether they are registered.
+        """
         return self._connected.wait(timeout)
 
     def topic_list(self, timeout: float) -> dict[str, str] | None:
-        """Types of the endpoint's topics by name; None when it does not answer in time [s]."""
+        """Return a dict from topic name to type for the endpoint's topics.
+
+        Args:
+            timeout: limit [s] for the endpoint's answer.
+        Returns:
+            The topics, or None if the endpoint does not answer in time.
+        """
         connection = self.connection
         if connection is None:
             return None
@@ -144,7 +163,7 @@ class RosTcpClient:
 
 
 class _Connection(Peer):
-    """One connection to an endpoint, ended by its end."""
+    """One connection of the ROS-TCP client to an endpoint; each reconnection creates a new one."""
 
     def __init__(self, bus: Bus, name: str, protocol: str, service_timeout: float):
         super().__init__(
@@ -160,7 +179,7 @@ class _Connection(Peer):
         }
 
     def register(self, bridge: Bridge) -> None:
-        """Ask for everything in the bridge. The commands of one connection are carried out in order."""
+        """Register all topics and services of the bridge; the endpoint runs the commands in order."""
         for topic, type_name in bridge.publish.items():
             self.command("__publish", topic=topic, message_name=type_name, queue_size=10, latch=False)
         for topic, type_name in bridge.subscribe.items():
@@ -176,7 +195,7 @@ class _Connection(Peer):
             self.offer(topic, type_name)
 
     def tell_error(self, text: str) -> None:
-        """An endpoint takes no errors: the reference one would drop the connection."""
+        """Ignore the error: endpoints accept none, and the reference endpoint would disconnect."""
 
     def on_end(self, reason: str) -> None:
         logger.info("%s: %s", self.address, reason)

@@ -1,7 +1,8 @@
-"""Frames: `u32 n | n bytes destination | u32 m | m bytes body`, little-endian, both ways.
+"""ROS-TCP frames: `u32 n | n bytes destination | u32 m | m bytes body`, little-endian.
 
-A destination with two leading underscores is a command whose body is a JSON object; any other is a topic
-or service with a serialised message. Eight zero bytes are a keep-alive.
+Both sides send the same format. A destination with two leading underscores is a command, and its body is a
+JSON object. Any other destination is a topic or service, and its body a serialized message. Eight zero bytes
+are a keep-alive.
 """
 
 from __future__ import annotations
@@ -14,17 +15,23 @@ from armcell.core import ArmcellError
 
 KEEP_ALIVE = b"\0" * 8
 MAX_DESTINATION = 1024  # [bytes]
-MAX_COMMAND = 1 << 20  # [bytes] of a command's JSON
-MAX_BODY = 64 << 20  # [bytes] default cap of a message
+MAX_COMMAND = 1 << 20  # [bytes] maximum of a command's JSON
+MAX_BODY = 64 << 20  # [bytes] default maximum of a message
 _U32 = struct.Struct("<I")
 
 
 class FrameError(ArmcellError):
-    """Bytes after which the stream cannot be followed any more: the connection has to be closed."""
+    """A malformed ROS-TCP stream.
+
+    The connection must be closed, because the boundaries of later frames are unknown.
+    """
 
 
 class Frame(NamedTuple):
-    """One frame as it came. `terminated`: its destination ended in NUL, as Unity in ROS 2 mode sends it."""
+    """A received ROS-TCP frame.
+
+    `terminated` is True if the destination ended in NUL, as sent by Unity in ROS 2 mode.
+    """
 
     destination: str
     body: bytes
@@ -40,31 +47,34 @@ class Frame(NamedTuple):
 
 
 def head(destination: str, length: int, terminate: bool = False) -> bytes:
-    """A frame's bytes before its body.
+    """Return the bytes of a ROS-TCP frame that precede its body.
 
     Args:
-        length: of the body [bytes].
-        terminate: end the destination in NUL, as Unity in ROS 2 mode does.
+        length: length of the body [bytes].
+        terminate: end the destination in NUL, like Unity in ROS 2 mode.
     """
     name = destination.encode() + (b"\0" if terminate else b"")
     return _U32.pack(len(name)) + name + _U32.pack(length)
 
 
 def command(name: str, params: dict[str, Any], terminate: bool = False) -> bytes:
-    """A command's whole frame: `command("__subscribe", {"topic": ..., "message_name": ...})`."""
+    """Return the complete frame of a ROS-TCP command.
+
+    Example: `command("__subscribe", {"topic": ..., "message_name": ...})`.
+    """
     body = json.dumps(params, separators=(",", ":")).encode() + (b"\0" if terminate else b"")
     return head(name, len(body), terminate) + body
 
 
 class CommandError(ArmcellError):
-    """A command whose JSON is not what it should be."""
+    """A ROS-TCP command whose JSON is invalid."""
 
 
 def parameters(body: bytes) -> dict[str, Any]:
-    """A command's JSON object.
+    """Parse the JSON object of a ROS-TCP command.
 
     Raises:
-        CommandError: says what is wrong.
+        CommandError: the body is too long, or is not a JSON object.
     """
     if len(body) > MAX_COMMAND:
         raise CommandError(f"{len(body)} bytes of JSON, at most {MAX_COMMAND} are taken")
@@ -78,17 +88,20 @@ def parameters(body: bytes) -> dict[str, Any]:
 
 
 class FrameReader:
-    """Cuts a byte stream into frames; any fragmentation will do. Holds no more than was received."""
+    """Splits a byte stream into ROS-TCP frames, however the stream is fragmented.
+
+    Its buffer never exceeds the bytes received, so a length field alone cannot make it allocate memory.
+    """
 
     def __init__(self, max_body: int = MAX_BODY):
         self._max_body = max_body
         self._buffer = bytearray()
 
     def feed(self, data: bytes | memoryview) -> list[Frame]:
-        """The frames that are whole now.
+        """Add received bytes; return the frames that they complete.
 
         Raises:
-            FrameError: a length beyond the cap, or a destination that is no text.
+            FrameError: a length exceeds its maximum, or a destination is not UTF-8 text.
         """
         self._buffer += data
         frames = []

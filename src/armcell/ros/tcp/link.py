@@ -1,4 +1,4 @@
-"""One connected socket: a thread that reads frames, a thread that sends what waits in the outbox."""
+"""One ROS-TCP socket with two threads: one reads frames, one sends the outbox's contents."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from armcell.ros.tcp.outbox import Caps, Outbox, Part
 
 logger = logging.getLogger(__name__)
 RECEIVE_BYTES = 256 << 10
-SEND_BYTES = 64 << 10  # joined into one write; bigger frames go out part by part without a copy
-GOODBYE = 1.0  # [s] a peer has to read why it is disconnected
-UNSENT_BYTES = 128 << 10  # what the kernel may hold unsent, so that backlog waits where its oldest is dropped
+SEND_BYTES = 64 << 10  # bytes that one write joins; larger frames are sent part by part without a copy
+GOODBYE = 1.0  # [s] for the peer to read the reason of a disconnection
+UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; the rest waits in our outbox, which can drop
 
 
 class Link:
-    """Starts at `start`; calls `on_frame` from the reading thread, `on_end` once, when it is over.
+    """A ROS-TCP connection's socket and threads, active from `start` to `close`.
 
     Args:
-        on_fault: called when the peer's bytes cannot be followed any more, just before the end.
-        keep_alive: send eight zero bytes after so many seconds of silence; None: never.
+        on_frame: called with each frame in the reading thread.
+        on_end: called once with the reason when the connection is over.
+        on_fault: called with the reason when the peer's bytes are malformed, just before the end.
+        keep_alive: seconds of silence after which the link sends eight zero bytes; None sends none.
     """
 
     def __init__(
@@ -48,7 +50,7 @@ class Link:
         self._ended = threading.Lock()
         self._counting, self._running = threading.Lock(), 2
         self._sending = threading.Lock()  # held while bytes are written, so that frames stay whole
-        self._rest = b""  # of a frame that was sent in part
+        self._rest = b""  # unsent remainder of a partly sent frame
         self._started = False
         self._over = threading.Event()
         _tune(sock)
@@ -67,11 +69,15 @@ class Link:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Whether the connection is over, after waiting for that."""
+        """Wait until the ROS-TCP connection is over; return whether it is.
+
+        Args:
+            timeout: limit [s]; None waits without limit.
+        """
         return self._over.wait(timeout)
 
     def close(self, reason: str = "closed here") -> None:
-        """End the connection; returns when nothing of it runs any more (but for the calling thread)."""
+        """End the ROS-TCP connection and wait for its threads (except the calling thread)."""
         self._end(reason)
         for thread in self._threads:
             if thread.ident is not None and thread is not threading.current_thread():
@@ -93,14 +99,17 @@ class Link:
             self._say_goodbye(reason)
         except OSError as error:
             reason = error.strerror or str(error)
-        except Exception as error:  # a fault of ours ends this connection, not the server
+        except Exception as error:  # a bug in armcell ends this connection, but not the server
             logger.exception("a frame could not be handled")
             reason = f"{type(error).__name__}: {error}"
         self._end(reason)
         self._leave()
 
     def _say_goodbye(self, reason: str) -> None:
-        """Let the peer read why: closing with bytes unread would reset the connection and lose the text."""
+        """Give the peer time to read the reason for the disconnection before the socket closes.
+
+        Closing a socket with unread bytes would reset the connection and lose the text.
+        """
         self._on_fault(reason)
         self.outbox.finish()
         end = time.monotonic() + GOODBYE
@@ -116,7 +125,7 @@ class Link:
                 with self._sending:
                     self._send(self.outbox.take(SEND_BYTES) if waiting else [KEEP_ALIVE])
         except EOFError:
-            if not (self.is_over or self.outbox.overflowed):  # the goodbye is out: the reading thread ends it
+            if not (self.is_over or self.outbox.overflowed):  # reason sent; the reading thread ends the link
                 with contextlib.suppress(OSError):
                     self._socket.shutdown(socket.SHUT_WR)
                 self._leave()
@@ -127,19 +136,26 @@ class Link:
         self._leave()
 
     def put(self, *parts: Part) -> None:
-        """Send a command or answer; from any thread, never waits."""
+        """Send a command or service answer, from any thread and without blocking."""
         if not self._send_at_once(parts):
             self.outbox.put(*parts)
 
     def put_message(self, topic: str, *parts: Part) -> None:
-        """Send a topic's message; from any thread, never waits. It may push out an older one."""
+        """Send a topic's message without blocking; a full queue drops the topic's oldest message.
+
+        Any thread may call it.
+        """
         if not self._send_at_once(parts):
             self.outbox.put_message(topic, *parts)
 
     def _send_at_once(self, parts: tuple[Part, ...]) -> bool:
-        """A small frame goes out from the caller's own thread if nothing is before it: no thread to wake.
+        """Send a small frame from the calling thread if nothing waits before it.
 
-        Under a load of Python threads that saves milliseconds: a woken thread waits for the interpreter.
+        Under load from Python threads this saves milliseconds, because a woken thread must wait for the
+        interpreter.
+
+        Returns:
+            Whether the frame was handled; False means that the caller must queue it.
         """
         if sum(len(p) for p in parts) > SEND_BYTES or not self._sending.acquire(blocking=False):
             return False
@@ -152,7 +168,7 @@ class Link:
             except BlockingIOError:
                 return False
             except OSError:
-                return True  # the reading thread sees it as well, and ends the connection
+                return True  # the reading thread gets the error as well, and ends the connection
             self.bytes_out += count
             if count < len(data):
                 self._rest = data[count:]
@@ -162,7 +178,7 @@ class Link:
             self._sending.release()
 
     def _send(self, parts: list) -> None:
-        """By the writing thread, with the sending lock held."""
+        """Send the parts of a frame; only the writing thread calls this, holding the sending lock."""
         if self._rest:
             self._socket.sendall(self._rest)
             self._rest = b""
@@ -175,15 +191,18 @@ class Link:
         self.bytes_out += size
 
     def _end(self, reason: str) -> None:
-        """Wake both threads; the last one to leave closes the socket, lest its number be reused early."""
-        if self._ended.acquire(blocking=False):  # never released: it ends once
+        """End the ROS-TCP connection once and wake both of its threads.
+
+        The last thread to leave closes the socket, so that its file descriptor is not reused too early.
+        """
+        if self._ended.acquire(blocking=False):  # never released, so that the connection ends only once
             self.outbox.close()
             self._shut()
             self._on_end("it does not read what it asked for" if self.outbox.overflowed else reason)
             self._over.set()
 
     def _shut(self) -> None:
-        """Wakes both threads, wherever they wait."""
+        """Shut the socket down, which wakes both threads from any blocking call."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -196,7 +215,7 @@ class Link:
 
 
 def _tune(sock: socket.socket) -> None:
-    """No waiting for more to send, dead peers noticed, little backlog in the kernel."""
+    """Set socket options for low latency, detection of dead peers, and a small kernel backlog."""
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3)):
@@ -208,10 +227,11 @@ def _tune(sock: socket.socket) -> None:
 
 
 def _acknowledge_quickly(sock: socket.socket) -> None:
-    """Unity's connector writes small pieces with Nagle's algorithm on: each waits for our acknowledgement.
+    """Acknowledge received data immediately, for peers that use Nagle's algorithm.
 
-    The option falls back by itself, hence again after each receive. A service answered by Unity takes 8 ms
-    with it, 47 ms without (measured; shared facts).
+    Unity's connector writes small pieces with Nagle's algorithm on, so each piece waits for our
+    acknowledgment. The kernel resets the option, so it must be set again after each receive. A service
+    answered by Unity takes 8 ms with the option and 47 ms without it (measured).
     """
     if hasattr(socket, "TCP_QUICKACK"):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)

@@ -1,8 +1,8 @@
-"""What waits to be sent on one connection: bounded, and never making the sender wait.
+"""Bounded send queues of one ROS-TCP connection; adding to them never blocks.
 
-Commands and service answers are kept; a topic's messages wait in a queue of their own, whose oldest is
-dropped when it is full. So a client that reads slowly gets the newest state of every topic, and memory
-stays within a cap.
+Commands and service answers are always kept. Each topic has its own queue, which drops its oldest message
+when it is full. A client that reads slowly therefore gets the newest state of every topic, and memory use is
+bounded.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ Part = bytes | memoryview
 
 
 class Caps(NamedTuple):
-    """Limits of one outbox."""
+    """Size limits of one connection's send queues."""
 
     messages: int = 10  # per topic
-    topic_bytes: int = 8 << 20  # per topic, though always one message
-    control_bytes: int = 64 << 20  # commands and answers; beyond: the connection is given up
+    topic_bytes: int = 8 << 20  # per topic; one message is always kept
+    control_bytes: int = 64 << 20  # for commands and answers; exceeding it ends the connection
 
 
 class Outbox:
-    """Thread-safe; any number of threads put, one takes.
+    """Thread-safe send queues of one ROS-TCP connection; many threads add, one thread sends.
 
     Args:
-        on_overflow: called when more commands wait than the cap allows; must be quick.
+        on_overflow: called when waiting commands exceed `Caps.control_bytes`; must return quickly.
 
     Attributes:
-        dropped: messages dropped, by topic.
-        waiting_bytes: what waits now.
+        dropped: number of dropped messages by topic.
+        waiting_bytes: bytes that wait to be sent.
     """
 
     def __init__(self, caps: Caps = Caps(), on_overflow: Callable[[], None] = lambda: None):
@@ -41,7 +41,7 @@ class Outbox:
         self._control_bytes = 0
         self._topics: dict[str, deque[tuple[Part, ...]]] = {}
         self._bytes: Counter[str] = Counter()
-        self._turns: deque[str] = deque()  # one entry per waiting message: whose turn it is
+        self._turns: deque[str] = deque()  # topic of each waiting message, in sending order
         self._closed = self._finishing = False
         self.dropped: Counter[str] = Counter()
         self.overflowed = False
@@ -51,7 +51,7 @@ class Outbox:
         return self._control_bytes + sum(self._bytes.values())
 
     def put(self, *parts: Part) -> None:
-        """A command or answer; its parts go out together, before any topic's messages."""
+        """Queue a command or answer; its parts are sent together, before any topic's messages."""
         with self._condition:
             if self._closed or self._finishing or self.overflowed:
                 return
@@ -63,7 +63,7 @@ class Outbox:
             self._on_overflow()
 
     def put_message(self, topic: str, *parts: Part) -> None:
-        """A topic's message; pushes out older ones of that topic when its queue is full."""
+        """Queue a topic's message; drop the topic's oldest messages if its queue is full."""
         size = _size(parts)
         with self._condition:
             if self._closed or self._finishing:
@@ -78,14 +78,14 @@ class Outbox:
             self.dropped[topic] += gone
             if not gone:
                 self._turns.append(topic)
-            for _ in range(gone - 1):  # the first one's turn is the new message's
+            for _ in range(gone - 1):  # the new message takes the turn of the first dropped one
                 self._turns.remove(topic)
             queue.append(parts)
             self._bytes[topic] += size
             self._condition.notify()
 
     def forget(self, topic: str) -> None:
-        """Drop what waits of a topic nobody wants any more (not counted as dropped)."""
+        """Discard the waiting messages of a topic without a subscriber (not counted as dropped)."""
         with self._condition:
             for _ in self._topics.pop(topic, ()):
                 self._turns.remove(topic)
@@ -96,10 +96,12 @@ class Outbox:
         return not (self._control or self._turns)
 
     def wait(self, timeout: float | None) -> bool:
-        """Whether something waits, after waiting for that.
+        """Wait until something is queued for sending; return whether it is.
 
+        Args:
+            timeout: limit [s]; None waits without limit.
         Raises:
-            EOFError: closed, or more commands wait than the cap allows.
+            EOFError: the outbox is closed, or waiting commands exceed `Caps.control_bytes`.
         """
         with self._condition:
             self._condition.wait_for(
@@ -110,7 +112,11 @@ class Outbox:
             return not self.is_empty
 
     def take(self, max_bytes: int) -> list[Part]:
-        """Parts to send now, in order: about `max_bytes`, at least one frame if any waits."""
+        """Remove and return the next parts to send, in order.
+
+        Args:
+            max_bytes: approximate size [bytes]; at least one frame is returned if any waits.
+        """
         with self._condition:
             taken: list[Part] = []
             size = 0
@@ -127,7 +133,7 @@ class Outbox:
             return taken
 
     def finish(self) -> None:
-        """Take nothing more, but let what waits go out before the end."""
+        """Accept nothing more, but still send everything that is queued."""
         with self._condition:
             self._finishing = True
             self._condition.notify_all()

@@ -1,8 +1,8 @@
-"""The ROS-TCP protocol between the bus and one connected program; both sides of the wire speak it alike.
+"""ROS-TCP protocol between the bus and one connected program, common to server and client.
 
-Topics go either way (`offer`: bus to peer; `take`: peer to bus), services too (`serve_remote`: the peer
-implements it; `__request` from the peer: the bus answers). Whatever arrives wrong is answered with an
-`__error`, logged once, and changes nothing else.
+Topics go in either direction (`offer`: bus to peer; `take`: peer to bus), and so do services (`serve_remote`:
+the peer implements the service; `__request` from the peer: the bus answers). The peer gets an `__error` for
+each invalid message, which is logged once per kind and has no other effect.
 """
 
 from __future__ import annotations
@@ -25,35 +25,36 @@ from armcell.ros.tcp.frames import CommandError, Frame, command, head, parameter
 from armcell.ros.tcp.link import Link
 
 logger = logging.getLogger(__name__)
-WORKERS = 4  # service calls of one peer at a time
-MAX_CALLS = 64  # waiting and running
+WORKERS = 4  # service calls of one peer that run in parallel
+MAX_CALLS = 64  # service calls of one peer that wait or run
 MAX_REGISTRATIONS = 4096
-SHOWN = 200  # characters of a peer's text in a log
+SHOWN = 200  # [characters] half the longest text of a peer in a log
 
 Params = dict[str, Any]
 
 
 class Peer:
-    """One connected program. Made with a link that is started afterwards.
+    """A program connected by ROS-TCP; its creator sets `link` and starts it afterwards.
 
     Args:
-        address: how logs call it.
-        terminate: end names and JSON in NUL, as Unity in ROS 2 mode does and its endpoint expects.
+        address: name of the peer in logs.
+        service_timeout: limit [s] for the peer's answers to service requests.
+        terminate: end names and JSON in NUL, like Unity in ROS 2 mode, because its endpoint expects NUL.
     """
 
     def __init__(self, bus: Bus, codec: Codec, address: str, service_timeout: float, terminate: bool = False):
         self.bus, self.codec, self.address = bus, codec, address
         self.terminate = terminate
-        self.link: Link  # whoever makes a peer sets it, before anything runs
-        self.offered: dict[str, Attachment] = {}  # by the peer's own spelling of the name
+        self.link: Link  # the creator of the peer sets it before anything runs
+        self.offered: dict[str, Attachment] = {}  # by topic name as the peer spells it
         self.taken: dict[str, Publisher] = {}
         self.remote: dict[str, Service] = {}
-        self.service_types: dict[str, str] = {}  # bus services the peer said it will call
+        self.service_types: dict[str, str] = {}  # bus services that the peer registered to call
         self.received: Counter[str] = Counter()
         self.sent: Counter[str] = Counter()
         self.complaints = Complaints()
         self._service_timeout = service_timeout
-        self._pending: tuple[bool, int] | None = None  # (is a request, srv_id): the next frame's meaning
+        self._pending: tuple[bool, int] | None = None  # (is a request, srv_id) of the next frame
         self._numbers = itertools.count(1001)
         self._waiting: dict[int, _Answer] = {}
         self._lock = threading.Lock()
@@ -70,22 +71,22 @@ class Peer:
         self.link.put(command(name, params, self.terminate))
 
     def complain(self, kind: str, text: str) -> None:
-        """Tell the peer and log it, once per kind; count the rest."""
+        """Send an error to the peer and log it, once per kind; count all errors."""
         if self.complaints.is_new(kind):
             logger.warning("%s: %s", self.address, text[: 2 * SHOWN])
             self.tell_error(text)
 
     def on_fault(self, reason: str) -> None:
-        """The peer's bytes make no frames any more."""
+        """Handle malformed bytes from the peer, after which the connection must end."""
         self.complain("frame", f"closed: {reason}")
 
     def tell_error(self, text: str) -> None:
-        """How the peer hears of an error."""
+        """Send an error text to the peer."""
         self.command("__error", text=text)
 
     # --- topics ---
     def offer(self, topic: str, type_name: str) -> None:
-        """Send a bus topic to the peer, from now on. Asking twice is asking once.
+        """Send a bus topic to the peer from now on; a repeated call has no effect.
 
         Raises:
             InputError: the topic carries another type.
@@ -110,7 +111,7 @@ class Peer:
         self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
-        """A message's bytes; a server encodes once for all its clients."""
+        """Serialize a message; the server overrides this to serialize once for all clients."""
         return self.codec.encode(message)
 
     def withdraw(self, topic: str) -> None:
@@ -119,7 +120,9 @@ class Peer:
             self.link.outbox.forget(topic)
 
     def take(self, topic: str, type_name: str, latch: bool) -> None:
-        """Publish on the bus what the peer sends under this name. A latched message outlives asking twice.
+        """Publish on the bus the messages that the peer sends to a topic.
+
+        A repeated call keeps a latched message.
 
         Raises:
             InputError: the topic carries another type.
@@ -141,12 +144,12 @@ class Peer:
         if len(self.offered) + len(self.taken) + len(self.service_types) >= MAX_REGISTRATIONS:
             raise InputError(f"more than {MAX_REGISTRATIONS} registrations on one connection")
 
-    # --- services the peer implements ---
+    # --- services that the peer implements ---
     def serve_remote(self, name: str, type_name: str) -> None:
-        """Put a service of the peer's on the bus.
+        """Offer on the bus a service that the peer implements.
 
         Raises:
-            InputError: somebody serves it already.
+            InputError: the service is served on the bus already.
         """
         _, response_type = self.bus.schema.service(type_name)
 
@@ -162,7 +165,7 @@ class Peer:
                     body,
                 )
                 if self._closed:
-                    answer.give(None)  # registered after `close` had told everybody
+                    answer.give(None)  # registered after `close` had ended all waiting calls
                 data = answer.wait(self._service_timeout)
             finally:
                 with self._lock:
@@ -182,7 +185,7 @@ class Peer:
 
     # --- receiving ---
     def on_frame(self, frame: Frame) -> None:
-        """From the link's reading thread."""
+        """Handle a received frame; the link calls this in its reading thread."""
         if self._pending is not None:
             (is_request, number), self._pending = self._pending, None
             if not frame.is_command:
@@ -211,7 +214,7 @@ class Peer:
         topic = frame.destination
         publisher = self.taken.get(topic)
         if publisher is None:
-            if self.link.is_over:  # what was on its way when the connection ended
+            if self.link.is_over:  # the message was in transit when the connection ended
                 return
             known = ", ".join(sorted(self.taken)[:20]) or "none"
             self.complain(
@@ -239,7 +242,7 @@ class Peer:
             answer.give(frame.body)
 
     def _on_request(self, number: int, frame: Frame) -> None:
-        """Answered from a thread of its own: a slow service holds nothing up."""
+        """Answer a service request in a worker thread, so that a slow service blocks nothing else."""
         with self._lock:
             full = self._calls >= MAX_CALLS
             if not full:
@@ -250,7 +253,7 @@ class Peer:
         if full:
             self._refuse(number, frame.destination, f"more than {MAX_CALLS} service calls wait for an answer")
             return
-        with contextlib.suppress(RuntimeError):  # shut down: the connection has just ended
+        with contextlib.suppress(RuntimeError):  # the pool is shut down because the connection has just ended
             workers.submit(self._answer, number, frame)
 
     def _answer(self, number: int, frame: Frame) -> None:
@@ -270,7 +273,7 @@ class Peer:
                 self._calls -= 1
 
     def _refuse(self, number: int, name: str, reason: str) -> None:
-        """A failed call is answered too, all fields at their defaults: who asked does not wait for ever."""
+        """Answer a failed service call with default values, so that the peer stops waiting."""
         self.complain(f"service {name} {reason[:80]}", f"service {name[:80]}: {reason}")
         type_name = self._service_type(name)
         body: Any = b""
@@ -279,7 +282,7 @@ class Peer:
         self._respond(number, name, body)
 
     def _service_type(self, name: str) -> str | None:
-        """What the peer registered it as, else what the bus serves under this name."""
+        """Return the service type that the peer registered, or the one that the bus serves."""
         with contextlib.suppress(InputError):
             return self.service_types.get(name) or self.bus.services().get(resolve(name))
         return None
@@ -291,9 +294,12 @@ class Peer:
             body,
         )
 
-    # --- the end ---
+    # --- end of the connection ---
     def close(self) -> None:
-        """Take everything of this peer's off the bus. Called once the link is over; twice is fine."""
+        """Remove the peer's topics and services from the bus after its connection has ended.
+
+        A second call has no effect.
+        """
         self._closed = True
         for topic in list(self.offered):
             self.withdraw(topic)
@@ -309,13 +315,13 @@ class Peer:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _undo_if_closed(self) -> None:
-        """A registration that was under way when the link ended must not stay on the bus."""
+        """Remove a registration from the bus if the link ended while it was in progress."""
         if self._closed:
             self.close()
 
 
 class _Answer:
-    """One answer, waited for once."""
+    """A pending answer to one service call."""
 
     def __init__(self) -> None:
         self._there = threading.Event()
@@ -331,10 +337,10 @@ class _Answer:
 
 
 def need(params: Params, name: str, kind: type) -> Any:
-    """A command's parameter; other keys than those asked for are ignored.
+    """Return a required parameter of a ROS-TCP command; other keys are ignored.
 
     Raises:
-        CommandError: missing or of another kind.
+        CommandError: the parameter is missing or has another type.
     """
     value = params.get(name)
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):

@@ -1,9 +1,9 @@
-"""The ROS-TCP server: any number of Unity programs on one bus.
+"""ROS-TCP server: connects any number of Unity programs to one bus.
 
-Each client has its own registrations, all cleared when it goes. What differs from the reference endpoint
-on purpose: 127.0.0.1 unless told; a cap on frames; types are looked up in the schema and never imported;
-registering again keeps the latched message; every service call is answered; a client's mistake is
-answered with `__error` and touches nobody else.
+Each client has its own registrations, which end with its connection. Intended differences from the reference
+endpoint: the server listens on 127.0.0.1 by default; frames have a maximum size; types come from the schema
+and are never imported; a repeated registration keeps the latched message; every service call gets an answer;
+a client's error is answered with `__error` and affects no other client.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from armcell.ros.tcp.outbox import Caps
 from armcell.ros.tcp.peer import Params, Peer, need
 
 logger = logging.getLogger(__name__)
-VERSION = "v0.7.0"  # what Unity's connector 0.7 wants to see; 0.6 ignores the handshake
+VERSION = "v0.7.0"  # version that Unity's connector 0.7 expects; 0.6 ignores the handshake
 PORT = 10000
-BACKLOG = 128  # connections that wait to be accepted
+BACKLOG = 128  # connections that may wait for `accept`
 
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Where the server listens and what it bears."""
+    """Address and limits of a ROS-TCP server."""
 
     host: str = "127.0.0.1"
-    port: int = PORT  # 0: any free one
-    protocol: str = "auto"  # ROS1, ROS2, or as each client speaks
+    port: int = PORT  # 0 selects a free port
+    protocol: str = "auto"  # "ROS1", "ROS2", or "auto" to follow each client
     max_clients: int = 64
-    max_body: int = MAX_BODY  # [bytes] of one message
+    max_body: int = MAX_BODY  # [bytes] maximum of one message
     queue: int = 10  # messages per topic and client; a full queue drops its oldest
-    service_timeout: float = 10.0  # [s] a client has for a service it implements
-    guess_after: float = 0.5  # [s] a client that says nothing is taken for ROS 1
+    service_timeout: float = 10.0  # [s] within which a client must answer a service that it implements
+    guess_after: float = 0.5  # [s] after which a silent client is assumed to use ROS 1
 
     def __post_init__(self) -> None:
         require(self.protocol in ("auto", *CODECS), f"protocol is {self.protocol!r}, need auto, ROS1 or ROS2")
@@ -56,20 +56,20 @@ class ServerSettings:
 
 @dataclass(frozen=True)
 class ClientStatus:
-    """A connected client, for status lines."""
+    """State of a connected ROS-TCP client, for status lines."""
 
     address: str
     protocol: str
     connected_for: float  # [s]
     topics_in: dict[str, int]  # messages received, by topic
-    topics_out: dict[str, int]  # messages handed over for sending, by topic
+    topics_out: dict[str, int]  # messages queued for sending, by topic
     dropped: int
     waiting_bytes: int
     errors: int
 
 
 class RosTcpServer:
-    """Serves a bus to ROS-TCP clients, from `start` (or `with`) to `close`.
+    """ROS-TCP server for a bus, from `start` (or `with`) to `close`.
 
     Raises (reserve, start):
         InputError: the address cannot be listened on.
@@ -87,11 +87,14 @@ class RosTcpServer:
         self._thread = threading.Thread(target=self._accept, name="ros-tcp accept", daemon=True)
 
     def reserve(self) -> None:
-        """Take the port without opening it, so that `start` can wait until the cell is ready."""
+        """Bind the server's port, but accept no connections before `start`.
+
+        This allows `start` to wait until the cell is ready.
+        """
         try:
             self._socket = reserve(*self.address)
         except OSError as error:
-            reason = str(error.strerror).split(" (while")[0]  # Python adds the address, which is said already
+            reason = str(error.strerror).split(" (while")[0]  # Python appends the address; we state it below
             raise InputError(
                 f"cannot listen on {self.address[0]}:{self.address[1]} ({reason})",
                 cure="another program has the port? choose one with --port",
@@ -110,7 +113,7 @@ class RosTcpServer:
         return self
 
     def close(self) -> None:
-        """Stop listening, end every connection."""
+        """Stop listening and end the connections of all clients."""
         self._closing = True
         if self._socket is not None:
             with contextlib.suppress(OSError):
@@ -127,18 +130,18 @@ class RosTcpServer:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Where it listens, once it has started."""
+        """Return the address on which the server listens; empty before `reserve` or `start`."""
         return () if self._socket is None else (Endpoint.of(self._socket, "ROS-TCP"),)
 
     def clients(self) -> list[ClientStatus]:
-        """Who is connected now."""
+        """Return the state of all connected ROS-TCP clients."""
         with self._lock:
             sessions = list(self._sessions)
         return [session.status() for session in sessions]
 
     # --- for sessions ---
     def encode(self, topic: str, codec: Codec, message: Any) -> memoryview:
-        """A message's bytes, made once however many clients get them."""
+        """Serialize a message once for all clients with the same encoding."""
         key = (resolve(topic), codec.name)
         have = self._encoded.get(key)
         if have is None or have[0] is not message:
@@ -146,7 +149,10 @@ class RosTcpServer:
         return have[1]
 
     def take_over(self, name: str, by: _Session) -> None:
-        """A client serves what another one did: the newer one wins, as when Unity was started again."""
+        """Transfer a service to a newer client, for example after a restart of Unity.
+
+        If two clients implement the same service, the newer one takes over.
+        """
         with self._lock:
             others = [s for s in self._sessions if s is not by]
         for other in others:
@@ -171,7 +177,7 @@ class RosTcpServer:
                 if self._closing:
                     return
                 logger.warning("accept failed: %s", error)
-                time.sleep(0.1)  # out of file descriptors: the next try fails as well
+                time.sleep(0.1)  # if file descriptors ran out, an immediate retry would fail as well
                 continue
             with self._lock:
                 self.total_clients += 1
@@ -182,21 +188,21 @@ class RosTcpServer:
                 continue
             try:
                 session = _Session(self, sock, f"{address[0]}:{address[1]}")
-            except OSError:  # gone before it was set up
+            except OSError:  # the client disconnected before its session was set up
                 sock.close()
                 continue
             with self._lock:
                 self._sessions.append(session)
             try:
                 session.start()
-            except RuntimeError as error:  # no more threads to be had
+            except RuntimeError as error:  # the system cannot create more threads
                 logger.warning("%s turned away: %s", session.address, error)
                 session.link.close()
                 sock.close()
 
 
 class _Session(Peer):
-    """One client: its registrations and the commands Unity sends."""
+    """Server side of one Unity client: its registrations and the commands that it sends."""
 
     def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):
         settings = server.settings
@@ -251,10 +257,10 @@ class _Session(Peer):
             self.complaints.total,
         )
 
-    # --- the handshake: the first frame a client gets says which encoding it will get ---
+    # --- handshake: the first frame to a client names the encoding of all later messages ---
     def _greet(self) -> None:
         with self._greeting:
-            if self._greeted != self._protocol:  # again only after a wrong guess
+            if self._greeted != self._protocol:  # a second handshake is necessary only after a wrong guess
                 self._greeted = self._protocol
                 metadata = json.dumps({"protocol": self._protocol})
                 self.command("__handshake", version=VERSION, metadata=metadata)
@@ -309,7 +315,7 @@ class _Session(Peer):
         topics = self.bus.topics()
         self.command("__topic_list", topics=[t.name for t in topics], types=[t.type for t in topics])
 
-    # --- the end ---
+    # --- end of the connection ---
     def _on_end(self, reason: str) -> None:
         logger.info("%s disconnected: %s", self.address, reason)
         if hasattr(self, "_guess"):

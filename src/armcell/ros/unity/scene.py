@@ -21,6 +21,7 @@ from armcell.ros.unity.meshes import small_hull, write_stl
 from armcell.ros.unity.urdf import file_name
 from armcell.scene import CollisionObject
 from armcell.sim import PhysicsSettings
+from armcell.sim.joint_gains import joint_drive
 
 FORMAT = 1
 FIXED_TIMESTEP = 0.005  # [s] PhysX keeps contacts of a grasp with this; Unity's 0.02 lets them slip
@@ -88,11 +89,9 @@ def _drives(model: RobotModel, physics: PhysicsSettings) -> dict[str, dict[str, 
         if gripper is not None:
             stiffness, damping = FINGER_STIFFNESS, FINGER_DAMPING
             effort = gripper.max_force * abs(gripper.width_per_joint) / 2
-        elif joint.type == "prismatic":
-            stiffness, damping = physics.slide_kp, physics.slide_kv
         else:
-            share = min(effort / physics.full_gain_effort, 1.0) if math.isfinite(effort) else 1.0
-            stiffness, damping = physics.arm_kp * share, physics.arm_kv * share
+            drive = joint_drive(joint, physics)
+            stiffness, damping = drive.kp, drive.kv
         drives[joint.name] = {"stiffness": stiffness, "damping": damping}
         if math.isfinite(effort):
             drives[joint.name]["force_limit"] = effort
@@ -110,6 +109,7 @@ def _object(item: CollisionObject, folder: Path, only: bool) -> dict[str, Any]:
         "movable": item.movable,
         "color": list(item.color),
         "friction": item.material.friction,
+        "dynamic_friction": item.material.sliding,
         "shapes": [
             {**shape, "pose": _pose(T)}
             for i, (solid, T) in enumerate(item.shapes)

@@ -1,4 +1,4 @@
-"""One object in two hands: grasp both ends, carry it through poses, put it down, let go."""
+"""Carrying one object with two arms: grasp both ends, move, put down, release."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision import neighbours
+from armcell.collision import neighbors
 from armcell.collision.arms import Arms, merged, without_arm
 from armcell.control.admittance import Admittance, AdmittanceSettings
 from armcell.core import (
@@ -30,9 +30,7 @@ from armcell.core import (
 from armcell.core.checks import checked, require
 from armcell.grasping import grip_force, pre_opening
 from armcell.kinematics import ik_solver, kinematic_tree
-from armcell.planning import plan_cartesian
-from armcell.planning.arms.carried import Carried
-from armcell.planning.arms.carry import plan_carry
+from armcell.planning import CarriedObject, plan_carry, plan_cartesian
 from armcell.scene import PlanningScene
 from armcell.tasks.arms.coupled import move_together, play
 from armcell.tasks.context import StageReport, TaskContext
@@ -40,25 +38,25 @@ from armcell.tasks.steps import staged
 from armcell.timing import reversed_in_time, synchronized
 
 Array = NDArray[np.float64]
-GRASPS = 6  # that a way round is searched for with, where no grasp can go straight
-SLIP_EVERY = 10  # ticks between two looks at where the object is in the hand
+GRASPS = 6  # grasps for which detours are searched if no straight path exists
+SLIP_EVERY = 10  # cycles between two measurements of the slip
 DONE = Outcome(ErrorCode.SUCCESS)
 
 
 @dataclass(frozen=True)
 @checked()
 class CarrySettings:
-    """Of carrying one object with two arms."""
+    """Settings of carrying one object with two arms."""
 
-    velocity: float = 0.3  # shares of the joints' limits
+    velocity: float = 0.3  # scaling of the joint limits
     acceleration: float = 0.15
-    max_speed: float = 0.2  # [m/s] of the object
-    max_off: float = 5e-4  # [m] of the hands' relative pose from the grasps': more stops both arms
-    max_turn: float = 1.7453e-3  # [rad] of the same: 0.1 degree
-    max_squeeze: float = 30.0  # [N] that the hands push or pull against each other: more stops both arms
-    approach: float = 0.1  # [m] straight before the grasp
-    planning_time: float = 10.0  # [s] for ways round obstacles; 0: only straight ways are taken
-    settle: float = 0.4  # [s] after closing and after opening
+    max_speed: float = 0.2  # [m/s] maximum speed of the object
+    max_off: float = 5e-4  # [m] maximum deviation of the hands' relative position; more stops both arms
+    max_turn: float = 1.7453e-3  # [rad] maximum deviation of their relative rotation: 0.1 degree
+    max_squeeze: float = 30.0  # [N] maximum internal force between the hands; more stops both arms
+    approach: float = 0.1  # [m] straight approach
+    planning_time: float = 10.0  # [s] for detours around obstacles; 0: only straight paths
+    settle: float = 0.4  # [s] pause after closing and after opening
     admittance: AdmittanceSettings = AdmittanceSettings()
 
     def __post_init__(self) -> None:
@@ -69,7 +67,7 @@ class CarrySettings:
 
 @dataclass
 class CarryRecord:
-    """The worst of every tick since the grasp."""
+    """Largest deviations of all control cycles since the grasp."""
 
     off_m: float = 0.0
     turn_rad: float = 0.0
@@ -86,22 +84,24 @@ class CarryRecord:
 
 @dataclass
 class _Held:
-    """What was true when both grippers had closed."""
+    """State when both grippers have closed."""
 
-    carried: Carried  # by set points
-    T_hands: SE3  # from the first hand to the second, measured
+    carried: CarriedObject  # grasps at the set points
+    T_hands: SE3  # measured pose of the second hand in the first
     T_first_object: SE3  # measured
     supports: tuple[str, ...]
-    q: Array = field(default_factory=lambda: np.zeros(0))  # set points of both arms now
+    q: Array = field(default_factory=lambda: np.zeros(0))  # current set points of both arms
 
 
 class Carrying:
-    """An object for two arms. Every method returns an `Outcome`; the first that fails has stopped both.
+    """Object carried by two arms.
+
+    Every method returns an `Outcome`; the first failure stops both arms.
 
     Args:
         both: the group of both arms' joints.
-        ends: by arm group, the object's subframe that its tcp goes to. The tcp's z axis points along the
-            subframe's, its fingers close along the subframe's y; turned by half a turn is as good.
+        ends: arm group -> subframe of the object for the arm's TCP. The TCP's z axis aligns with the
+            subframe's z axis, the fingers close along its y axis; a half turn about z is allowed.
     """
 
     def __init__(
@@ -127,13 +127,13 @@ class Carrying:
         self.record = CarryRecord()
         self._held: _Held | None = None
 
-    # --- both hands on it ---
+    # --- grasping ---
     def grasp(self, route: Sequence[SE3] = ()) -> Outcome:
-        """Both arms to the ends, together, and close.
+        """Move both arms to the object's ends simultaneously and close the grippers.
 
         Args:
-            route: poses the object will be carried through; postures that cannot are not taken. Those that
-                can go straight come first, then those for which a way round is found.
+            route: later poses of the object; grasps that cannot reach them are rejected. Grasps with
+                straight paths come first, then grasps with detours around obstacles.
         """
         if self._held is not None:
             raise InputError(f"{self.item!r} is in both hands already")
@@ -163,14 +163,17 @@ class Carrying:
         return self._told(Outcome(ErrorCode.PLANNING_FAILED, f"grasp {self.item} with both arms: {why}"))
 
     def _ahead(self, scene: PlanningScene, hands, route: Sequence[SE3], seconds: float) -> PlanResult:
-        """The motion along a route with these hands (see `_hands`), if there is one."""
+        """Plan the motion along a route with one choice of grasps (see `_hands`)."""
         _, at_grasp, grasps = hands
         trial = self._attached(scene.with_state(at_grasp))
-        carried = Carried(self.item, grasps, self.tips)
+        carried = CarriedObject(self.item, grasps, self.tips)
         return self._plan(trial, carried, scene.object(self.item).T_world_object, route, seconds)
 
     def _hands(self, scene: PlanningScene):
-        """Approaches of both arms that can be made together, with the state at the grasp; or why not."""
+        """Yield simultaneous approaches of both arms with the state at the grasp.
+
+        If an arm has no approach, yield the reason as text instead.
+        """
         item = scene.object(self.item)
         options = {}
         for group in self.groups:
@@ -200,7 +203,7 @@ class Carrying:
             )
 
     def _approaches(self, scene: PlanningScene, group: str, T_world_object: SE3):
-        """Straight motions of one arm to its end of the object, each with T_object_tcp."""
+        """Yield straight approaches of one arm to its end of the object, each with T_object_tcp."""
         gripper, s = self.grippers[group], self.settings
         other = next(g for g in self.groups if g != group)
         alone = without_arm(self._opened(scene), other).with_allowed(self.item, gripper.hand_links)
@@ -235,7 +238,7 @@ class Carrying:
     def _take(self, approaches: Sequence[JointTrajectory], why: str) -> Outcome:
         ctx, driver = self.ctx, self.ctx.driver
         scene = ctx.scene()
-        supports = tuple(neighbours(scene, self.item))
+        supports = tuple(neighbors(scene, self.item))
         widths = {g: self._opening(g) for g in self.groups}
         item = scene.object(self.item)
         outcome = self._grip("open both", widths, 0.3)
@@ -258,8 +261,9 @@ class Carrying:
         for group in self.groups:
             reading = driver.gripper(self.grippers[group].name)
             if reading.held != self.item:
-                text = f"{group} has not got {self.item}: its fingers are {1000 * reading.width:.0f} mm apart"
-                return self._told(Outcome(ErrorCode.CONTROL_FAILED, text))
+                apart = 1000 * reading.width
+                text = f"{group} has not grasped {self.item}: its fingers are {apart:.0f} mm apart"
+                return self._told(Outcome(ErrorCode.CONTROL_FAILED, f"{text}; {ctx.belief(self.item)}"))
         driver.watch_object(self.item, supports)
         q = np.concatenate([a.positions[-1] for a in approaches])
         order = [n for a in approaches for n in a.joint_names]
@@ -269,16 +273,19 @@ class Carrying:
         grasps = {g: T_object.inv() @ hands[g] for g in self.groups}
         first, second = self.groups
         self._held = _Held(
-            Carried(self.item, grasps, self.tips), measured[first].inv() @ measured[second],
+            CarriedObject(self.item, grasps, self.tips), measured[first].inv() @ measured[second],
             measured[first].inv() @ T_object, supports, q,
         )  # fmt: skip
         self._admittance = Admittance(self.settings.admittance)
         ctx.emit("grasp", f"both hands hold {self.item}")
         return DONE
 
-    # --- with the object ---
+    # --- carrying ---
     def move(self, *poses: SE3, name: str = "carry") -> Outcome:
-        """Carry the object through poses (T_world_object), at rest in each: straight, or round obstacles."""
+        """Carry the object through poses (T_world_object) with a stop at each.
+
+        The path is straight if possible, else it avoids obstacles.
+        """
         held = self._known()
         start = self._hands_at(held.q)[self.groups[0]] @ held.carried.grasps[self.groups[0]].inv()
         scene = self._attached(self.ctx.scene().with_state(JointState(self.names, held.q)))
@@ -297,7 +304,7 @@ class Carrying:
     def shift(
         self, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0, name: str = "carry"
     ):
-        """Carry the object by so much [m] in world directions, turned about the vertical meanwhile."""
+        """Carry the object by an offset [m] in world axes, with a rotation about the vertical."""
         here = (
             self._hands_at(self._known().q)[self.groups[0]]
             @ self._known().carried.grasps[self.groups[0]].inv()
@@ -305,7 +312,7 @@ class Carrying:
         return self.move(shifted(here, x, y, z, turn_deg), name=name)
 
     def release(self) -> Outcome:
-        """Open both hands and draw them straight back."""
+        """Open both grippers and retreat straight back."""
         self._known()
         widths = {}
         for group, gripper in self.grippers.items():
@@ -338,25 +345,28 @@ class Carrying:
             self.ctx.expect_contact(self.item, gripper.finger_links, expected=False)
         return self._told(outcome)
 
-    # --- inside ---
+    # --- helpers ---
     def _known(self) -> _Held:
         if self._held is None:
             raise InputError(f"{self.item!r} is not in both hands", cure="grasp it first")
         return self._held
 
     def _attached(self, scene: PlanningScene) -> PlanningScene:
-        """The object in the first hand; both hands and what it rests on may touch it."""
+        """Return the scene with the object attached to the first hand.
+
+        Contacts of both hands and of the supports with the object are allowed.
+        """
         first, second = (self.grippers[g] for g in self.groups)
         supports = self._supports(scene)
         scene = scene.with_attached(self.item, first.tcp_link, first.hand_links)
         return scene.with_allowed(self.item, (*second.hand_links, *supports))
 
     def _supports(self, scene: PlanningScene) -> tuple[str, ...]:
-        """What the object lies on, or lay on when it was taken."""
-        return self._held.supports if self._held is not None else tuple(neighbours(scene, self.item))
+        """Return the object's supports, now or at the time of the grasp."""
+        return self._held.supports if self._held is not None else tuple(neighbors(scene, self.item))
 
     def _plan(
-        self, scene: PlanningScene, carried: Carried, start: SE3, poses: Sequence[SE3], seconds: float
+        self, scene: PlanningScene, carried: CarriedObject, start: SE3, poses: Sequence[SE3], seconds: float
     ) -> PlanResult:
         s, rests_on = self.settings, self._supports(self.ctx.scene())
         return plan_carry(
@@ -374,7 +384,7 @@ class Carrying:
         return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
 
     def squeeze(self) -> Array:
-        """Force (3,) [N] that the second hand feels more than its half: what the hands do to each other."""
+        """Return the internal force (3,) [N]: half the difference of the hands' forces."""
         first, second = (self.ctx.driver.wrench(self.grippers[g].name)[:3] for g in self.groups)
         return (second - first) / 2
 
@@ -383,7 +393,7 @@ class Carrying:
         return self._corrected(q, offset), v
 
     def _corrected(self, q: Array, offset: Array) -> Array:
-        """Set points with the second hand moved by an offset (3,) [m], by its Jacobian."""
+        """Return set points with the second hand moved by an offset (3,) [m], by its Jacobian."""
         if not offset.any():
             return q
         group = self.groups[1]
@@ -406,7 +416,10 @@ class Carrying:
         return held.T_first_object.distance_to(here)[0]
 
     def _watch(self) -> Outcome | None:
-        """Every tick: the hands' relative pose, the squeeze, and whether the object is still there."""
+        """Check the hands' relative pose, the internal force and the object's presence.
+
+        Runs in every control cycle.
+        """
         held, s, r = self._known(), self.settings, self.record
         hands = self._measured()
         off, turn = held.T_hands.distance_to(hands[self.groups[0]].inv() @ hands[self.groups[1]])
@@ -425,7 +438,7 @@ class Carrying:
     def _grip(
         self, name: str, widths: Mapping[str, float], settle: float, force: Mapping[str, float] | None = None
     ) -> Outcome:
-        """Drive both grippers at once, and wait for both."""
+        """Command both grippers simultaneously and wait for both."""
         ctx, driver = self.ctx, self.ctx.driver
 
         def act() -> Outcome:
@@ -464,7 +477,7 @@ class Carrying:
         )
 
     def _touched(self) -> PlanningScene:
-        """The scene as measured, with the contacts of both hands: with the object held, as they carry it."""
+        """Return the measured scene with the hands' contacts allowed and a held object attached."""
         scene = self.ctx.scene()
         if self._held is not None:
             return self._attached(scene)
@@ -475,6 +488,6 @@ class Carrying:
 
 
 def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
-    """A pose moved in world directions and turned about the vertical through its origin."""
+    """Return a pose moved in world axes and rotated about the vertical through its origin."""
     turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
     return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))

@@ -1,4 +1,4 @@
-"""Motions of two arms on one clock: to a goal each, or along a trajectory of both."""
+"""Synchronized motions of two arms: one goal per arm, or a trajectory of both."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from armcell.control.coupled import execute_coupled
 from armcell.core import Goal, JointTrajectory, Outcome, PlanRequest
-from armcell.planning import plan_together
+from armcell.planning import plan_synchronized
 from armcell.scene import PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.stages.moves import goal_data
@@ -18,13 +18,13 @@ from armcell.tasks.steps import staged
 def move_together(
     ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
 ) -> Outcome:
-    """Two arms to a goal each; they start and arrive together."""
+    """Move two arms to one goal each; they start and arrive at the same time."""
     s, scene = ctx.settings, ctx.scene()
     template = PlanRequest(
         next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
         velocity_scaling=s.free.velocity, acceleration_scaling=s.free.acceleration, seed=ctx.seed,
     )  # fmt: skip
-    pair = plan_together(scene, goals, both, template=template)
+    pair = plan_synchronized(scene, goals, both, template=template)
     if not pair.ok or pair.trajectory is None:
         ctx.emit("error", f"{name}: {pair.message}")
         return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
@@ -40,11 +40,11 @@ def play(
     correct: Callable | None = None, watch: Callable | None = None,
     evidence: Mapping[str, Any] = MappingProxyType({}), scene: Callable[[], PlanningScene] | None = None,
 ) -> Outcome:  # fmt: skip
-    """A motion of coupled arms as a stage.
+    """Execute a trajectory of coupled arms as a stage.
 
     Args:
-        evidence: of its plan, for the record.
-        scene: as measured, with the contacts and the carried object of this motion; by default the cell's.
+        evidence: planning metadata for the record.
+        scene: returns the measured scene with this motion's contacts and carried object; default: the cell's.
     """
 
     def act() -> Outcome:

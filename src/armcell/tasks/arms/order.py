@@ -1,4 +1,4 @@
-"""In which order two arms bring their things, so that both are done early and neither waits for the other."""
+"""Order of objects per arm such that two arms finish early and do not wait for each other."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from operator import itemgetter
 from armcell.collision.arms import check_two
 from armcell.core import InputError
 from armcell.scene import PlanningScene
-from armcell.tasks.arms.errands import Errands, Leg, Pace
-from armcell.tasks.arms.meetings import Meetings
+from armcell.tasks.arms.conflict_cache import ConflictCache
+from armcell.tasks.arms.tour_cost import CycleTimes, TourEstimator, TourSegment
 from armcell.tasks.settings import TaskSettings
 
 Order = tuple[str, ...]
-Round = tuple[Leg, ...]
-Span = tuple[float, float, float]  # when a leg begins, its motion ends, its work ends [s]
+Tour = tuple[TourSegment, ...]
+Span = tuple[float, float, float]  # start of a segment, end of its motion, end of its work [s]
 
-ALL = 4  # things of one arm whose orders are all looked at; of more those near the one given
-ROUND = 1.2  # [s] that an arm loses by going round the other: mean of ten in batches of dual_ur10_sort
-SLACK = 0.5  # [s] by which an estimated time may be off
+EXHAUSTIVE = 4  # objects per arm up to which all orders are compared
+DETOUR = 1.2  # [s] lost by a detour around the other arm: mean of ten in batches of dual_ur10_sort
+SLACK = 0.5  # [s] uncertainty of an estimated time
 
 
 def orders(
@@ -28,65 +28,66 @@ def orders(
     streams: Mapping[str, Sequence[str]],
     to: Callable[[str], str],
     settings: TaskSettings = TaskSettings(),
-    pace: Pace = Pace(),
+    cycle_times: CycleTimes = CycleTimes(),
 ) -> dict[str, list[str]]:
-    """Orders in which two arms that take turns at each zone are done and back earliest, by an estimate.
+    """Estimate the orders of objects with which two arms finish and return earliest.
 
-    Up to four things an arm all orders are compared, of more those that exchanges of two, or all the other
-    way round, lead to. The order given stays where none is better.
+    With up to four objects per arm, all orders are compared; otherwise a local search exchanges two objects
+    or reverses an order. The given order wins ties.
 
     Args:
-        streams: what each arm has to bring, by planning group.
-        to: the object that a thing goes to: a zone that one arm at a time may reserve.
-        settings: speeds and distances of the picks and places to come.
+        streams: the objects of each arm, by planning group.
+        to: the destination of an object: a zone that only one arm at a time may reserve.
+        settings: speeds and distances of the following picks and placements.
+        cycle_times: durations of grasping and placing.
     Raises:
-        InputError: not two arms that share no joint, or a thing twice.
+        InputError: not exactly two arms without common joints, or an object is named twice.
         UnknownNameError: no such group or object.
     """
     if len(streams) != 2:
-        raise InputError(f"{len(streams)} streams given, two arms have two")
+        raise InputError(f"{len(streams)} streams given, two arms need two")
     one, two = streams
     check_two(scene.model, (one, two))
     named = [item for stream in streams.values() for item in stream]
     twice = sorted({item for item in named if named.count(item) > 1})
     if twice:
-        raise InputError(f"{', '.join(twice)} given twice", cure="name each thing once, for one arm")
+        raise InputError(f"{', '.join(twice)} given twice", cure="name each object once, for one arm")
     first, second = (
-        Errands(scene, group, {item: to(item) for item in stream}, settings, pace)
+        TourEstimator(scene, group, {item: to(item) for item in stream}, settings, cycle_times)
         for group, stream in streams.items()
     )
-    best = earliest((streams[one], streams[two]), (first, second), Meetings(scene, (one, two)))
+    best = earliest((streams[one], streams[two]), (first, second), ConflictCache(scene, (one, two)))
     return {one: list(best[0]), two: list(best[1])}
 
 
 def earliest(
     streams: tuple[Sequence[str], Sequence[str]],
-    rounds: tuple[Callable[[Order], Round], Callable[[Order], Round]],
-    meetings: Meetings | None = None,
+    tours: tuple[Callable[[Order], Tour], Callable[[Order], Tour]],
+    conflicts: ConflictCache | None = None,
 ) -> tuple[Order, Order]:
-    """Of the orders of two streams those that are done first.
+    """Return the orders of two streams that finish first.
 
     Args:
-        rounds: what an arm does in an order.
-        meetings: where an arm's motion would meet the other at work; nowhere, where None.
+        tours: computes an arm's tour for an order.
+        conflicts: where an arm's motion conflicts with the other arm at work; None: no conflicts.
     """
-    one, two = cache(rounds[0]), cache(rounds[1])
+    one, two = cache(tours[0]), cache(tours[1])
 
-    def late(pair: tuple[Order, Order], meetings: Meetings | None = None) -> tuple[float, float]:
-        legs = one(pair[0]), two(pair[1])
-        tables = timetable(legs)
-        lost = (0.0, 0.0) if meetings is None else detours(legs, tables, meetings)
+    def finish(pair: tuple[Order, Order], conflicts: ConflictCache | None = None) -> tuple[float, float]:
+        segments = one(pair[0]), two(pair[1])
+        tables = timetable(segments)
+        lost = (0.0, 0.0) if conflicts is None else detours(segments, tables, conflicts)
         ends = [(spans[-1][2] if spans else 0.0) + more for spans, more in zip(tables, lost, strict=True)]
         return round(max(ends), 6), round(sum(ends), 6)
 
     best = tuple(streams[0]), tuple(streams[1])
-    least = late(best, meetings)
+    least = finish(best, conflicts)
     while True:
         found = best
-        for undisturbed, pair in sorted(((late(pair), pair) for pair in _near(*best)), key=itemgetter(0)):
+        for undisturbed, pair in sorted(((finish(pair), pair) for pair in _near(*best)), key=itemgetter(0)):
             if undisturbed >= least:
-                break  # detours make none of the others earlier
-            if (ends := late(pair, meetings)) < least:
+                break  # detours only add time, so no later pair is better
+            if (ends := finish(pair, conflicts)) < least:
                 found, least = pair, ends
         if found == best:
             return best
@@ -94,8 +95,8 @@ def earliest(
 
 
 def _near(one: Order, two: Order) -> Iterable[tuple[Order, Order]]:
-    """Orders of both arms: these, and all others or those that one change makes of them."""
-    if max(len(one), len(two)) <= ALL:
+    """Yield neighboring orders of both arms: all if there are few, else single changes."""
+    if max(len(one), len(two)) <= EXHAUSTIVE:
         return product(permutations(one), permutations(two))
     return chain(((o, two) for o in _changed(one)), ((one, o) for o in _changed(two)))
 
@@ -107,38 +108,43 @@ def _changed(order: Order) -> Iterator[Order]:
         yield (*order[:i], order[k], *order[i + 1 : k], order[i], *order[k + 1 :])
 
 
-def timetable(arms: Sequence[Round]) -> list[list[Span]]:
-    """When each arm does each leg [s]; a zone is one arm's at a time, in the order they asked."""
+def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
+    """Schedule the segments of each arm [s]; a zone serves one arm at a time.
+
+    Arms get a zone in the order of their arrival.
+    """
     now, free = [0.0] * len(arms), dict[str, float]()
     spans: list[list[Span]] = [[] for _ in arms]
     while True:
-        asks = [(now[k], k) for k, legs in enumerate(arms) if len(spans[k]) < len(legs)]
+        asks = [(now[k], k) for k, segments in enumerate(arms) if len(spans[k]) < len(segments)]
         if not asks:
             return spans
         time, k = min(asks)
-        leg = arms[k][len(spans[k])]
-        begin = max(time, free.get(leg.zone, 0.0)) if leg.zone else time
-        there = begin + leg.motion
-        now[k] = there + leg.work
-        if leg.zone:
-            free[leg.zone] = now[k]
+        segment = arms[k][len(spans[k])]
+        begin = max(time, free.get(segment.zone, 0.0)) if segment.zone else time
+        there = begin + segment.motion
+        now[k] = there + segment.work
+        if segment.zone:
+            free[segment.zone] = now[k]
         spans[k].append((begin, there, now[k]))
 
 
-def detours(arms: tuple[Round, Round], tables: Sequence[Sequence[Span]], meetings: Meetings) -> list[float]:
-    """What each arm loses [s], in all, by going round the other where that is at work on its way."""
+def detours(
+    arms: tuple[Tour, Tour], tables: Sequence[Sequence[Span]], conflicts: ConflictCache
+) -> list[float]:
+    """Return the total time [s] that each arm loses by detours around the other arm at work."""
     lost = [0.0, 0.0]
     for k in (0, 1):
-        for leg, (begin, there, _) in zip(arms[k], tables[k], strict=True):
+        for segment, (begin, there, _) in zip(arms[k], tables[k], strict=True):
             for other, (_, since, until) in zip(arms[1 - k], tables[1 - k], strict=True):
                 if other.work == 0.0 or since > there + SLACK or until < begin - SLACK:
                     continue
-                if leg.zone and leg.zone == other.zone:
+                if segment.zone and segment.zone == other.zone:
                     continue  # they take turns
-                share = meetings.share(k, leg, other)
+                share = conflicts.share(k, segment, other)
                 if share is None:
                     continue
-                first, last = (begin + s * leg.motion for s in share)
+                first, last = (begin + s * segment.motion for s in share)
                 if first < until + SLACK and last > since - SLACK:
-                    lost[k] += ROUND
+                    lost[k] += DETOUR
     return lost

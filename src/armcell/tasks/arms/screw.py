@@ -1,4 +1,4 @@
-"""Turning a screw: the hand turns about its own axis while admittance keeps pressing along it."""
+"""Driving a screw: the hand rotates about its axis while admittance control presses."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScrewSettings:
-    """Of turning a screw."""
+    """Settings of driving a screw."""
 
-    speed: float = 1.5  # [rad/s] of the hand at most
-    press_time: float = 0.5  # [s] to build up the force before turning
-    max_force: float = 40.0  # [N] along or across the axis: more stops both arms
+    speed: float = 1.5  # [rad/s] maximum speed of the hand
+    press_time: float = 0.5  # [s] force build-up before the rotation
+    max_force: float = 40.0  # [N] maximum force along or across the axis; more stops both arms
     admittance: AdmittanceSettings = AdmittanceSettings(
         damping=3000.0, dead_band=0.3, max_speed=0.02, max_offset=0.004
     )
@@ -39,14 +39,16 @@ class ScrewSettings:
 def screw(
     ctx: TaskContext, item: str, turns: float, force: float, settings: ScrewSettings = ScrewSettings()
 ) -> Outcome:
-    """Turn a held object clockwise (seen along the tool's axis) while pressing along the axis.
+    """Rotate a held object clockwise (seen along the tool axis) while pressing along the axis.
 
     Args:
-        turns: of the hand; the last joint must have room for them. force: [N] to press with.
+        turns: revolutions of the hand, within the last joint's range.
+        force: [N] pressing force.
     Returns:
-        SUCCESS with evidence: `turned` of the object [turns], `went_in_mm`, `force_mean_N`, `force_max_N`.
+        SUCCESS with evidence: `turned` (revolutions of the object), `went_in_mm`, `force_mean_N`,
+        `force_max_N`.
     Raises:
-        InputError: the object is not held, the last joint has no room, numbers that are not positive.
+        InputError: the object is not held, the last joint's range is too small, or a number is not positive.
     """
     if item not in ctx.holding:
         raise InputError(f"the robot does not hold {item!r}", cure="grasp it first")
@@ -87,7 +89,7 @@ def screw(
 
 
 def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> JointTrajectory:
-    """Press for a while, then turn the last joint by a quintic from rest to rest."""
+    """Return a trajectory: press for `press_time`, then rotate the last joint by a quintic."""
     angle = 2 * np.pi * turns
     duration = 1.875 * angle / s.speed
     x = np.linspace(0, 1, 60)
@@ -102,7 +104,7 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
 
 
 class _Turning:
-    """The press along the tool's axis, and what is seen at every tick."""
+    """Pressing force along the tool axis, and the measurements of every control cycle."""
 
     def __init__(self, ctx, item, force, settings, names, gripper, tip):
         self.ctx, self.item, self.force, self.settings = ctx, item, force, settings
@@ -117,15 +119,16 @@ class _Turning:
         self.angle, self._last = 0.0, self.began
 
     def _pose(self) -> SE3:
-        """Of the object, in what it is screwed into where that is known."""
+        """Return the object's pose, relative to the part with the thread if it is known."""
         poses = self.ctx.driver.object_poses()
         return poses[self.item] if self.into not in poses else poses[self.into].inv() @ poses[self.item]
 
     def correct(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
         full = self.ctx.driver.joint_state().positions.copy()
-        axis = self.tree.link_pose(full, self.tip).rotation.matrix[:, 2]  # points out of the hand
+        # the TCP's z axis, points out of the hand
+        axis = self.tree.link_pose(full, self.tip).rotation.matrix[:, 2]
         pressed = -float(self.ctx.driver.wrench(self.gripper)[:3] @ axis)
-        share = min(t / (0.6 * self.settings.press_time), 1.0)  # the wanted force is built up
+        share = min(t / (0.6 * self.settings.press_time), 1.0)  # ramp of the target force
         offset = -float(self.admittance.update([pressed], self.ctx.driver.period, [share * self.force])[0])
         if t >= self.settings.press_time:
             self.forces.append(pressed)

@@ -1,4 +1,4 @@
-"""Two arms' programs side by side, each at its own pace."""
+"""Programs of two arms that work side by side, each at its own pace."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from armcell.control.turns import ArmView, run_by_turns
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.planning import RunningMotion
 from armcell.tasks.arms.context import ArmContext
-from armcell.tasks.arms.traffic import Traffic
+from armcell.tasks.arms.coordinator import MotionCoordinator
 from armcell.tasks.context import TaskContext
 
 CLEARANCE = 0.02  # [m] between the arms
-PATIENCE = 30.0  # [s] of the driver's clock that an arm waits for its way
+PATIENCE = 30.0  # [s] of the driver's clock that an arm waits until its motion may start
 
 Program = Callable[[ArmContext], Outcome | None]
 
 
 @dataclass(frozen=True)
 class SideBySide(Outcome):
-    """How two programs ended; the first failure's code and message."""
+    """Result of two programs: the first failure's code and message, and statistics per arm."""
 
     makespan: float = 0.0  # [s] of the driver's clock
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
     waited: Mapping[str, float] = field(default_factory=dict)  # [s] by arm
-    made_way: Mapping[str, int] = field(default_factory=dict)
-    searched: Mapping[str, int] = field(default_factory=dict)  # motions that went another way in space-time
+    yielded: Mapping[str, int] = field(default_factory=dict)
+    searched: Mapping[str, int] = field(default_factory=dict)  # motions found by the search in space and time
 
 
 def side_by_side(
@@ -36,22 +36,22 @@ def side_by_side(
     clearance: float = CLEARANCE,
     patience: float = PATIENCE,
 ) -> SideBySide:
-    """Run a program per arm, by group. When one fails the other ends after its running stage.
+    """Run one program per arm. If one fails, the other ends after its running stage.
 
     Raises:
-        InputError: not two groups that share no joint.
-        Whatever a program raises; both arms have been stopped then.
+        InputError: not exactly two groups without common joints.
+        Any exception of a program, after both arms have stopped.
     """
     if len(programs) != 2:
-        raise InputError(f"{len(programs)} programs given, two arms have two")
+        raise InputError(f"{len(programs)} programs given, two arms need two")
     groups = tuple(programs)
     model = ctx.scene().model
     check_two(model, (groups[0], groups[1]))
-    traffic = Traffic((groups[0], groups[1]), clearance, patience)
+    coordinator = MotionCoordinator((groups[0], groups[1]), clearance, patience)
     outcomes: dict[str, Outcome] = {}
     began, scene = ctx.driver.now, ctx.scene()
     for group in groups:
-        traffic.running[group] = RunningMotion.standing(scene, group, began)
+        coordinator.running[group] = RunningMotion.standing(scene, group, began)
 
     def program(group: str) -> Callable[[ArmView], None]:
         def run(view: ArmView) -> None:
@@ -61,11 +61,11 @@ def side_by_side(
             outcomes[group] = found if isinstance(found, Outcome) else Outcome(ErrorCode.SUCCESS)
             if not outcomes[group].ok:
                 mine.cancel.set()
-            traffic.park(mine)
+            coordinator.park(mine)
 
         return run
 
-    contexts = {group: ArmContext(ctx, group, ctx.driver, traffic) for group in groups}
+    contexts = {group: ArmContext(ctx, group, ctx.driver, coordinator) for group in groups}
     ctx.at_work = tuple(contexts.values())
     cancelled = ctx.cancel.is_set()
     try:
@@ -74,7 +74,7 @@ def side_by_side(
         )
     finally:
         if not cancelled and any(not o.ok for o in outcomes.values()):
-            ctx.cancel.clear()  # it was set here, to end the other program
+            ctx.cancel.clear()  # set above to end the other program
         for group, mine in contexts.items():
             for report in mine.reports:
                 report.name = f"{group}: {report.name}"
@@ -89,5 +89,5 @@ def side_by_side(
     )
     return SideBySide(
         first.code, first.message, first.evidence, makespan=ctx.driver.now - began, outcomes=outcomes,
-        waited=traffic.waited, made_way=traffic.made_way, searched=traffic.searched,
+        waited=coordinator.waited, yielded=coordinator.yielded, searched=coordinator.searched,
     )  # fmt: skip

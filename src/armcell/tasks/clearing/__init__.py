@@ -1,4 +1,4 @@
-"""Clearing a bin of unknown things by what a camera sees."""
+"""Bin clearing: picks unknown objects from a bin by camera images."""
 
 from armcell.tasks.clearing.clear import Look, clear_bin
 from armcell.tasks.clearing.settings import ClearSettings

@@ -1,4 +1,4 @@
-"""Clearing a bin of things nobody knows: look, choose, pick, check, put away, look again."""
+"""Bin clearing loop: look, choose a grasp, pick, check, drop into the tray, repeat."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from armcell.perception import height_map, pieces, unusable
 from armcell.planning import warm_up
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.clearing.settings import ClearSettings
-from armcell.tasks.clearing.stages import HEAP, ChooseFromHeap, ChooseSpot, CloseOnHeap, OpenAbove
+from armcell.tasks.clearing.stages import HEAP, ChooseFromHeap, ChooseReleasePoint, CloseOnHeap, OpenAbove
 from armcell.tasks.clearing.steps import HELD, StillThere, empty_handed, holds
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.recipes import planned
 from armcell.tasks.search import Stage
-from armcell.tasks.stages import Connect, Planned, Straight
+from armcell.tasks.stages import AppendPlannedMotion, Connect, Straight
 from armcell.tasks.steps import Grip, perform_all
 
 Look = Callable[[], CameraImage]
@@ -38,38 +38,38 @@ Rectangle = tuple[tuple[float, float], tuple[float, float]]  # lowest and highes
 
 
 @dataclass(frozen=True)
-class Ground:
-    """A level part of the cell that things may lie on."""
+class WorkRegion:
+    """A level region on which objects may lie."""
 
     name: str
     rectangle: Rectangle
     floor: float  # [m, world z]
-    without: tuple[Rectangle, ...] = ()  # parts of it that something else stands on
+    without: tuple[Rectangle, ...] = ()  # parts that other objects occupy
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What one look at a ground found."""
+class RegionView:
+    """Result of one look at a work region."""
 
-    ground: Ground
+    region: WorkRegion
     map: HeightMap
     labels: NDArray[np.int64]
 
     @property
     def count(self) -> int:
-        """Of pieces; things that touch may be one piece, and one thing several."""
+        """Number of seen pieces; touching objects may be one piece, one object several pieces."""
         return int(self.labels.max()) + 1
 
 
 @dataclass
-class Tally:
-    """What has been done so far."""
+class ClearCounts:
+    """Counters of a bin clearing run."""
 
-    picks: int = 0  # grasps that were closed
-    put: int = 0  # things that were in the hand until it opened over the tray
-    missed: int = 0  # closed on nothing, or lost before the lift's end
-    dropped: int = 0  # lost on the way
-    unplanned: int = 0  # looks after which no way to any grasp was found
+    picks: int = 0  # closed grasps
+    put: int = 0  # objects released over the tray
+    missed: int = 0  # closed without an object, or lost during the lift
+    dropped: int = 0  # lost in transit
+    unplanned: int = 0  # looks without a reachable grasp
     in_a_row: int = 0  # failures since the last success
     avoid: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], turn [rad]
 
@@ -87,45 +87,45 @@ def clear_bin(
     look_at_tray: Look,
     settings: ClearSettings = ClearSettings(),
 ) -> Outcome:
-    """Take what lies in a bin out of it, piece by piece, and let it go above a tray, until the bin is empty.
+    """Pick pieces from a bin and release them over a tray until the bin is empty.
 
-    Only pictures and what the hand feels are used. What was dropped is found again in the next picture; what
-    fell beside bin or tray is picked up last.
+    Uses only images and the gripper's readings. The next image shows dropped objects; objects beside bin or
+    tray are picked up last.
 
     Args:
         bin, tray: fixed objects with a level floor, square to the world's axes.
         table: the fixed object that both stand on.
-        look, look_at_tray: give the newest picture with depth of each.
+        look, look_at_tray: return the newest depth image of each.
     Returns:
-        SUCCESS when nothing is seen any more; else the reason it was given up. Evidence: `picks`, `put`,
+        SUCCESS if no piece is visible any more, otherwise the reason for giving up. Evidence: `picks`, `put`,
         `missed`, `dropped`, `unplanned` (counts).
     Raises:
-        InputError: bin or tray have no level floor, or stand askew.
+        InputError: bin or tray have no level floor or are not aligned with the world axes.
     """
     warm_up()
-    s, tally = settings, Tally()
-    bin_ground, tray_ground = _inside(ctx.base, bin, s), _inside(ctx.base, tray, s)
-    grounds = (
-        (look, bin_ground),
+    s, tally = settings, ClearCounts()
+    bin_region, tray_region = _inside(ctx.base, bin, s), _inside(ctx.base, tray, s)
+    regions = (
+        (look, bin_region),
         (look, _beside(ctx.base, bin, table, (bin, tray), s)),
         (look_at_tray, _beside(ctx.base, tray, table, (bin, tray), s)),
     )
     while True:
         if ctx.cancel.is_set():
             return _ended(tally, ErrorCode.PREEMPTED, "cancelled")
-        here = _first_not_empty(ctx, grounds, s)
+        here = _first_not_empty(ctx, regions, s)
         if isinstance(here, Outcome):
             return _ended(tally, here.code, here.message)
         if tally.in_a_row >= s.most_misses or tally.picks >= s.most_picks:
             last = f"{tally.in_a_row} picks in a row brought nothing"
             if tally.in_a_row < s.most_misses:
                 last = f"{tally.picks} picks are all that was allowed"
-            where = f"{here.count} {here.ground.name}"
+            where = f"{here.count} {here.region.name}"
             return _ended(tally, ErrorCode.FAILURE, f"given up, {last}; pieces still seen: {where}")
         _remember_heap(ctx, here)
         grasp, outcome = _pick(ctx, gripper, here, bin, tally, s)
         if grasp is not None and outcome.ok:
-            outcome = _put(ctx, gripper, grasp, here.ground, bin, tray_ground, look_at_tray, tally, s)
+            outcome = _put(ctx, gripper, grasp, here.region, bin, tray_region, look_at_tray, tally, s)
         if outcome.code is ErrorCode.PREEMPTED:
             continue
         if outcome.ok:
@@ -140,15 +140,15 @@ def clear_bin(
 _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
 
 
-def _ended(tally: Tally, code: ErrorCode, message: str) -> Outcome:
+def _ended(tally: ClearCounts, code: ErrorCode, message: str) -> Outcome:
     return Outcome(code, message, tally.as_dict())
 
 
-def _inside(scene: PlanningScene, name: str, settings: ClearSettings) -> Ground:
-    """The floor of a bin or tray, its walls left out.
+def _inside(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRegion:
+    """Return the floor of a bin or tray without its walls, as a work region.
 
     Raises:
-        InputError: it stands askew.
+        InputError: it is not aligned with the world axes.
     """
     item = scene.object(name)
     frame, size_x, size_y = support_surface(item)
@@ -161,11 +161,13 @@ def _inside(scene: PlanningScene, name: str, settings: ClearSettings) -> Ground:
     half = half - wall - settings.resolution
     low, high = frame.translation[:2] - half, frame.translation[:2] + half
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
-    return Ground(f"in {name}", corner, float(frame.translation[2]))
+    return WorkRegion(f"in {name}", corner, float(frame.translation[2]))
 
 
-def _beside(scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: ClearSettings) -> Ground:
-    """The table around a bin or tray, without what stands on it."""
+def _beside(
+    scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: ClearSettings
+) -> WorkRegion:
+    """Return the table around a bin or tray, without the objects on it, as a work region."""
     frame, size_x, size_y = support_surface(scene.object(table))
     half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2
     (x0, y0), (x1, y1) = _outline(scene.object(name), s.hand_room)
@@ -173,11 +175,11 @@ def _beside(scene: PlanningScene, name: str, table: str, others: tuple[str, ...]
     high = np.minimum(frame.translation[:2] + half, (x1, y1))
     corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
     without = tuple(_outline(scene.object(n), 2 * s.resolution) for n in others)
-    return Ground(f"beside {name}", corner, float(frame.translation[2]), without)
+    return WorkRegion(f"beside {name}", corner, float(frame.translation[2]), without)
 
 
 def _outline(item: CollisionObject, room: float) -> Rectangle:
-    """The rectangle around an object in the world, and some room."""
+    """Return the rectangle around an object in the world frame, enlarged by a margin [m]."""
     low, high = item.bounds()
     corners = np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -189,19 +191,22 @@ def _outline(item: CollisionObject, room: float) -> Rectangle:
 
 # --- looking ---
 def _first_not_empty(
-    ctx: TaskContext, grounds: Sequence[tuple[Look, Ground]], s: ClearSettings
-) -> Seen | Outcome:
-    """The first ground on which something is seen; an outcome where nothing is, or there is no picture."""
-    for look, ground in grounds:
-        seen = _look(ctx, look, ground, s)
+    ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: ClearSettings
+) -> RegionView | Outcome:
+    """Return the first region with visible pieces.
+
+    Return an outcome instead if all regions are empty or an image is missing.
+    """
+    for look, region in regions:
+        seen = _look(ctx, look, region, s)
         if isinstance(seen, Outcome) or seen.count:
             return seen
     return Outcome(ErrorCode.SUCCESS)
 
 
-def _look(ctx: TaskContext, look: Look, ground: Ground, s: ClearSettings) -> Seen | Outcome:
-    """A ground in a new picture, or why there is none."""
-    report = StageReport(f"look {ground.name}", started_s=ctx.driver.now)
+def _look(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) -> RegionView | Outcome:
+    """Return the view of a region in a new image, or an outcome if there is no usable image."""
+    report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()
     trouble = unusable(image, s.max_age, ctx.driver.now)
@@ -210,18 +215,18 @@ def _look(ctx: TaskContext, look: Look, ground: Ground, s: ClearSettings) -> See
     ctx.emit("stage", report.name, phase="end", ok=report.ok)
     if trouble is not None:
         return trouble
-    (x0, y0), (x1, y1) = ground.rectangle
+    (x0, y0), (x1, y1) = region.rectangle
     room = s.hand_room
     low, high = (x0 - room, y0 - room), (x1 + room, y1 + room)
-    seen = height_map(image, ctx.scene(), low, high, ground.floor, s.resolution)
-    inside = seen.cells_within(*ground.rectangle)
-    for other in ground.without:
+    seen = height_map(image, ctx.scene(), low, high, region.floor, s.resolution)
+    inside = seen.cells_within(*region.rectangle)
+    for other in region.without:
         inside &= ~seen.cells_within(*other)
-    return Seen(ground, seen, pieces(seen, inside, ground.floor + s.above_floor))
+    return RegionView(region, seen, pieces(seen, inside, region.floor + s.above_floor))
 
 
-def _remember_heap(ctx: TaskContext, seen: Seen) -> None:
-    """What was seen, as points in the planning scene."""
+def _remember_heap(ctx: TaskContext, seen: RegionView) -> None:
+    """Add the seen pieces to the planning scene as a point cloud."""
     points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
     cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
 
@@ -234,34 +239,34 @@ def _remember_heap(ctx: TaskContext, seen: Seen) -> None:
 
 # --- moving ---
 def _pick(
-    ctx: TaskContext, gripper: Gripper, here: Seen, bin: str, tally: Tally, s: ClearSettings
+    ctx: TaskContext, gripper: Gripper, here: RegionView, bin: str, tally: ClearCounts, s: ClearSettings
 ) -> tuple[HeapGrasp | None, Outcome]:
-    """The best grasp that can be reached, lifted; None where nothing was tried."""
+    """Lift a piece with the best reachable grasp; None if no grasp was tried."""
     hand, grasps = hand_of(ctx.base.model, gripper), []
     for how in (s.grasps, _closer(s.grasps, 2), _closer(s.grasps, 3)):
-        grasps = grasps_from_above(here.map, here.labels, here.ground.floor, hand, s.force, how, tally.avoid)
+        grasps = grasps_from_above(here.map, here.labels, here.region.floor, hand, s.force, how, tally.avoid)
         if grasps:
             break
     if not grasps:
         tally.unplanned += 1
-        text = f"{here.count} pieces {here.ground.name}, the hand fits around none of them"
+        text = f"{here.count} pieces {here.region.name}, the hand fits around none of them"
         return None, Outcome(ErrorCode.PLANNING_FAILED, text)
     t = ctx.settings
     stages: list[Stage] = [
         ChooseFromHeap(grasps, gripper, t.near, t.approach_distance),
         Connect("move to pre-grasp", gripper.arm_group, t.free, target="pre_grasp"),
-        Planned("approach", "after_approach"),
-        CloseOnHeap(gripper, here.ground.floor, t.grasp_settle, s.thinnest),
+        AppendPlannedMotion("approach", "after_approach"),
+        CloseOnHeap(gripper, here.region.floor, t.grasp_settle, s.thinnest),
         Straight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
                  allow=((HELD, (HEAP, bin)), (HEAP, gripper.hand_links))),
     ]  # fmt: skip
-    draft, outcome = planned(ctx, stages, f"pick {here.ground.name}")
-    if draft is None:
+    solution, outcome = planned(ctx, stages, f"pick {here.region.name}")
+    if solution is None:
         tally.unplanned += 1
         return None, outcome
-    grasp: HeapGrasp = draft.data["grasp"]
+    grasp: HeapGrasp = solution.data["grasp"]
     tally.picks += 1
-    outcome = perform_all(ctx, (*draft.steps, StillThere(gripper, s.thinnest)))
+    outcome = perform_all(ctx, (*solution.steps, StillThere(gripper, s.thinnest)))
     if not outcome.ok and outcome.code is not ErrorCode.PREEMPTED:
         tally.missed += 1
         at, y = grasp.T_object_tcp.translation, grasp.T_object_tcp.rotation.matrix[:, 1]
@@ -271,7 +276,7 @@ def _pick(
 
 
 def _closer(settings: AboveSettings, times: int) -> AboveSettings:
-    """For what stands close to a wall: with so many times less room, more turns, and corners too."""
+    """Return settings for pieces near a wall: less margin, more orientations, corner contacts."""
     return replace(
         settings,
         room=settings.room / times,
@@ -281,10 +286,10 @@ def _closer(settings: AboveSettings, times: int) -> AboveSettings:
 
 
 def _give_way(ctx: TaskContext, gripper: Gripper, opening: float, bin: str, s: ClearSettings) -> None:
-    """Let go and go straight up, as far as it goes; then out of the camera's view.
+    """Open the fingers, retreat straight up as far as possible, then leave the camera's view.
 
-    The fingers open where they press on something, and no farther than there was room before they closed:
-    they may stand elsewhere by now, and what lay beside them too.
+    The fingers open only if they press on an object, and at most to their opening before the grasp: the hand
+    or the neighboring pieces may have moved since.
     """
     empty_handed(ctx)
     t, reading = ctx.settings, ctx.driver.gripper(gripper.name)
@@ -293,27 +298,27 @@ def _give_way(ctx: TaskContext, gripper: Gripper, opening: float, bin: str, s: C
         Grip("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
     touching = ((HEAP, gripper.hand_links), (bin, gripper.hand_links))
     up = Straight("retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift), allow=touching)
-    draft, _ = planned(ctx, [up], "retreat")
-    if draft is not None:
-        perform_all(ctx, draft.steps)
+    solution, _ = planned(ctx, [up], "retreat")
+    if solution is not None:
+        perform_all(ctx, solution.steps)
     _out_of_view(ctx, gripper)
 
 
 def _out_of_view(ctx: TaskContext, gripper: Gripper) -> None:
-    """To the first named state of the arm that there is a way to."""
+    """Move the arm to its first named state that is reachable."""
     for name in ctx.base.model.named_states.get(gripper.arm_group, {}):
         stage = Connect(f"move to {name}", gripper.arm_group, ctx.settings.free, goal=NamedGoal(name))
-        draft, _ = planned(ctx, [stage], f"move to {name}")
-        if draft is not None:
-            perform_all(ctx, draft.steps)
+        solution, _ = planned(ctx, [stage], f"move to {name}")
+        if solution is not None:
+            perform_all(ctx, solution.steps)
             return
 
 
 def _put(
-    ctx: TaskContext, gripper: Gripper, grasp: HeapGrasp, source: Ground, bin: str, tray: Ground, look: Look,
-    tally: Tally, s: ClearSettings,
+    ctx: TaskContext, gripper: Gripper, grasp: HeapGrasp, source: WorkRegion, bin: str, tray: WorkRegion,
+    look: Look, tally: ClearCounts, s: ClearSettings,
 ) -> Outcome:  # fmt: skip
-    """Let go of what is held where the tray is lowest; FAILURE where it is full."""
+    """Release the held object at the lowest point of the tray; FAILURE if the tray is full."""
     seen = _look(ctx, look, tray, s)
     if isinstance(seen, Outcome):
         return seen
@@ -327,15 +332,15 @@ def _put(
     hang = float(grasp.T_object_tcp.translation[2]) - source.floor + s.gap
     t = ctx.settings
     stages: list[Stage] = [
-        ChooseSpot(spots, hang, gripper, t.near, t.lower_distance),
+        ChooseReleasePoint(spots, hang, gripper, t.near, t.lower_distance),
         Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
-        Planned("lower", "after_lower"),
+        AppendPlannedMotion("lower", "after_lower"),
         OpenAbove(gripper, t.release_margin, t.release_settle, s.thinnest),
         Straight("retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, t.retreat_distance)),
     ]  # fmt: skip
-    draft, outcome = planned(ctx, stages, f"put {tray.name}")
-    if draft is not None:
-        outcome = perform_all(ctx, draft.steps)
+    solution, outcome = planned(ctx, stages, f"put {tray.name}")
+    if solution is not None:
+        outcome = perform_all(ctx, solution.steps)
         if outcome.ok:
             tally.put += 1
             return outcome
@@ -349,26 +354,28 @@ def _put(
 
 
 def _lay_back(ctx: TaskContext, gripper: Gripper, grasp: HeapGrasp, bin: str, s: ClearSettings) -> None:
-    """Down again, the way it was lifted, and open."""
+    """Lower the object along its lift path and release it."""
     touching = ((HELD, (HEAP, bin)), (HEAP, gripper.hand_links))
     down = (0.0, 0.0, s.gap - s.lift)
     stage = Straight("lay back", gripper.arm_group, gripper.tcp_link, ctx.settings.near, down, allow=touching)
-    draft, _ = planned(ctx, [stage], "lay back")
-    if draft is not None:
-        perform_all(ctx, draft.steps)
+    solution, _ = planned(ctx, [stage], "lay back")
+    if solution is not None:
+        perform_all(ctx, solution.steps)
     _give_way(ctx, gripper, grasp.opening, bin, s)
 
 
-def _lowest(tray: Seen, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
-    """Places of the tray (x, y, the highest point near them), the lowest first, then the farthest from what
-    lies there."""
+def _lowest(tray: RegionView, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
+    """Return release points of the tray as (x, y, highest z nearby), lowest first.
+
+    Points of equal height are sorted by their distance from objects, farthest first.
+    """
     from scipy.ndimage import distance_transform_edt, maximum_filter
 
     map, r = tray.map, s.spot_radius
-    (x0, y0), (x1, y1) = tray.ground.rectangle
+    (x0, y0), (x1, y1) = tray.region.rectangle
     size = 2 * int(np.ceil(r / map.resolution)) + 1
-    inside = map.cells_within(*tray.ground.rectangle)
-    heights = np.where(inside, map.heights, tray.ground.floor)
+    inside = map.cells_within(*tray.region.rectangle)
+    heights = np.where(inside, map.heights, tray.region.floor)
     under = maximum_filter(heights, size=size)
     room = np.asarray(distance_transform_edt(tray.labels < 0)) * map.resolution
     middle = map.cells_within((x0 + r, y0 + r), (x1 - r, y1 - r))

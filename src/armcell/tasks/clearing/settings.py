@@ -1,4 +1,4 @@
-"""Numbers of clearing a bin."""
+"""Settings of bin clearing."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from armcell.grasping import AboveSettings
 @dataclass(frozen=True)
 @checked()
 class ClearSettings:
-    """Of clearing a bin by what a camera sees. Lengths in metres."""
+    """Settings of bin clearing by camera; lengths in meters."""
 
-    force: float = 30.0  # [N] per finger: nothing is known of weights
-    lift: float = 0.20  # from the bin
-    above_floor: float = 0.007  # what rises less is the floor
-    resolution: float = 0.003  # of the map of heights
-    hand_room: float = 0.12  # around the bin that the map shows too: where the hand's back will be
-    gap: float = 0.012  # between what is held and what is under it when the fingers open
-    spot_radius: float = 0.05  # around the middle of a place that shall be low
-    pile: float = 0.10  # above the tray's floor: where it is higher everywhere, the tray is full
-    most_misses: int = 8  # picks in a row that bring nothing
+    force: float = 30.0  # [N] per finger, because weights are unknown
+    lift: float = 0.20  # lift height above the grasp
+    above_floor: float = 0.007  # lower points belong to the floor
+    resolution: float = 0.003  # cell size of the height map
+    hand_room: float = 0.12  # mapped margin around the bin, for the back of the hand
+    gap: float = 0.012  # between the held object and the surface below when the fingers open
+    spot_radius: float = 0.05  # radius of the low area around a release point
+    pile: float = 0.10  # above the tray's floor; the tray is full if all points are higher
+    most_misses: int = 8  # maximum number of failed picks in a row
     most_picks: int = 60
-    thinnest: float = 0.0015  # fingers closer together hold nothing
-    max_age: float = 0.5  # [s] of a picture
+    thinnest: float = 0.0015  # fingers closer together are empty
+    max_age: float = 0.5  # [s] maximum age of an image
     grasps: AboveSettings = AboveSettings()
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Steps with something in the hand that nobody knows: what is felt is all there is."""
+"""Steps with an unknown object in the hand, based on the gripper's readings only."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import DONE, Grip, not_held, staged
 
 HELD = "held thing"
-"""Name in the planning scene of what the hand holds."""
+"""Name of the held object in the planning scene."""
 
 
 @dataclass(frozen=True, eq=False)
-class Squeeze:
-    """Close until the fingers press on something [N] or meet; from here on that something is in the scene."""
+class GripUntilForce:
+    """Step that closes until the fingers press with a force [N] or meet.
+
+    It adds the object to the planning scene.
+    """
 
     gripper: Gripper
     force: float
     settle: float
     thinnest: float  # [m]
-    shape: Shape  # of what is thought to be between the fingers
+    shape: Shape  # assumed shape between the fingers
     T_tcp_shape: SE3
     name: str = "close"
 
@@ -58,7 +61,7 @@ class Squeeze:
 
 @dataclass(frozen=True, eq=False)
 class StillThere:
-    """Is there still something between the fingers?"""
+    """Step that checks whether an object is still between the fingers."""
 
     gripper: Gripper
     thinnest: float  # [m]
@@ -72,7 +75,7 @@ class StillThere:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Open to a width [m]; nothing is held any more."""
+    """Step that opens to a width [m] and removes the held object from the scene."""
 
     gripper: Gripper
     width: float
@@ -85,12 +88,12 @@ class Drop:
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Whether a gripper that was told to close is kept open by something."""
+    """Return whether an object keeps a closing gripper open."""
     return reading.width > thinnest and reading.force_per_finger > 1.0
 
 
 def empty_handed(ctx: TaskContext) -> None:
-    """The planning scene without what was held."""
+    """Remove the held object from the planning scene."""
 
     def empty(scene: PlanningScene) -> PlanningScene:
         scene = scene.with_detached(HELD) if HELD in scene.attached else scene

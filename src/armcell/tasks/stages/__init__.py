@@ -1,36 +1,36 @@
-"""Stages that recipes are made of."""
+"""Stages of which recipes consist."""
 
-from armcell.tasks.stages.fingers import MoveGripper
-from armcell.tasks.stages.given import (
-    ChooseGivenGrasp,
-    ChooseGivenPlace,
-    GivenGrasp,
-    GivenPlace,
-    Leave,
+from armcell.tasks.stages.explicit_grasps import (
+    ExplicitGrasp,
+    ExplicitPlacement,
+    GripperTranslation,
     Lift,
-    Way,
+    Retreat,
+    UseGrasps,
+    UsePlacements,
 )
-from armcell.tasks.stages.grasp import ChooseGrasp, Close, Planned
-from armcell.tasks.stages.moves import Connect, Do, Straight, Upright
+from armcell.tasks.stages.fingers import MoveGripper
+from armcell.tasks.stages.grasp import AppendPlannedMotion, ChooseGrasp, Close
+from armcell.tasks.stages.moves import Connect, RunSteps, Straight, Upright
 from armcell.tasks.stages.place import ChoosePlacement, ExpectSupport, Open
 
 __all__ = [
-    "ChooseGivenGrasp",
-    "ChooseGivenPlace",
+    "AppendPlannedMotion",
     "ChooseGrasp",
     "ChoosePlacement",
     "Close",
     "Connect",
-    "Do",
     "ExpectSupport",
-    "GivenGrasp",
-    "GivenPlace",
-    "Leave",
+    "ExplicitGrasp",
+    "ExplicitPlacement",
+    "GripperTranslation",
     "Lift",
     "MoveGripper",
     "Open",
-    "Planned",
+    "Retreat",
+    "RunSteps",
     "Straight",
     "Upright",
-    "Way",
+    "UseGrasps",
+    "UsePlacements",
 ]

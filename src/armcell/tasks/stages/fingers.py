@@ -1,4 +1,4 @@
-"""Fingers that move to a width, and what they would touch on the way."""
+"""Gripper motions to a width, and the check for collisions of the fingers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armcell.core import InputError, JointTrajectory
 from armcell.core.checks import checked
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.search import Draft, Planning
+from armcell.tasks.search import PartialSolution, Planning
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import Grip
 from armcell.timing.chords import chords
@@ -21,7 +21,10 @@ from armcell.timing.chords import chords
 @dataclass(frozen=True, eq=False)
 @checked()
 class MoveGripper:
-    """Drive a gripper to a width [m], the arm at rest (or moving: in a `Merger`)."""
+    """Stage that moves a gripper to a width [m] while the arm rests.
+
+    In a `Merger`, the arm may move meanwhile.
+    """
 
     name: str
     gripper: Gripper
@@ -33,20 +36,22 @@ class MoveGripper:
             text = f"width is {self.width * 1000:.1f} mm, it must be above 0 and at most {most:.1f} mm"
             raise InputError(text, element=self.name)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
         grip = Grip(self.name, self.gripper, self.width, self.gripper.max_force)
-        if reason := fingers_meanwhile(draft.scene, [grip]):
+        if reason := finger_collision(solution.scene, [grip]):
             planning.reject(self.name, "", reason)
             return
-        yield draft.then(grip, scene=draft.scene.with_state(finger_state(self.gripper, self.width)))
+        yield solution.then(grip, scene=solution.scene.with_state(finger_state(self.gripper, self.width)))
 
 
-def fingers_meanwhile(
+def finger_collision(
     scene: PlanningScene, grips: Sequence[Grip], trajectory: JointTrajectory | None = None
 ) -> str:
-    """What fingers would touch on the way to their widths while the arm moves, whenever they get there.
+    """Return the possible contact of fingers that move to their widths, as text.
 
-    Empty where it is proven that they touch nothing.
+    The check holds for any finger speed and during an arm motion.
+
+    Empty if the motion is certified collision-free.
     """
     names = tuple(g.gripper.joint_name for g in grips)
     columns = scene.model.columns(names)
@@ -61,5 +66,5 @@ def fingers_meanwhile(
     proof = KernelChecker(scene.with_padding(0.0), joints).certify(points, room)
     if proof.free:
         return ""
-    what = proof.contact.describe() if proof.contact else "no more is known"
+    what = proof.contact.describe() if proof.contact else "no contact found"
     return f"not proven free while the fingers move: {what}"

@@ -1,4 +1,4 @@
-"""Stages of picking: choose a grasp with its straight approach, close."""
+"""Stages of picking: choose a grasp with its straight approach, close the hand."""
 
 from __future__ import annotations
 
@@ -15,58 +15,58 @@ from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.interfaces import holding
 from armcell.tasks.proof import Proof, prove, varied
-from armcell.tasks.search import Draft, Planning
+from armcell.tasks.search import PartialSolution, Planning
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.moves import shifted, straight
-from armcell.tasks.stages.reach import Reaching
+from armcell.tasks.stages.reach import ReachEstimator
 from armcell.tasks.steps import Expect, Grip, Hold, Motion, Watch
 from armcell.timing import reversed_in_time
 
-SOLUTIONS_PER_POSE = 3  # arm configurations tried for one pose
+SOLUTIONS_PER_POSE = 3  # IK solutions tried per pose
 APPROACH = ("grasp", "candidate", "pre_grasp", "approach", "after_approach")
-"""What `approaches` gives to later stages."""
-Sieve = Callable[[PlanningScene], Callable[[Grasp], str]]
-"""From a scene, what says of a grasp why what comes later cannot be done with it; empty where it may."""
-SECONDS_BESIDES = 3.0  # [s] of a pick that are the same for every grasp: so long is approaching and closing
+"""Names that `approaches` provides to later stages."""
+GraspFilter = Callable[[PlanningScene], Callable[[Grasp], str]]
+"""Maps a scene to a function that returns why a grasp is unusable for later stages; empty if usable."""
+SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach and closing)
 
 
 @dataclass(frozen=True, eq=False)
 class ChooseGrasp:
-    """Grasp candidates whose approach is a free straight line. Planned backwards: from the grasp out."""
+    """Stage that proposes grasps with a free straight approach, planned backward."""
 
     object: str
     gripper: Gripper
     speed: Speed
     distance: float  # [m] of the approach
     excluded: tuple[str, ...] = ()
-    wider: int = 1  # so many times as many candidates, where what comes next allows few
-    among: tuple[str, ...] = ()  # names of the only grasps to be used; all where empty
-    sieve: Sieve | None = None  # asked before any arm and any proof
+    wider: int = 1  # factor on the number of candidates if later stages reject many
+    among: tuple[str, ...] = ()  # names of the allowed grasps; empty: all
+    grasp_filter: GraspFilter | None = None  # applied before IK and proofs
     name: str = "grasp"
-    gives = (*APPROACH, "proof")
+    provides = (*APPROACH, "proof")
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        item, s = draft.scene.object(self.object), planning.settings
-        grasps, rejected = grasp_candidates(item, hand_of(draft.scene.model, self.gripper))
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        item, s = solution.scene.object(self.object), planning.settings
+        grasps, rejected = grasp_candidates(item, hand_of(solution.scene.model, self.gripper))
         grasps = [g for g in grasps if g.name not in self.excluded]
         if self.among:
             grasps, rejected = [g for g in grasps if g.name in self.among], []
-        why_not = self.sieve(draft.scene) if self.sieve is not None else None
-        if why_not is not None:  # before any is proven: that takes longest
+        why_not = self.grasp_filter(solution.scene) if self.grasp_filter is not None else None
+        if why_not is not None:  # before the proofs, which take longest
             grasps = self._sifted(planning, grasps, why_not)
         proofs: dict[str, Proof] = {}
         if s.prove_grasps and grasps:
-            grasps, proofs = self._proven(draft, planning, item, grasps)
+            grasps, proofs = self._proven(solution, planning, item, grasps)
         else:
-            reaching = Reaching(draft.scene, self.gripper, self.distance, planning.seed)
-            q = draft.scene.positions[reaching.ik.columns]
+            reaching = ReachEstimator(solution.scene, self.gripper, self.distance, planning.seed)
+            q = solution.scene.positions[reaching.ik.columns]
             near = reaching.nearest_first(item.T_world_object, grasps, q, s.free)
             grasps[: len(near)] = [reach.grasp for reach in near]
-        if why_not is not None and proofs:  # last what leads on only if nothing turns in the hand
+        if why_not is not None and proofs:  # last: grasps that fail later if the object turns in the hand
             grasps.sort(key=lambda g: any(why_not(turned) for turned in _turned(proofs[g.name])))
         for grasp in grasps[: s.max_candidates * self.wider]:
-            yield from self._approaches(draft, planning, grasp, proofs.get(grasp.name))
-        for rejection in sorted(rejected, key=how_near):  # after those that came farther
+            yield from self._approaches(solution, planning, grasp, proofs.get(grasp.name))
+        for rejection in sorted(rejected, key=how_near):  # after the candidates that passed more tests
             planning.reject(self.name, rejection.name, rejection.reason)
 
     def _sifted(
@@ -81,14 +81,17 @@ class ChooseGrasp:
         return kept
 
     def _proven(
-        self, draft: Draft, planning: Planning, item: CollisionObject, grasps: list[Grasp]
+        self, solution: PartialSolution, planning: Planning, item: CollisionObject, grasps: list[Grasp]
     ) -> tuple[list[Grasp], dict[str, Proof]]:
-        """Reachable grasps, the greatest P(success) x reachability / time first, and their proofs."""
-        s, model, gripper = planning.settings, draft.scene.model, self.gripper
+        """Return reachable grasps with their proofs, best first.
+
+        The order is by P(success) x reachability / time.
+        """
+        s, model, gripper = planning.settings, solution.scene.model, self.gripper
         worth: dict[str, float] = {}
         reached = []
         for grasp in varied(grasps, 3 * s.prove_grasps):
-            opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
+            opened = solution.scene.with_state(finger_state(gripper, grasp.opening))
             scene = opened.with_allowed(self.object, gripper.hand_links)
             T_world_tcp = item.T_world_object @ grasp.T_object_tcp
             arms = list(reachable(scene, gripper, T_world_tcp, planning, self.name, grasp.name))
@@ -103,36 +106,40 @@ class ChooseGrasp:
         return reached, proofs
 
     def _approaches(
-        self, draft: Draft, planning: Planning, grasp: Grasp, proof: Proof | None
-    ) -> Iterator[Draft]:
+        self, solution: PartialSolution, planning: Planning, grasp: Grasp, proof: Proof | None
+    ) -> Iterator[PartialSolution]:
         def back(at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
-            result = self._backwards(at_grasp, T_world_tcp, self.distance)
+            result = self._backward(at_grasp, T_world_tcp, self.distance)
             least = planning.settings.least_approach
             if not result.ok and self.distance > least:
-                result = self._backwards(at_grasp, T_world_tcp, least)
+                result = self._backward(at_grasp, T_world_tcp, least)
             return result
 
-        for found in approaches(draft, planning, self.name, self.object, self.gripper, grasp, back):
+        for found in approaches(solution, planning, self.name, self.object, self.gripper, grasp, back):
             yield found.then(proof=proof)
 
-    def _backwards(self, at_grasp: PlanningScene, T_world_tcp: SE3, distance: float) -> PlanResult:
+    def _backward(self, at_grasp: PlanningScene, T_world_tcp: SE3, distance: float) -> PlanResult:
         back = shifted(T_world_tcp, (0.0, 0.0, -distance), in_own_frame=True)
         return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
 
 
 def approaches(
-    draft: Draft, planning: Planning, stage: str, item: str, gripper: Gripper, grasp: Grasp,
+    solution: PartialSolution, planning: Planning, stage: str, item: str, gripper: Gripper, grasp: Grasp,
     back: Callable[[PlanningScene, SE3], PlanResult],
-) -> Iterator[Draft]:  # fmt: skip
-    """Ways to come to a grasp, each ending in another arm state; what cannot be is rejected by reason.
+) -> Iterator[PartialSolution]:  # fmt: skip
+    """Yield solutions with an approach to a grasp, one per arm state.
+
+    Arm states without an approach are rejected with a reason.
 
     Args:
-        back: plans the approach backwards, from (the scene at the grasp, T_world_tcp there).
+        back: plans the approach backward, from (the scene at the grasp, T_world_tcp).
     """
-    opened = draft.scene.with_state(finger_state(gripper, grasp.opening))
+    opened = solution.scene.with_state(finger_state(gripper, grasp.opening))
     scene = opened.with_allowed(item, gripper.hand_links)
     T_world_tcp = scene.object(item).T_world_object @ grasp.T_object_tcp
-    expected = () if scene.object(item).has_cloud else (Expect(item, gripper.finger_links),)  # no body
+    expected = (
+        () if scene.object(item).has_cloud else (Expect(item, gripper.finger_links),)
+    )  # clouds have no body
     found = False
     for arm in reachable(scene, gripper, T_world_tcp, planning, stage, grasp.name):
         at_grasp = scene.with_state(arm)
@@ -142,7 +149,7 @@ def approaches(
             continue
         found = True
         approach = reversed_in_time(result.trajectory)
-        yield draft.then(
+        yield solution.then(
             Grip("open", gripper, grasp.opening, gripper.max_force),
             *expected,
             scene=opened,
@@ -165,41 +172,47 @@ def approaches(
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
-    """Append a motion that an earlier stage has planned (`data[motion]`), leading to `data[scene]`."""
+class AppendPlannedMotion:
+    """Stage that appends a motion planned by an earlier stage.
+
+    The motion is `data[motion]`; it leads to the scene `data[scene]`.
+    """
 
     motion: str
     scene: str
     name: str = "planned"
 
     @property
-    def needs(self) -> tuple[str, ...]:
+    def requires(self) -> tuple[str, ...]:
         return self.motion, self.scene
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        yield draft.then(draft.data[self.motion], scene=draft.data[self.scene])
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        yield solution.then(solution.data[self.motion], scene=solution.data[self.scene])
 
 
 @dataclass(frozen=True, eq=False)
 class Close:
-    """Close on the object; from here on it is attached, and may leave what it stands on."""
+    """Stage that closes the hand on the object and attaches the object.
+
+    The object may then leave its supports.
+    """
 
     object: str
     gripper: Gripper
     supports: tuple[str, ...]
     settle: float
     name: str = "close"
-    needs = ("grasp",)
+    requires = ("grasp",)
 
     @property
-    def gives(self) -> tuple[str, ...]:
+    def provides(self) -> tuple[str, ...]:
         return (holding(self.object),)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        grasp: Grasp = draft.data["grasp"]
-        scene = draft.scene.with_state(finger_state(self.gripper, grasp.width))
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        grasp: Grasp = solution.data["grasp"]
+        scene = solution.scene.with_state(finger_state(self.gripper, grasp.width))
         scene = scene.with_attached(self.object, self.gripper.tcp_link, self.gripper.hand_links)
-        yield draft.then(
+        yield solution.then(
             Grip("close", self.gripper, 0.0, grasp.force, self.settle),
             Hold(self.object, self.gripper),
             Watch(self.object, self.supports),
@@ -208,7 +221,7 @@ class Close:
 
 
 def _turned(proof: Proof) -> Iterator[Grasp]:
-    """A grasp as it may be after the object has turned about the pads by as much as it did in its trials."""
+    """Yield a grasp after the object has turned about the pads as far as in its trials."""
     T = proof.grasp.T_object_tcp
     for angle in (-proof.turn, proof.turn):
         turn = SE3.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, angle, 0.0))
@@ -216,10 +229,10 @@ def _turned(proof: Proof) -> Iterator[Grasp]:
 
 
 def _seconds(scene: PlanningScene, arm: JointState) -> float:
-    """Least time [s] to move there at full speed, straight through whatever is in between."""
+    """Return the least time [s] to an arm state at full speed, ignoring obstacles."""
     columns = scene.model.columns(arm.joint_names)
-    way = np.abs(arm.positions - scene.positions[columns])
-    return float(np.max(way / scene.model.limits(arm.joint_names, "velocity")))
+    distance = np.abs(arm.positions - scene.positions[columns])
+    return float(np.max(distance / scene.model.limits(arm.joint_names, "velocity")))
 
 
 def finger_state(gripper: Gripper, width: float) -> JointState:
@@ -229,7 +242,7 @@ def finger_state(gripper: Gripper, width: float) -> JointState:
 def reachable(
     scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
 ) -> Iterator[JointState]:
-    """Arm states with the tcp at a pose and nothing touching; the rest is rejected by reason."""
+    """Yield collision-free arm states with the TCP at a pose; reject the others with a reason."""
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     checker = ExactChecker(scene, ik.joint_names)
     rng = np.random.default_rng(planning.seed)

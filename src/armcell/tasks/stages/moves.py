@@ -1,4 +1,4 @@
-"""Stages that move: connect by free-space planning, or in a straight line."""
+"""Stages with motions: collision-free planning (`Connect`) or a straight line (`Straight`)."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from armcell.core import (
 from armcell.core.checks import checked, require
 from armcell.planning import plan, plan_cartesian
 from armcell.scene import PlanningScene
-from armcell.tasks.search import Draft, Planning
+from armcell.tasks.search import PartialSolution, Planning
 from armcell.tasks.settings import Speed
 from armcell.tasks.steps import Motion, Step
 
-LEAST_LEFT = 0.1  # share of a plan's time for which it is not worth beginning again
-MOST_AGAIN = 20  # times that a plan is begun, should a planner wait for something that is not the processor
+LEAST_LEFT = 0.1  # share of the planning time below which a new attempt is not worthwhile
+MOST_AGAIN = 20  # limit of attempts, in case a planner waits without using the CPU
 SEED_STEP = 1_000_003
 
 
 @dataclass(frozen=True)
 class Upright:
-    """An object that may lean no farther [rad] on the way from how it stands or hangs when that begins."""
+    """Limit of an object's tilt [rad] during a motion, relative to the start orientation."""
 
     object: str
     lean: float
@@ -49,14 +49,14 @@ class Upright:
         require(0 < self.lean < np.pi / 2, f"lean is {self.lean:g} rad, it must be above 0 and below pi / 2")
 
     def constraints(self, scene: PlanningScene) -> Constraints:
-        """With the object's axis that is nearest to the vertical kept near it; about it, it may turn."""
+        """Return constraints that keep the object's most vertical axis vertical."""
         R = scene.object(self.object).T_world_object.rotation.matrix
         k = int(np.argmax(np.abs(R[2])))
         axis, up = R[:, k], np.array([0.0, 0.0, np.sign(R[2, k])])
         across = np.cross(axis, up)
         sine = float(np.linalg.norm(across))
         turn = SO3.exp(across / sine * np.arctan2(sine, axis @ up)) if sine > 1e-9 else SO3.identity()
-        tolerance = [self.lean / np.sqrt(2)] * 3  # about two axes: together no more than `lean`
+        tolerance = [self.lean / np.sqrt(2)] * 3  # two axes together: at most `lean`
         tolerance[k] = np.pi
         x, y, z = tolerance
         return Constraints(orientations=(OrientationConstraint(turn @ SO3(R), (x, y, z), link=self.object),))
@@ -64,36 +64,35 @@ class Upright:
 
 @dataclass(frozen=True, eq=False)
 class Connect:
-    """Plan from where the draft is to joint positions an earlier stage left in `data[target]`,
-    or to a goal."""
+    """Stage that plans a collision-free motion to joint positions `data[target]` or a goal."""
 
     name: str
     group: str
     speed: Speed
     target: str | None = None
     goal: Goal | None = None
-    upright: Upright | None = None  # what is carried stays so all along the motion
+    upright: Upright | None = None  # limits the tilt of a carried object
 
     @property
-    def needs(self) -> tuple[str, ...]:
+    def requires(self) -> tuple[str, ...]:
         return () if self.goal is not None else (self.target or "a goal",)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        names = draft.scene.model.group(self.group).joint_names
-        goal = self.goal or JointGoal(JointState(names, draft.data[self.target or ""]))
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        names = solution.scene.model.group(self.group).joint_names
+        goal = self.goal or JointGoal(JointState(names, solution.data[self.target or ""]))
         seconds = min(planning.settings.planning_time, planning.time_left)
         request = PlanRequest(
             self.group, (goal,), planner_id=planning.settings.planner_id,
             planning_time=max(seconds, 0.01), velocity_scaling=self.speed.velocity,
             acceleration_scaling=self.speed.acceleration, seed=planning.seed,
-            path_constraints=self.upright.constraints(draft.scene) if self.upright else Constraints(),
+            path_constraints=self.upright.constraints(solution.scene) if self.upright else Constraints(),
         )  # fmt: skip
-        result, last = _planned(draft.scene, request, planning)
-        yield from moved(draft, planning, self.name, result, result, asked=_asked(last, goal))
+        result, last = _planned(solution.scene, request, planning)
+        yield from moved(solution, planning, self.name, result, result, asked=_asked(last, goal))
 
 
 def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
-    """What a record keeps of a request."""
+    """Return the request's data for the record."""
     return {
         "goal": goal_data(goal), "planner_id": request.planner_id, "seed": request.seed,
         "attempts": request.attempts, "planning_time_limit_s": request.planning_time,
@@ -101,7 +100,7 @@ def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
 
 
 def goal_data(goal: Goal) -> Any:
-    """What a record keeps of a goal."""
+    """Return the goal's data for the record."""
     match goal:
         case NamedGoal():
             return goal.name
@@ -116,8 +115,11 @@ def goal_data(goal: Goal) -> Any:
 def _planned(
     scene: PlanningScene, request: PlanRequest, planning: Planning
 ) -> tuple[PlanResult, PlanRequest]:
-    """A plan within so much CPU time, and the request that it answers. Planners look at the wall clock, which
-    runs on while other programs have the processor: what they did not get they get then, with other seeds."""
+    """Plan within the request's CPU time; return the result with the last request.
+
+    Planners stop by the wall clock, which also runs while other programs use the CPU. The remaining CPU time
+    is therefore used for further attempts with other seeds.
+    """
     began, last = time.thread_time(), request
     result = plan(scene, request, planning.cancel)
     for again in range(1, MOST_AGAIN):
@@ -133,7 +135,7 @@ def _planned(
 @dataclass(frozen=True, eq=False)
 @checked()
 class Straight:
-    """Move the tip in a straight line from where the draft is."""
+    """Stage that moves the tip along a straight line from its present pose."""
 
     name: str
     group: str
@@ -143,22 +145,22 @@ class Straight:
     in_tip_frame: bool = False
     allow: tuple[tuple[str, tuple[str, ...]], ...] = ()  # contacts allowed during this motion only
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        scene = with_contacts(draft.scene, self.allow)
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        scene = with_contacts(solution.scene, self.allow)
         target = shifted(scene.frame_pose(self.link), self.offset, self.in_tip_frame)
         result = straight(scene, self.group, self.link, target, self.speed)
-        yield from moved(draft, planning, self.name, result, planned_in=scene)
+        yield from moved(solution, planning, self.name, result, planned_in=scene)
 
 
 @dataclass(frozen=True, eq=False)
-class Do:
-    """Steps that need no planning."""
+class RunSteps:
+    """Stage that appends steps without planning."""
 
     name: str
     steps: tuple[Step, ...]
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        yield draft.then(*self.steps)
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        yield solution.then(*self.steps)
 
 
 def straight(scene: PlanningScene, group: str, link: str, target: SE3, speed: Speed) -> PlanResult:
@@ -184,33 +186,34 @@ def with_contacts(scene: PlanningScene, allow: tuple[tuple[str, tuple[str, ...]]
 
 
 def moved(
-    draft: Draft, planning: Planning, name: str, result: PlanResult, outcome: Outcome | None = None,
-    planned_in: PlanningScene | None = None, asked: Mapping[str, Any] = MappingProxyType({}),
-) -> Iterator[Draft]:  # fmt: skip
-    """The draft after a planned motion, if that was found; else the candidate is rejected.
+    solution: PartialSolution, planning: Planning, name: str, result: PlanResult,
+    outcome: Outcome | None = None, planned_in: PlanningScene | None = None,
+    asked: Mapping[str, Any] = MappingProxyType({}),
+) -> Iterator[PartialSolution]:  # fmt: skip
+    """Yield the solution extended by a planned motion; without a motion, reject the candidate.
 
     Args:
-        outcome: of a motion from where the robot is, for its code. Not of one from a candidate's state: that
-            such a start is in collision is no reason to give up all.
-        planned_in: the draft's scene with the contacts of this motion, where it has such.
-        asked: of the planner, for the record.
+        outcome: result of a motion from the robot's present state, for its code. Omit it for a motion from a
+            candidate's state: a collision at such a start must not end the whole search.
+        planned_in: the scene with the contacts allowed during this motion, if there are any.
+        asked: data of the request, for the record.
     """
     trajectory = result.trajectory
     if not result.ok or trajectory is None:
-        planning.reject(name, draft.data.get("candidate", ""), result.message, outcome)
+        planning.reject(name, solution.data.get("candidate", ""), result.message, outcome)
         return
-    scene = draft.scene if planned_in is None else planned_in
+    scene = solution.scene if planned_in is None else planned_in
     motion = Motion(
         name, trajectory, result.planner_id, result.planning_time, result.min_clearance, scene,
         {**asked, **result.evidence},
     )  # fmt: skip
-    yield draft.then(motion, scene=draft.scene.with_state(trajectory.end))
+    yield solution.then(motion, scene=solution.scene.with_state(trajectory.end))
 
 
 __all__ = [
     "Connect",
-    "Do",
     "NamedGoal",
+    "RunSteps",
     "Straight",
     "Upright",
     "moved",

@@ -1,4 +1,4 @@
-"""Stages of placing: choose a placement with its straight way down, open."""
+"""Stages of placing: choose a placement with its straight descent, open the hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armcell.grasping import RELEASE_GAP, Grasp, Hand, Placement, hand_of, place
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.interfaces import holding
-from armcell.tasks.search import Draft, Planning
+from armcell.tasks.search import PartialSolution, Planning
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.stages.moves import straight
@@ -21,51 +21,56 @@ from armcell.tasks.steps import Expect, Grip, Motion, Release, Step, StillHeld, 
 from armcell.timing import reversed_in_time
 
 UP = (0.0, 0.0, 1.0)
-IK_OFF = 1e-4  # [m] that an arm may hold it otherwise than the grasp says
+IK_OFF = 1e-4  # [m] tolerance of the IK solution
 NO_SIDE = "it does not stand with that side up"
 DESCENT = ("candidate", "pre_place", "lower", "after_lower")
-"""What `ways_down` gives to later stages."""
+"""Names that `descents` provides to later stages."""
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class ChoosePlacement:
-    """Place candidates on a support that the arm reaches by a free straight line from above: along the
-    surface's normal, or straight down where that is not possible."""
+    """Stage that proposes placements that the arm reaches by a free straight descent.
+
+    The descent follows the surface normal, or the vertical if that is impossible.
+    """
 
     object: str
     support: str
     gripper: Gripper
     speed: Speed
-    distance: float  # [m] of the way down
+    distance: float  # [m] length of the descent
     at: tuple[float, float] | None = None
-    up: Vector | None = None  # direction in the object's frame that shall be up; as it stands where None
-    among: tuple[Placement, ...] = ()  # the only placements to be used; all that there are where empty
+    up: Vector | None = (
+        None  # direction in the object's frame that must point up; None: keep the present side
+    )
+    among: tuple[Placement, ...] = ()  # the allowed placements; empty: all
     name: str = "placement"
-    gives = (*DESCENT, "placement")
+    provides = (*DESCENT, "placement")
 
     @property
-    def needs(self) -> tuple[str, ...]:
+    def requires(self) -> tuple[str, ...]:
         return (holding(self.object),)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        scene = draft.scene
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        scene = solution.scene
         candidates = self._candidates(scene)
         if not candidates:
             planning.reject(self.name, self.object, NO_SIDE)
         for placement in candidates[: planning.settings.max_candidates]:
-            yield from self._ways_down(draft, planning, placement)
+            yield from self._descents(solution, planning, placement)
 
     def _candidates(self, scene: PlanningScene) -> Sequence[Placement]:
         item, support = scene.object(self.object), scene.object(self.support)
         return self.among or place_candidates(item, support, self.at, up=self.up)
 
     def why_not(self, scene: PlanningScene, most: int) -> Callable[[Grasp], str]:
-        """What says of a grasp that with it the hand would be inside the support at the first `most` places.
+        """Return a test that rejects grasps with which the hand would intersect the support.
 
         Args:
-            scene: with the object before it is grasped, turned as it will be.
+            scene: the scene before the grasp, with the object's present orientation.
+            most: number of placements that the test considers.
         """
         hand, places = hand_of(scene.model, self.gripper), self._candidates(scene)[:most]
         surfaces = [surface_of_place(scene.object(self.support), place) for place in places]
@@ -81,43 +86,55 @@ class ChoosePlacement:
 
         return ask
 
-    def _ways_down(self, draft: Draft, planning: Planning, placement: Placement) -> Iterator[Draft]:
+    def _descents(
+        self, solution: PartialSolution, planning: Planning, placement: Placement
+    ) -> Iterator[PartialSolution]:
         gripper = self.gripper
-        T_tcp_object = draft.scene.frame_pose(gripper.tcp_link).inv() @ draft.scene.frame_pose(self.object)
+        T_tcp_object = solution.scene.frame_pose(gripper.tcp_link).inv() @ solution.scene.frame_pose(
+            self.object
+        )
         T_world_tcp = placement.above(RELEASE_GAP) @ T_tcp_object.inv()
-        surface = surface_of_place(draft.scene.object(self.support), placement)
-        deep = hand_in_support(hand_of(draft.scene.model, gripper), T_world_tcp, surface)
-        if deep > 0:  # said before any arm is asked
+        surface = surface_of_place(solution.scene.object(self.support), placement)
+        deep = hand_in_support(hand_of(solution.scene.model, gripper), T_world_tcp, surface)
+        if deep > 0:  # tested before IK
             text = f"the hand would be inside {self.support}: {deep * 1000:.0f} mm"
             planning.reject(self.name, placement.name, text)
             return
-        scene = draft.scene.with_allowed(self.object, self.support)
+        scene = solution.scene.with_allowed(self.object, self.support)
 
         def up(at_place: PlanningScene) -> PlanResult:
             result = off(at_place, placement.normal)
             return result if result.ok or placement.normal == UP else off(at_place, UP)
 
-        def off(at_place: PlanningScene, way: Vector) -> PlanResult:
-            x, y, z = (self.distance * w for w in way)
+        def off(at_place: PlanningScene, direction: Vector) -> PlanResult:
+            x, y, z = (self.distance * w for w in direction)
             above = T_world_tcp.shifted(x, y, z)
             return straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
 
-        yield from ways_down(
-            draft, planning, scene, gripper, T_world_tcp, self.name, placement.name, up, placement=placement
+        yield from descents(
+            solution,
+            planning,
+            scene,
+            gripper,
+            T_world_tcp,
+            self.name,
+            placement.name,
+            up,
+            placement=placement,
         )
 
 
 Surface = tuple[SE3, float, float]
-"""The frame (z along its normal) and the size x, y [m] of what an object is put on."""
+"""Frame (z along the normal) and size x, y [m] of a support surface."""
 
 
 def surface_of_place(support: CollisionObject, placement: Placement) -> Surface:
-    """The surface that a placement is on."""
+    """Return the support surface of a placement."""
     return support_surface(support, float(np.arccos(min(placement.normal[2], 1.0))) + 1e-6)
 
 
 def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
-    """How far [m] a hand's corners would be below a surface, where that is."""
+    """Return the depth [m] of a hand's lowest corner below a surface; <= 0 if it is clear."""
     low, high = hand.boxes[:, :3], hand.boxes[:, 3:]
     corners = np.concatenate([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
     frame, size_x, size_y = surface
@@ -126,16 +143,18 @@ def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
     return float(-at[above, 2].min()) if above.any() else 0.0
 
 
-def ways_down(
-    draft: Draft, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, stage: str,
-    candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
-) -> Iterator[Draft]:  # fmt: skip
-    """Ways to come down to a place, each ending in another arm state; what cannot be is rejected by reason.
+def descents(
+    solution: PartialSolution, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3,
+    stage: str, candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
+) -> Iterator[PartialSolution]:  # fmt: skip
+    """Yield solutions with a descent to a placement, one per arm state.
+
+    Arm states without a descent are rejected with a reason.
 
     Args:
-        scene: with the contacts of the place allowed.
-        up: plans the way backwards, from the scene at the place.
-        steps, data: for the drafts, besides `candidate`, `pre_place`, `lower` and `after_lower`.
+        scene: the scene with the contacts of the placement allowed.
+        up: plans the descent backward, from the scene at the placement.
+        steps, data: additions to the solutions, besides `candidate`, `pre_place`, `lower` and `after_lower`.
     """
     for arm in reachable(scene, gripper, T_world_tcp, planning, stage, candidate):
         result = up(scene.with_state(arm))
@@ -143,7 +162,7 @@ def ways_down(
             planning.reject("lower", candidate, result.message)
             continue
         lower = reversed_in_time(result.trajectory)
-        yield draft.then(
+        yield solution.then(
             *steps,
             candidate=candidate,
             pre_place=lower.positions[0],
@@ -156,36 +175,36 @@ def ways_down(
                 scene,
                 {"planned": "backwards", **result.evidence},
             ),
-            after_lower=draft.scene.with_state(arm),
+            after_lower=solution.scene.with_state(arm),
             **data,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Open:
-    """Open wide enough to leave; the object belongs to the world again."""
+    """Stage that opens the hand wide enough to retreat, and detaches the object."""
 
     object: str
     support: str
     gripper: Gripper
-    margin: float  # [m] wider than now, if there is room
+    margin: float  # [m] wider than now, if there is space
     settle: float
     name: str = "open"
 
     @property
-    def needs(self) -> tuple[str, ...]:
+    def requires(self) -> tuple[str, ...]:
         return (holding(self.object),)
 
     @property
-    def takes(self) -> tuple[str, ...]:
+    def consumes(self) -> tuple[str, ...]:
         return (holding(self.object),)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        now = self.gripper.width(draft.scene.state[self.gripper.joint_name])
-        detached = draft.scene.with_detached(self.object)
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        now = self.gripper.width(solution.scene.state[self.gripper.joint_name])
+        detached = solution.scene.with_detached(self.object)
         widths = [min(now + share * self.margin, self.gripper.max_width) for share in (1.0, 0.5, 0.25)]
-        for width in dict.fromkeys(widths):  # less where a finger would open into something
-            yield draft.then(
+        for width in dict.fromkeys(widths):  # less if a finger would collide
+            yield solution.then(
                 StillHeld(self.object, self.gripper),
                 Grip("open", self.gripper, width, self.gripper.max_force, self.settle),
                 Release(self.object),
@@ -196,7 +215,7 @@ class Open:
 
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """The object has come along; from here on it may touch its support."""
+    """Stage that checks that the hand holds the object and allows contact with its support."""
 
     object: str
     support: str
@@ -204,8 +223,8 @@ class ExpectSupport:
     name: str = "expect support"
 
     @property
-    def needs(self) -> tuple[str, ...]:
+    def requires(self) -> tuple[str, ...]:
         return (holding(self.object),)
 
-    def drafts(self, draft: Draft, planning: Planning) -> Iterator[Draft]:
-        yield draft.then(StillHeld(self.object, self.gripper), Expect(self.object, (self.support,)))
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        yield solution.then(StillHeld(self.object, self.gripper), Expect(self.object, (self.support,)))

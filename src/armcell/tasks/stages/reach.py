@@ -1,4 +1,4 @@
-"""How far an arm is from grasps, by the time that it takes; of grasps that are alike the nearest first."""
+"""Estimates of the time from an arm's state to grasps, for sorting equally good grasps."""
 
 from __future__ import annotations
 
@@ -12,31 +12,34 @@ from armcell.core import SE3
 from armcell.grasping import Grasp
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.model import Gripper
-from armcell.planning.industrial.ptp import synchronous
+from armcell.planning import synchronized_profile
 from armcell.scene import PlanningScene
 from armcell.tasks.settings import Speed
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.02  # of score that grasps may be worse than the best and are as good: the arm takes the nearest
+ALIKE = 0.02  # score difference below which grasps count as equally good
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """A grasp, and the arm's positions (n,) before its approach; the time to there in empty space."""
+    """Grasp with the arm's positions (n,) before its approach, and the travel time to them.
+
+    The time ignores obstacles.
+    """
 
     grasp: Grasp
-    q: Array | None  # None: out of reach
+    q: Array | None  # None: unreachable
     seconds: float  # [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Reaching:
-    """An arm on its ways from where it is to grasps and places, as if nothing stood between."""
+class ReachEstimator:
+    """Estimator of an arm's motions to grasps and placements, ignoring obstacles."""
 
     scene: PlanningScene
     gripper: Gripper
-    distance: float  # [m] before a grasp, along its approach, where the way ends
+    distance: float  # [m] before the grasp, along its approach, where the motion ends
     seed: int = 0
 
     @property
@@ -46,10 +49,10 @@ class Reaching:
     def nearest_first(
         self, T_world_object: SE3, grasps: Sequence[Grasp], q: Array, speed: Speed
     ) -> list[Reach]:
-        """Those of the grasps, the best first, that are alike: a cube has them on four sides.
+        """Return the equally good best grasps (for example on a cube's four sides), nearest first.
 
         Args:
-            q: positions (n,) of the arm that the way begins at.
+            q: start positions (n,) of the arm.
         """
         found = []
         for grasp in grasps:
@@ -61,17 +64,17 @@ class Reaching:
         return sorted(found, key=lambda reach: reach.seconds)
 
     def to(self, T_world_tcp: SE3, q: Array) -> Array | None:
-        """Positions (n,) of the arm with its tcp at a pose, near those (n,) it has; None if out of reach."""
+        """Return positions (n,) with the TCP at a pose, close to q (n,); None if unreachable."""
         reference = self.scene.positions.copy()
         reference[self.ik.columns] = q
         rng = np.random.default_rng(self.seed)
         return next(self.ik.solutions(T_world_tcp, reference, rng), None)
 
     def seconds(self, q: Array, to: Array, speed: Speed) -> float:
-        """The least time [s] of a motion straight in the joints' space, at shares of their limits."""
+        """Return the least time [s] of a straight joint-space motion at shares of the joint limits."""
         if not np.any(to != q):
             return 0.0
         model, names = self.scene.model, self.ik.joint_names
         acceleration = model.limits(names, "acceleration") * speed.acceleration
         velocity = model.limits(names, "velocity") * speed.velocity
-        return synchronous(to - q, velocity, acceleration, acceleration).duration
+        return synchronized_profile(to - q, velocity, acceleration, acceleration).duration

@@ -1,6 +1,6 @@
-"""Recipes and stages as nodes of py_trees' behaviour trees, so that recovery logic can be drawn and changed.
+"""Recipes and stages as nodes of py_trees behavior trees, for custom recovery logic.
 
-Needs the extra `trees` (pip install 'armcell[trees]').
+Requires the extra `trees` (pip install 'armcell[trees]').
 """
 
 from armcell.core import MissingExtraError

@@ -1,4 +1,4 @@
-"""A tree as text and as a graph, and what its nodes say."""
+"""Behavior trees as text and graphs, and failure messages of their nodes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from py_trees.common import Status
 
 
 def drawn(root: Behaviour, status: bool = True) -> str:
-    """The tree as text, with each node's status and feedback message."""
+    """Return a behavior tree as text, with each node's status and feedback message."""
     return display.ascii_tree(root, show_status=status).rstrip("\n")
 
 
 def as_dot(root: Behaviour) -> str:
-    """The tree as a graph for Graphviz (`dot -Tsvg`)."""
+    """Return a behavior tree as a graph in Graphviz format (`dot -Tsvg`)."""
     return display.dot_tree(root).to_string()
 
 
 def reasons(root: Behaviour) -> list[str]:
-    """Why it failed: the leaves that did when they ended last, each with what it said."""
+    """Return the feedback messages of the leaves that failed in the last run."""
     return [
         f"{node.name}: {node.feedback_message}"
         for node in root.iterate()
@@ -27,5 +27,5 @@ def reasons(root: Behaviour) -> list[str]:
 
 
 def _failed(node: Behaviour) -> bool:
-    outcome = getattr(node, "outcome", None)  # composites with memory forget the status of what they are past
+    outcome = getattr(node, "outcome", None)  # composites with memory reset the status of finished children
     return node.status is Status.FAILURE if outcome is None else not outcome.ok

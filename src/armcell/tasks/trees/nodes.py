@@ -1,4 +1,4 @@
-"""Two kinds of nodes: what takes time (a recipe, many ticks long) and what is known at once (a check)."""
+"""Behavior tree nodes: `Act` for recipes over many ticks, `Check` for immediate results."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from armcell.core.checks import require
 from armcell.tasks.context import TaskContext
 from armcell.tasks.trees.draw import reasons
 
-TICK = 0.1  # [s] of the driver's clock that a node may take before it gives the tree its turn
+TICK = 0.1  # [s] duration of a tick on the driver's clock
 Recipe = Callable[[TaskContext], Outcome]
 
 _at_work: WeakKeyDictionary[TaskContext, Behaviour] = WeakKeyDictionary()
-"""The node that moves a cell just now: one at a time, or its clock would run past the other's motion."""
+"""Node that currently moves a cell: only one at a time, because all nodes share the cell's clock."""
 
 
 class Act(Behaviour):
-    """A recipe: RUNNING while it goes on, then SUCCESS or FAILURE with its reason as the feedback message.
+    """Behavior that runs a recipe: RUNNING, then SUCCESS or FAILURE with its reason as feedback.
 
-    A tick lasts until `tick` seconds of the driver's clock have passed or the recipe has ended; planning
-    takes no time of that clock. The recipe runs in a thread of its own, but only while a tick waits for it:
-    the same seed gives the same run. Where the tree turns to something else, the arm is stopped.
+    A tick ends after `tick` seconds of the driver's clock or when the recipe ends; planning takes no time of
+    that clock. The recipe has its own thread, which runs only during ticks, so equal seeds give equal runs.
+    If the tree switches to another branch, the arm is stopped.
 
     Attributes:
-        outcome: of the last time it ended; None before that.
+        outcome: outcome of the last run; None before the first.
     """
 
     def __init__(self, name: str, ctx: TaskContext, recipe: Recipe, tick: float = TICK):
@@ -55,7 +55,7 @@ class Act(Behaviour):
         assert self._turn is not None
         try:
             outcome = self._turn.step(self._tick)
-        except InputError as error:  # what a recipe refuses is a reason as any other, to a tree
+        except InputError as error:  # for a tree, an input error is a failure like any other
             outcome = Outcome(ErrorCode.FAILURE, str(error))
         if outcome is None:
             self.feedback_message = self._turn.stage
@@ -65,7 +65,7 @@ class Act(Behaviour):
         return Status.SUCCESS if outcome.ok else Status.FAILURE
 
     def terminate(self, new_status: Status) -> None:
-        """The recipe has ended, or is ended because the tree turned away from it."""
+        """Clean up after the recipe has ended, or stop it because the tree left this branch."""
         if self._turn is not None:
             self._turn.stop()
             self._turn = None
@@ -74,7 +74,7 @@ class Act(Behaviour):
 
 
 class Check(Behaviour):
-    """Something that is known at once: a question to the scene, or a look with a camera."""
+    """Behavior with an immediate result: a question to the scene, or a camera look."""
 
     def __init__(self, name: str, ask: Callable[[], Outcome]):
         super().__init__(name)
@@ -88,10 +88,10 @@ class Check(Behaviour):
 
 
 class _Turn:
-    """A recipe in a thread that works only while `step` waits for it. It observes its cell to know when."""
+    """Recipe in a thread that runs only during `step`; observes its cell to follow the clock."""
 
     def __init__(self, ctx: TaskContext, recipe: Recipe):
-        self.stage = ""  # that is performed
+        self.stage = ""  # name of the running stage
         self._ctx, self._recipe = ctx, recipe
         self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
         self._until = 0.0
@@ -102,7 +102,11 @@ class _Turn:
         ctx.observers.append(self)
 
     def step(self, duration: float) -> Outcome | None:
-        """Let it work for so long [s of the driver's clock]; its outcome if it has ended."""
+        """Run the recipe for a duration [s of the driver's clock].
+
+        Returns:
+            The recipe's outcome if it has ended, else None.
+        """
         self._until = self._ctx.driver.now + duration
         self._go.release()
         self._back.acquire()
@@ -114,7 +118,7 @@ class _Turn:
         return self._outcome
 
     def stop(self) -> None:
-        """Cancel it and wait until it has ended."""
+        """Cancel the recipe and wait for its end."""
         if not self._thread.is_alive():
             return
         cancelled = self._ctx.cancel.is_set()
@@ -134,11 +138,11 @@ class _Turn:
         self._go.acquire()
         try:
             self._outcome = self._recipe(self._ctx)
-        except BaseException as error:  # raised again in the tree's thread
+        except BaseException as error:  # re-raised in the tree's thread
             self._error = error
         self._back.release()
 
-    # --- as an observer ---
+    # --- Observer ---
     def on_state(self, sample: StateSample) -> None:
         if threading.current_thread() is self._thread and sample.time >= self._until:
             self._back.release()
@@ -152,10 +156,10 @@ class _Turn:
 
 
 def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
-    """Tick a tree until it has succeeded or failed.
+    """Tick a behavior tree until it succeeds or fails.
 
     Returns:
-        SUCCESS, FAILURE with the reasons of the nodes that failed, or TIMED_OUT. Evidence: `ticks`.
+        SUCCESS, FAILURE with the reasons of the failed nodes, or TIMED_OUT. Evidence: `ticks`.
     """
     ticks = 0
     try:

@@ -1,4 +1,4 @@
-"""The recipes as nodes, and moving an object in spite of what goes wrong as a tree."""
+"""Recipes as behavior tree nodes, and `transfer` with recovery as a behavior tree."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from py_trees.composites import Selector
 from py_trees.composites import Sequence as InTurn
 from py_trees.decorators import Retry, SuccessIsFailure
 
-from armcell.collision import neighbours
+from armcell.collision import neighbors
 from armcell.core import ErrorCode, Goal, Outcome
 from armcell.grasping import surface_for
 from armcell.model import Gripper
@@ -25,40 +25,43 @@ Vector = tuple[float, float, float]
 
 
 def picking(ctx: TaskContext, item: str, gripper: Gripper, ahead: Sequence[Stage] = ()) -> Act:
-    """`pick` as a node."""
+    """Return a behavior that runs `pick`."""
     return Act(f"pick {item}", ctx, lambda c: recipes.pick(c, item, gripper, ahead=ahead))
 
 
 def placing(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, up: Vector | None = None
 ) -> Act:
-    """`place` as a node."""
+    """Return a behavior that runs `place`."""
     return Act(f"place {item} on {on}", ctx, lambda c: recipes.place(c, item, on, at, up))
 
 
 def moving_to(ctx: TaskContext, group: str, goal: Goal | str) -> Act:
-    """`move_to` as a node."""
+    """Return a behavior that runs `move_to`."""
     name = goal if isinstance(goal, str) else type(goal).__name__
     return Act(f"move to {name}", ctx, lambda c: recipes.move_to(c, group, goal))
 
 
 def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequence[Stage]]) -> Act:
-    """Any stages as a node: made, planned and performed when the tree comes to it."""
+    """Return a behavior that creates, plans and executes stages when the tree reaches it."""
 
     def act(c: TaskContext) -> Outcome:
-        draft, outcome = recipes.planned(c, stages(c), name)
-        return outcome if draft is None else perform_all(c, draft.steps)
+        solution, outcome = recipes.planned(c, stages(c), name)
+        return outcome if solution is None else perform_all(c, solution.steps)
 
     return Act(name, ctx, act)
 
 
 def looking(name: str, look: Look) -> Check:
-    """A look with a camera as a node, e.g. `looking("look", lambda: cell.look("above"))`."""
+    """Return a check that looks with a camera.
+
+    Example: `looking("look", lambda: cell.look("above"))`.
+    """
     return Check(name, look)
 
 
 def held(ctx: TaskContext, item: str) -> Check:
-    """Whether an object is in a hand: held by the task, and still felt."""
+    """Return a check that the task and the gripper's sensors report an object as held."""
 
     def ask() -> Outcome:
         holding = ctx.holding.get(item)
@@ -72,13 +75,13 @@ def held(ctx: TaskContext, item: str) -> Check:
 def rests_on(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
 ) -> Check:
-    """Whether an object stands on another one, and near a point of its surface [m]."""
+    """Return a check that an object rests on another one, near a point of its surface [m]."""
 
     def ask() -> Outcome:
         scene = ctx.scene()
         if item in ctx.holding or item not in scene.objects:
             return Outcome(ErrorCode.FAILURE, f"{item} is {'held' if item in ctx.holding else 'not seen'}")
-        if on not in neighbours(scene, item):
+        if on not in neighbors(scene, item):
             return Outcome(ErrorCode.FAILURE, f"{item} does not stand on {on}")
         if at is not None:
             frame = surface_for(scene.object(item), scene.object(on))[0]
@@ -95,9 +98,10 @@ def transferring(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
     up: Vector | None = None, look: Look | None = None, settings: RecoverySettings = RecoverySettings(),
 ) -> Behaviour:  # fmt: skip
-    """What `transfer` does, as a tree: until the object stands there, from wherever it is.
+    """Return a behavior tree that does what `transfer` does: moves an object to its goal.
 
-    It tries `settings.tries` times; between two tries things come to rest and the open hand steps back.
+    The tree makes up to `settings.tries` attempts. Between attempts objects come to rest and the open hand
+    retreats.
     """
     fetch: Behaviour = picking(ctx, item, gripper)
     if look is not None:

@@ -1,4 +1,4 @@
-"""Empty the bin into the tray, from what two cameras see."""
+"""Clear the bin into the tray; two cameras detect the objects."""
 
 
 def task(cell):

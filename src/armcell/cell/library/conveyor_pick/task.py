@@ -1,8 +1,8 @@
-"""Take one box after the other from the running belt and put it into the tray."""
+"""Pick boxes one after the other from a moving conveyor belt and place them in the tray."""
 
 from armcell.tasks import checked
 
-NEAR = -0.55  # [m] a box that has come so far can be met
+NEAR = -0.55  # [m] y position from which the arm can reach a box
 
 
 def task(cell):

@@ -1,4 +1,4 @@
-"""Both arms take a rod by its ends, lift, move and turn it, and put it down across the table."""
+"""Two arms grasp a rod by its ends, lift, move and turn it, and place it across the table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from armcell.core import SE3, ErrorCode, Outcome
 from armcell.tasks import checked, shifted
 
-TARGET = SE3.from_xyz_rpy((0.0, -0.08, 0.946), (0.0, 0.0, 0.2))  # half a millimetre above the rests
+TARGET = SE3.from_xyz_rpy((0.0, -0.08, 0.946), (0.0, 0.0, 0.2))  # 0.5 mm above the rests
 HEIGHT = 0.2  # [m]
 
 

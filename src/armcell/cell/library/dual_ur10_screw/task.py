@@ -1,11 +1,11 @@
-"""The left arm holds a beam, the right one drives a bolt into it in two strokes."""
+"""The left arm holds a beam while the right arm screws a bolt into it in two strokes."""
 
 from __future__ import annotations
 
 from armcell.core import ErrorCode, JointGoal, JointState, Outcome
 from armcell.tasks import checked
 
-STROKES, TURNS, FORCE = 2, 0.75, 8.0  # strokes of the wrist, turns in each, [N] to press with
+STROKES, TURNS, FORCE = 2, 0.75, 8.0  # strokes of the wrist, turns per stroke, pressing force [N]
 
 
 def task(cell):
@@ -14,7 +14,7 @@ def task(cell):
     home = cell.model.named_state("right_arm", "home")
     ready = JointGoal(
         home.updated(JointState.from_mapping({"right_wrist_3_joint": -2.6}))
-    )  # the wrist turned back
+    )  # wrist turned back to start a stroke
     beam = cell.scene().object("beam").T_world_object
     done = []
     for _ in range(STROKES):

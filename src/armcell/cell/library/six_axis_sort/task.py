@@ -1,4 +1,4 @@
-"""Everything red to the red mat, everything blue to the blue one."""
+"""Sort red objects onto the red mat and blue objects onto the blue mat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Universal Robots arms, in pure Python: state over RTDE, motion by a program of ours on the robot."""
+"""Driver for Universal Robots arms in pure Python: state by RTDE, motion by a robot program."""
 
 from armcell.control.drivers.ur.driver import UrDriver
 

@@ -1,4 +1,4 @@
-"""One real arm: its state, its program, and what is wrong with it."""
+"""One real UR arm: its state, its robot program, and its faults."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from armcell.core import ArmcellError, InputError, JointTrajectory
 
 Array = NDArray[np.float64]
 
-HALTED_WITHIN = 3.0  # [s] of a halt until the robot has been told for sure
+HALTED_WITHIN = 3.0  # [s] time limit for a halt to reach the robot
+NEXT_STATE = 0.03  # [s] in which at least two states arrive; 125 Hz controllers send one every 8 ms
 MENDED_BY_RESUME = ("program ended", "stale state")
-FARTHEST = 0.3  # [s] from the last state to a point that is sent
+FARTHEST = 0.3  # [s] largest time from the last state to a streamed setpoint
 INPUTS = (("speed_slider_mask", "speed_slider_fraction"),)
 _RELEASE = "release the emergency stop button, then power on and release the brakes"
 _CURES = {
@@ -39,7 +40,7 @@ _CURES = {
 
 
 class MotionLink(Protocol):
-    """What moves the arm: our program on the robot, or another library's; see `ProgramLink`."""
+    """Connection that moves the arm: `ProgramLink` (armcell's robot program) or `RtdeLink`."""
 
     result: str
 
@@ -54,9 +55,9 @@ class MotionLink(Protocol):
 
 
 class UrArm:
-    """Connects, forwards, streams, stops. One per robot."""
+    """One real UR arm: connects, forwards trajectories, streams setpoints, and stops."""
 
-    inputs: tuple[tuple[str, ...], ...] = INPUTS  # of RTDE, by recipe
+    inputs: tuple[tuple[str, ...], ...] = INPUTS  # names of the RTDE inputs, by recipe
 
     def __init__(
         self, name: str, joint_names: Sequence[str], settings: ArmSettings, limits: RealSettings,
@@ -67,13 +68,14 @@ class UrArm:
         self._limits = limits
         self.step = 1.0 / identity.model.frequency  # [s]
         self._rtde = RtdeClient(settings.host, identity.model.frequency, self.inputs, lambda _: on_state())
+        self._broken_at: float | None = None  # [s, monotonic] when the program's link was found broken
         self._link = self._made_link(ProgramSettings(limits.watchdog, limits.stop_deceleration))
-        self.armed = False  # the program runs and the supervisor minds it
+        self.armed = False  # the program runs under supervision
         self._session = 0
-        self._streamed = 0.0  # when a servo target was last sent
+        self._streamed = 0.0  # monotonic time of the last streamed setpoint
         self._no_force = np.zeros(6)
         self._halting: threading.Thread | None = None
-        self._unsent_slider: float | None = None  # set while the link was lost
+        self._unsent_slider: float | None = None  # requested while the link was lost
 
     def _made_link(self, settings: ProgramSettings) -> MotionLink:
         own = self.settings
@@ -81,19 +83,19 @@ class UrArm:
 
     # --- connection ---
     def connect(self) -> None:
-        """State and program. The arm stays where it is.
+        """Connect to the arm's state (RTDE) and start the robot program; the arm does not move.
 
         Raises:
-            InputError: with the cause and the cure.
+            InputError: the connection failed; the message states the cause and the remedy.
         """
         self._rtde.connect()
         self.start_program()
 
     def start_program(self) -> None:
-        """(Re)start our program on the robot; the connection to its state is made anew if it is gone.
+        """Start or restart the robot program, and reconnect to the arm's state if the link is lost.
 
         Raises:
-            InputError: with the cause and the cure. The arm is then as it was.
+            InputError: the program did not start, and the arm stays stopped; the message states the remedy.
         """
         if self._rtde.error is not None:
             self._rtde.close()
@@ -103,11 +105,11 @@ class UrArm:
             except BaseException:
                 fresh.close()
                 raise
-            self._rtde = fresh  # with a state: until there is one, the old one says what is wrong
+            self._rtde = fresh  # replaced only once it has a state: until then the old one reports the error
         self._session = self._link.start()
         end = time.monotonic() + 1.0
         while self.state.runtime_state == RuntimeState.STOPPED and time.monotonic() < end:
-            time.sleep(0.005)  # the state that says that it runs is on its way
+            time.sleep(0.005)  # the state that reports the running program is not here yet
         self.armed = True
         if self._unsent_slider is not None:
             self.set_slider(self._unsent_slider)
@@ -118,12 +120,12 @@ class UrArm:
             self._link.send(commands.TCP, settings.tcp)
 
     def close(self) -> None:
-        """End the program and leave."""
+        """End the arm's robot program and close the connections to the robot."""
         self.armed = False
         self._link.send(commands.END)
         end = time.monotonic() + 1.0
         while self._link.connected and time.monotonic() < end:
-            _interrupts.sleep(0.005)  # its stop comes first
+            _interrupts.sleep(0.005)  # the program stops the arm before it closes the link
         self._link.close()
         self._rtde.close()
 
@@ -143,7 +145,7 @@ class UrArm:
 
     @property
     def age(self) -> float:
-        """Of the state [s]."""
+        """Age of the arm's latest state [s]."""
         return self._rtde.age
 
     @property
@@ -156,7 +158,7 @@ class UrArm:
 
     @property
     def scaling(self) -> float:
-        """What slider and pause leave of the speed, 0 to 1."""
+        """Speed fraction of the arm, 0 to 1, that speed slider and pause allow."""
         return 0.0 if self.paused else float(self.state.speed_scaling)
 
     @property
@@ -165,12 +167,18 @@ class UrArm:
 
     @property
     def moving(self) -> bool:
-        """Whether something is to move it now, or it moves."""
+        """Whether the arm executes a motion, receives setpoints, or has joint speed."""
         streaming = time.monotonic() - self._streamed < 0.2
         return self._link.result == commands.RUNNING or streaming or bool(np.abs(self.qd).max() > 0.01)
 
+    @property
+    def modes(self) -> tuple[int, int]:
+        """Robot mode and safety mode of the arm, from its latest state."""
+        robot = RobotMode.DISCONNECTED if self._rtde.error is not None else self.state.robot_mode
+        return int(robot), int(self.state.safety_mode)
+
     def fault(self) -> Fault | None:
-        """What is wrong now; see `Supervised`."""
+        """Return the arm's current fault, or None; see `Supervised`."""
         if self._rtde.error is not None:
             return self._found(
                 "link lost",
@@ -195,14 +203,14 @@ class UrArm:
         moving = self.moving
         if self.armed and age > (limits.max_state_age if moving else limits.max_silence):
             return self._found("stale state", f"its state is {age * 1000:.0f} ms old", "check the network")
-        # Held up for less than the watchdog, this program has still kept the robot going; for longer it has
-        # not, whatever the robot's state may be.
+        # A delay of this process shorter than the watchdog does not stop the robot; a longer one does,
+        # whatever state the robot last reported.
         blind = self._rtde.blind
         if self.armed and blind > (limits.watchdog if moving else limits.max_silence):
             text = f"this computer was held up for {blind * 1000:.0f} ms"
             return self._found("stale state", text, "give it less to do, or priority: chrt -f 10 armcell ...")
-        stopped = self.state.runtime_state == RuntimeState.STOPPED  # its connections may outlive a program
-        if self.armed and (stopped or not self._link.connected):
+        stopped = state.runtime_state == RuntimeState.STOPPED  # connections may outlive their program
+        if self.armed and (stopped or self._link_is_broken()):
             return self._found(
                 "program ended", "our program on the robot ended or its link broke", "call resume()"
             )
@@ -211,16 +219,29 @@ class UrArm:
             return self._found("tracking error", f"{error:.3f} rad from its target", "is it blocked?")
         return None
 
+    def _link_is_broken(self) -> bool:
+        """Return whether the program's link has been broken for longer than the next states take.
+
+        A stop also ends the program, and its broken link can be read before the state with the cause.
+        """
+        now = time.monotonic()
+        if self._link.connected:
+            self._broken_at = None
+            return False
+        if self._broken_at is None:
+            self._broken_at = now
+        return now - self._broken_at > NEXT_STATE
+
     def _found(self, kind: str, text: str, cure: str) -> Fault:
         return Fault(self.name, kind, text, cure)
 
     # --- motion ---
     def forward(self, trajectory: JointTrajectory) -> int:
-        """Have the robot play a trajectory of its joints; returns the number it goes by."""
+        """Send a trajectory of the arm's joints for the robot to play; return its number."""
         return self._link.forward(trajectory.reindexed(self.joint_names), self.step)
 
     def clock(self, number: int) -> float:
-        """How far along a forwarded trajectory the robot is [s]; 0 while it has not begun it."""
+        """Return the robot's progress along a forwarded trajectory [s]; 0 before it starts."""
         state = self.state
         return float(state.output_double_register_24) if state.output_int_register_26 == number else 0.0
 
@@ -232,20 +253,25 @@ class UrArm:
         self._link.send(commands.CANCEL)
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """A point to go through at a time [s, our monotonic clock], with the speed there.
+        """Stream a setpoint to pass at a given time, with its joint speeds.
 
-        To be sent again every period. Points of the same time keep several arms together.
+        Send a new setpoint every period. Setpoints with the same time keep several arms synchronized.
+
+        Args:
+            q: joint positions (6,) [rad].
+            v: joint speeds (6,) [rad/s].
+            at: time to reach `q` [s, this computer's monotonic clock].
         """
         self._mark_streamed()
         if self._rtde.last_two is None:
             raise self._not_connected()
         before, state = self._rtde.last_two
         runs = state.output_double_register_25 > before.output_double_register_25
-        pace = self.scaling if runs else 0.0  # of the program's clock: slider and pause slow it
-        ahead = at - self._rtde.clock.offset - state.timestamp  # [s] of the robot's clock
+        pace = self.scaling if runs else 0.0  # rate of the program's clock, which slider and pause slow
+        ahead = at - self._rtde.clock.offset - state.timestamp  # [s] on the robot's clock
         ahead = min(max(ahead, 0.0), FARTHEST)
         stamp = float(state.output_double_register_25) + pace * ahead
-        fast = 1.0 / max(self.scaling, 0.05)  # on a slowed clock
+        fast = 1.0 / max(self.scaling, 0.05)  # speeds refer to the slowed clock
         self._link.servo(q, np.asarray(v) * fast, stamp)
 
     def _mark_streamed(self) -> None:
@@ -253,11 +279,14 @@ class UrArm:
 
     @property
     def time_of_state(self) -> float:
-        """When the robot measured its last state [s, our monotonic clock]."""
+        """Time at which the robot measured its latest state [s, this computer's monotonic clock]."""
         return self.state.timestamp + self._rtde.clock.offset
 
     def measured_at(self, when: float) -> tuple[Array, Array]:
-        """Positions and speeds at a time [s, our monotonic clock], between two states or at the ends."""
+        """Return positions and speeds, each (6,), at a time [s, this computer's monotonic clock].
+
+        Values are interpolated between two states and clamped at the ends of the history.
+        """
         stamp, after = when - self._rtde.clock.offset, self.state
         for state in reversed(list(self._rtde.history)):
             if state.timestamp <= stamp:
@@ -271,11 +300,11 @@ class UrArm:
 
     # --- force ---
     def zero_force(self) -> None:
-        """What is felt now counts as nothing from here on."""
+        """Zero the force measurement: subtract the mean of the latest readings from all later ones."""
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
     def force(self) -> tuple[Array, Array, Array]:
-        """Force [N] and torque [Nm] on the tool, and the point [m] that the torque is about; base frame."""
+        """Return force [N] and torque [Nm] on the tool, and the reference point [m]; base frame."""
         state = self.state
         felt = np.array(state.actual_TCP_force) - self._no_force
         tool = [0.0] * 6 if self.identity.model.e_series else state.tcp_offset
@@ -283,20 +312,20 @@ class UrArm:
         return felt[:3], felt[3:], point
 
     def beat(self) -> None:
-        """Tell the program that we are alive."""
+        """Send a keep-alive signal to the robot program."""
         self._link.send(commands.KEEP_ALIVE)
 
     def halt(self) -> None:
-        """End the program, which stops the arm; nothing goes on after it."""
+        """End the robot program, which stops the arm; no motion continues afterwards."""
         self.armed = False
         self._streamed = 0.0
         self._link.send(commands.END)
         halting = threading.Thread(target=self._make_sure, name=f"halt {self.name}", daemon=True)
         halting.start()
-        self._halting = halting  # others join it: not before it has started
+        self._halting = halting  # assigned after the start, because other threads join it
 
     def _make_sure(self) -> None:
-        """A paused program cannot hear us: the dashboard ends it, so that nothing is left to go on."""
+        """Stop the program over the dashboard: a paused program receives no commands from its link."""
         _interrupts.sleep(0.3)
         if self.armed:
             return
@@ -304,18 +333,18 @@ class UrArm:
             with DashboardClient(self.settings.host, timeout=1.0) as dashboard:
                 dashboard.ask("stop")
         except Exception:
-            pass  # not reachable: its own watchdog has stopped it
+            pass  # not reachable: the program's watchdog has stopped the arm
         if not self.armed:
             self._link.close_links()
 
     def prepare_resume(self) -> None:
-        """What a resume needs first: the same robot, which answers and may be driven.
+        """Check before a resume that the same robot answers and may be driven.
 
         Raises:
-            InputError: it is not; says what to do.
+            InputError: the check failed; the message states the remedy.
         """
         if self._halting is not None:
-            self._halting.join(HALTED_WITHIN)  # lest it end the new program instead of the old one
+            self._halting.join(HALTED_WITHIN)  # otherwise the halt could end the new program
         fault = self.fault() if self._rtde.error is None else None
         if fault is not None and fault.kind not in MENDED_BY_RESUME:
             raise InputError(f"arm {fault.arm!r}: {fault.text}", cure=fault.cure)
@@ -335,7 +364,7 @@ class UrArm:
         check_ready(self.name, found)
 
     def set_slider(self, fraction: float) -> None:
-        """The pendant's speed slider, 0 to 1. While the link is lost it is kept, and set by the resume."""
+        """Set the pendant's speed slider, 0 to 1; while the link is lost, the next resume sets it."""
         self._unsent_slider = value = float(np.clip(fraction, 0.0, 1.0))
         with contextlib.suppress(OSError):
             if self._rtde.error is None:
@@ -349,5 +378,5 @@ class UrArm:
         self._link.send(commands.STANDARD_OUT, (float(on),), pin)
 
     def digital_input(self, bit: int) -> bool:
-        """Standard inputs are bits 0 to 7, configurable ones 8 to 15, the tool's 16 and 17."""
+        """Return a digital input: bits 0-7 standard, 8-15 configurable, 16-17 tool."""
         return bool(self.state.actual_digital_input_bits >> bit & 1)

@@ -1,14 +1,15 @@
-"""A robot's factory calibration put into the kinematic model that is planned with.
+"""Apply a robot's factory calibration to the kinematic model that planners use.
 
-A UR tells its own Denavit-Hartenberg parameters, K_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) behind joint
-i's turn. A URDF has other frames: joint i's frame is C_i behind the DH frame i-1, where C_i only lays its
-axis on DH's z. So joint i+1's origin on link i is C_i^-1 K_i C_(i+1); with the robot's own K_i it is
-calibrated.
+A UR controller reports its own Denavit-Hartenberg parameters, K_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
+after the rotation of joint i. A URDF uses other frames: joint i's frame is C_i relative to DH frame i-1,
+where C_i aligns its axis with DH's z. The origin of joint i+1 on link i is therefore C_i^-1 K_i C_(i+1);
+with the robot's own K_i, the origin is calibrated.
 
-Each link may besides turn about and slide along its own joint's axis (Z_i), which changes no pose of the
-flange: neighbours take it back. That freedom is used to keep the links where they look like the nominal ones.
-It is needed: where axes are nearly parallel (shoulder, elbow, wrist 1), calibrated d may be a hundred metres,
-there and back. The same is done by ROS-Industrial's `ur_calibration`, which changes the parameters instead.
+In addition, each link may rotate about its own joint's axis and translate along it (Z_i) without changing any
+flange pose, because the neighboring links compensate. This freedom keeps the links near their nominal
+positions. It is necessary: if axes are nearly parallel (shoulder, elbow, wrist 1), calibrated values of d may
+be a hundred meters with opposite signs. ROS-Industrial's `ur_calibration` does the same by changing the
+parameters.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ from armcell.model import RobotModel
 
 Array = NDArray[np.float64]
 
-HALF_TURN = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # of the controller's base in the model's base_link
-SAME = 2e-3  # [m, rad] by which the model's axes may be off the nominal ones
-LARGEST = 0.05  # [m] that a joint may be moved: more is another robot
+HALF_TURN = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # controller's base in the model's base_link
+SAME = 2e-3  # [m, rad] largest error of the model's axes from the nominal ones
+LARGEST = 0.05  # [m] largest correction of a joint origin: more indicates another robot
 
 
 def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinematics) -> RobotModel:
-    """The model with one arm's joints where its robot has them.
+    """Return the model with one arm's joint origins replaced by the robot's calibrated ones.
 
     Args:
-        group: of the arm's six joints.
-        nominal: parameters of the arm's type.
-        own: those of this robot.
+        group: planning group of the arm's six joints.
+        nominal: DH parameters of the arm's type.
+        own: DH parameters of this robot.
     Raises:
-        InputError: the group is no arm of this type, or the calibration is of another robot.
+        InputError: the group is not an arm of this type, or the calibration belongs to another robot.
     """
     names = model.group(group).joint_names
     before = [model.joints[n] for n in names]
@@ -81,16 +82,16 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
 
 
 def _behind_joint(dh: Kinematics, i: int) -> SE3:
-    """K_i: from behind joint i's turn to the next DH frame."""
+    """Return K_i, the transform from joint i's rotated frame to the next DH frame."""
     turned = SE3(SO3.exp((0.0, 0.0, dh.theta[i])), np.array([0.0, 0.0, dh.d[i]]))
     return turned @ SE3(SO3.exp((dh.alpha[i], 0.0, 0.0)), np.array([dh.a[i], 0.0, 0.0]))
 
 
 def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
-    """C_i (6): joint i's frame seen from DH frame i-1, both with all joints at zero.
+    """Return C_i (6): each joint frame relative to DH frame i-1, with all joints at zero.
 
     Raises:
-        InputError: the model's axes are not where this type of arm has them.
+        InputError: the model's joint axes do not match this type of arm.
     """
     names, found = model.group(group).joint_names, []
     T_base_dh, T_base_joint = HALF_TURN, SE3.identity()
@@ -112,24 +113,25 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """(turn, slide): how link i is turned about its axis [rad], and how far along the next axis [m] the next
-    joint stands, for that joint to be where the nominal link has it.
+    """Return the link rotation and offset that keep the next joint near its nominal position.
 
     Args:
         own: K_i of the robot.
-        wanted: the next joint's origin behind K_i's joint by the nominal arm (3,).
-        nominal: K_i of the type.
-        slide: how far [m] link i is along its own axis already.
+        wanted: nominal origin of the next joint (3,) [m], in the frame of K_i's joint.
+        nominal: K_i of the arm's type.
+        slide: translation [m] of link i along its own axis so far.
+    Returns:
+        Rotation of link i about its axis [rad]; translation of the next joint along the next axis [m].
     """
     p, z = own.translation, own.rotation.matrix[:, 2]
     z0 = nominal.rotation.matrix[:, 2]
     wanted = wanted + np.array([0.0, 0.0, slide])
-    if abs(z0[2]) < 0.5:  # the next axis is across: its direction tells the turn
+    if abs(z0[2]) < 0.5:  # the next axis is perpendicular: its direction gives the rotation
         turn = np.arctan2(z[1], z[0]) - np.arctan2(z0[1], z0[0])
-    else:  # nearly parallel: where it goes through the height of the wanted point
+    else:  # nearly parallel: use its intersection with the plane z = wanted[2]
         through = p + z * (wanted[2] - p[2]) / z[2]
         turn = np.arctan2(through[1], through[0]) - np.arctan2(wanted[1], wanted[0])
     turn = float((turn + np.pi) % (2 * np.pi) - np.pi)
     at = SO3.exp((0.0, 0.0, turn)).matrix @ wanted
-    offset = nominal.inv().apply(wanted - np.array([0.0, 0.0, slide]))[2]  # the joint's own place on its axis
+    offset = nominal.inv().apply(wanted - np.array([0.0, 0.0, slide]))[2]  # nominal, along the joint's axis
     return turn, float((at - p) @ z - offset)

@@ -1,4 +1,4 @@
-"""The dashboard's client: power, brakes, stops and who the robot is."""
+"""Client of a UR dashboard server: power, brakes, stops, and the robot's identity."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ PORT = 29999
 
 
 class DashboardClient:
-    """A connection to a robot's dashboard. Connect and disconnect by `with`."""
+    """A connection to a robot's dashboard server; `with` connects and disconnects."""
 
     def __init__(self, host: str, port: int = PORT, timeout: float = 3.0):
         self.host, self._port, self._timeout = host, port, timeout
 
     def __enter__(self) -> DashboardClient:
-        """
+        """Connect to the dashboard server.
+
         Raises:
-            InputError: nobody there, or not a UR robot.
+            InputError: no server answers, or the server is not a UR dashboard.
         """
         try:
             self._socket = socket.create_connection((self.host, self._port), self._timeout)
@@ -44,7 +45,7 @@ class DashboardClient:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        with contextlib.suppress(OSError):  # its last bytes may not be sendable any more
+        with contextlib.suppress(OSError):  # flushing the last bytes may fail
             self._file.close()
         self._socket.close()
 
@@ -55,10 +56,10 @@ class DashboardClient:
         return line.decode("utf-8", "replace").strip()
 
     def ask(self, command: str) -> str:
-        """Send a command; its answer, one line.
+        """Send a command to the robot's dashboard and return the one-line answer.
 
         Raises:
-            ArmcellError: no answer.
+            ArmcellError: the dashboard does not answer.
         """
         try:
             self._file.write(command.encode() + b"\n")
@@ -68,17 +69,20 @@ class DashboardClient:
             raise ArmcellError(f"the dashboard of {self.host} does not answer {command!r}: {error}") from None
 
     def word(self, command: str) -> str:
-        """The answer's last word: `Robotmode: RUNNING` gives RUNNING."""
+        """Send a dashboard command and return the last word of its answer.
+
+        For example, `robotmode` is answered by `Robotmode: RUNNING`; the result is RUNNING.
+        """
         return (self.ask(command).rsplit(maxsplit=1) or [""])[-1]
 
     def version(self) -> tuple[int, ...]:
-        """Of the controller's software: major, minor, bugfix."""
+        """Return the controller's software version: major, minor, bugfix."""
         found = re.search(r"(\d+)\.(\d+)\.(\d+)", self.ask("PolyscopeVersion"))
         if found is None:
             raise ArmcellError(f"the dashboard of {self.host} does not tell its version")
         return tuple(int(n) for n in found.groups())
 
     def in_remote_control(self) -> bool | None:
-        """None where the controller knows no such thing (CB3)."""
+        """Return whether the robot is in remote control; None for CB3, which has no such mode."""
         answer = self.ask("is in remote control").lower()
         return answer == "true" if answer in ("true", "false") else None

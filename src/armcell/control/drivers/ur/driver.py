@@ -1,4 +1,4 @@
-"""Mode `real`: one or several Universal Robots arms behind the Driver protocol."""
+"""Driver for mode `real`: one or several Universal Robots arms."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from armcell.scene import PlanningScene
 
 log = logging.getLogger(__name__)
 
-SEEN_LATE = 0.06  # [s] by which a measured state may be behind
+SEEN_LATE = 0.06  # [s] largest delay of a measured state
 GRIPPER_LOST = "gripper lost"
-GRIPPER_SILENCE = 1.5  # [s] without a word of a gripper until the arms stop
-LONGEST_SKEW = 0.05  # [s] between the arms' states; beyond it the older one is taken as it is
+GRIPPER_SILENCE = 1.5  # [s] without an answer of a gripper before the arms stop
+LONGEST_SKEW = 0.05  # [s] between the arms' states; an older state is used without interpolation
 
 
 class UrDriver(SeesNoContacts):
-    """Drives real arms. Objects are where the scene says until a gripper takes them along.
+    """Driver of real UR arms; after a stop of any arm, no arm moves until `resume()`.
 
-    After a stop of any arm nothing moves until `resume()`.
+    Objects stay at their scene poses until a gripper carries them.
     """
 
     name = "real"
@@ -57,7 +57,7 @@ class UrDriver(SeesNoContacts):
         self._scene, self._model = scene, scene.model
         self._tree = kinematic_tree(scene.model)
         self.settings = real_settings(options.extra.get("real", {}), scene.model)
-        self.guard: TwinGuard | None = None  # to be set before connecting
+        self.guard: TwinGuard | None = None  # set it before connecting
         self._pingers: list[Pinger] = []
         self.period = 1.0 / 125.0
         self.latency = self.settings.stream_lead + SEEN_LATE
@@ -67,10 +67,11 @@ class UrDriver(SeesNoContacts):
         self._resuming = threading.Lock()
 
     def __enter__(self) -> UrDriver:
-        """Connect to every arm. Nothing moves.
+        """Connect to every arm without moving any.
 
         Raises:
-            InputError: wrong address, model or robot, local control, a stop, a port in use, with the cure.
+            InputError: wrong address, model or robot, local control, a stop, or a port in use; the message
+                states the remedy.
         """
         arm_kind = UrArm
         if self.settings.backend == "ur_rtde":
@@ -111,7 +112,7 @@ class UrDriver(SeesNoContacts):
         self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
         self._held: dict[str, tuple[str, SE3]] = {}
         self._forces: dict[str, float] = {}
-        self._T_world_base = {  # the controllers' bases: a model's base_link turned by half a turn
+        self._T_world_base = {  # controllers' bases: the model's base_link rotated by 180 degrees
             name: self._tree.link_pose(self._q, self._model.joints[arm.joint_names[0]].parent) @ HALF_TURN
             for name, arm in self.arms.items()
         }
@@ -124,7 +125,7 @@ class UrDriver(SeesNoContacts):
         return self
 
     def _begin_guard(self, guard: TwinGuard, supervisor: Supervisor) -> None:
-        """Have it notice every arm's network, and write down what it does."""
+        """Connect the twin guard to each arm's round-trip measurement and to the event log."""
         guard.check_calibration({name: arm.identity.calibration for name, arm in self.arms.items()})
         self._pingers = [Pinger(arm.settings.host) for arm in self.arms.values()]
         for pinger in self._pingers:
@@ -133,7 +134,8 @@ class UrDriver(SeesNoContacts):
         guard.note = supervisor.record
 
     def _connected(self) -> Supervisor:
-        """
+        """Return the supervisor of the connected arms.
+
         Raises:
             InputError: the driver is not connected.
         """
@@ -145,7 +147,10 @@ class UrDriver(SeesNoContacts):
         return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Why the twin refuses a trajectory; None if it does not, or there is none."""
+        """Dry-run a trajectory; return the twin's reason to refuse it, or None.
+
+        Without a twin, the result is always None.
+        """
         if self.guard is None:
             return None
         held = {gripper: item for gripper, (item, _) in self._held.items()}
@@ -177,7 +182,7 @@ class UrDriver(SeesNoContacts):
                 supervisor.trip(died)
 
     def _died(self) -> Fault | None:
-        """A part of this driver that has ended, or a gripper that tells nothing any more."""
+        """Return a fault if a thread of this driver has ended or a gripper no longer answers."""
         arm = next(iter(self.arms), "")
         if not self._heart.beats:
             return Fault(arm, "heart stopped", "the driver's signs of life ended", "start armcell anew")
@@ -194,7 +199,11 @@ class UrDriver(SeesNoContacts):
         return time.monotonic() - self._began
 
     def joint_state(self) -> JointState:
-        """All arms at one time: that of the arm whose last state is the oldest."""
+        """Return the state of all joints at one common time for all arms.
+
+        The common time is that of the oldest of the arms' latest states, at most `LONGEST_SKEW` before the
+        newest.
+        """
         self._connected()
         q, v = self._q.copy(), np.zeros(self._model.dof)
         times = [arm.time_of_state for arm in self.arms.values()]
@@ -208,19 +217,25 @@ class UrDriver(SeesNoContacts):
         return JointState(self._model.joint_names, q, v, time=self.now)
 
     def _due(self) -> float:
-        """[s, monotonic] until when time was let pass; now, if that is long ago."""
+        """Return the end of the last `advance` on the monotonic clock [s].
+
+        If it is more than `stream_lead` in the past, it is reset to now.
+        """
         now = time.monotonic()
-        if now - self._advanced > self.settings.stream_lead:  # too late for its points to be in time
+        if now - self._advanced > self.settings.stream_lead:  # the next setpoints would be late
             self._advanced = now
         return self._advanced
 
     @property
     def tick(self) -> float:
-        """What the next command is for [s]: even steps of `advance`, however late this program is."""
+        """Driver time [s] of the next command, which grows evenly by the durations of `advance`.
+
+        After a delay of more than `stream_lead`, it jumps to the current time.
+        """
         return self._due() - self._began
 
     def advance(self, duration: float) -> None:
-        self._advanced = self._due() + duration  # what the caller took since the last time is part of it
+        self._advanced = self._due() + duration  # includes the caller's computing time
         _interrupts.sleep(max(self._advanced - time.monotonic(), 0.0))
         q = self.joint_state().positions
         for name in self._grippers:
@@ -230,9 +245,9 @@ class UrDriver(SeesNoContacts):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Stream a target to the arms whose joints these are. Nothing is sent after a stop.
+        """Stream a target to the arms that own these joints; after a stop, no target is sent.
 
-        It is for `stream_lead` later than `tick`, on one clock for all arms.
+        The target is due `stream_lead` after `tick`, on one clock for all arms.
         """
         sent = JointState(joint_names, positions, velocities, time=self.now)  # type: ignore[arg-type]
         if self.fault() is None:
@@ -244,7 +259,10 @@ class UrDriver(SeesNoContacts):
         return sent
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """One arm plays its trajectory itself; several get it streamed by one clock."""
+        """Start a trajectory: a single arm plays it itself, several arms receive streamed setpoints.
+
+        The setpoints of several arms follow one clock.
+        """
         supervisor, fault = self._connected(), self.fault()
         if fault is not None:
             raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
@@ -255,7 +273,7 @@ class UrDriver(SeesNoContacts):
         return self._guarded(supervisor, streamed, trajectory, arms, streamed.sent_for)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
-        """As `Rehearsing.watch`."""
+        """Return a monitor that compares a streamed motion with its dry run; see `Rehearsing.watch`."""
         arms = self._arms_of(trajectory.joint_names)
         moving = Commanded(lambda: self._due() + self.settings.stream_lead)
         supervisor = self._connected()
@@ -283,31 +301,35 @@ class UrDriver(SeesNoContacts):
         return arms
 
     def stop(self) -> None:
-        """Stop every arm where it is; each then holds the measured position."""
+        """Stop every arm; each one then holds its measured position."""
         for arm in self.arms.values():
             arm.cancel()
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms whose joints these are where they are; of others, as of fingers, nothing happens."""
+        """Stop the arms that own these joints; other joints, such as fingers, are ignored."""
         for arm in self.arms.values():
             if set(joint_names) & set(arm.joint_names):
                 arm.cancel()
 
     def fault(self) -> Fault | None:
-        """Why nothing may move: what has stopped the arms and was not resumed."""
+        """Return the fault that stopped the arms and has not been cleared by a resume, or None."""
         self._look()
         return self._supervisor.tripped if self._supervisor is not None else None
 
+    def arm_modes(self) -> dict[str, tuple[int, int]]:
+        """Return (robot mode, safety mode) by arm; an arm whose link is lost is DISCONNECTED."""
+        return {name: arm.modes for name, arm in self.arms.items()}
+
     @property
     def safety_events(self) -> list[SafetyEvent]:
-        """Every stop and resume so far, with time and cause."""
+        """All stops and resumes of the arms so far, with time and cause."""
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
-        """As `Driver.resume`: connects to arms whose link was lost, and starts the program of each again.
+        """Reconnect to arms whose link was lost and restart the program of every arm.
 
         Raises:
-            InputError: something still stops an arm; says what to do. All arms stay stopped.
+            InputError: an arm cannot resume; the message states the remedy. All arms stay stopped.
         """
         with self._resuming:
             supervisor = self._connected()
@@ -329,15 +351,16 @@ class UrDriver(SeesNoContacts):
                 raise
 
     def _wait_for_grippers(self) -> None:
-        """
+        """Wait until all grippers answer again.
+
         Raises:
-            InputError: a part of this driver has ended and does not come back by itself.
+            InputError: a thread of this driver has ended, or a gripper does not reconnect in time.
         """
         end = time.monotonic() + GRIPPER_SILENCE
         while (died := self._died()) is not None:
             if died.kind != GRIPPER_LOST or time.monotonic() > end:
                 raise InputError(f"{died.arm}: {died.text}", cure=died.cure)
-            time.sleep(0.05)  # its connection is being made anew
+            time.sleep(0.05)  # the gripper's thread is reconnecting
 
     def _halt(self) -> None:
         for arm in self.arms.values():
@@ -345,7 +368,7 @@ class UrDriver(SeesNoContacts):
 
     @property
     def speed_fraction(self) -> float:
-        """What sliders and pauses leave of the speed: the slowest arm's, 0 to 1."""
+        """Speed fraction, 0 to 1, that sliders and pauses allow; the value of the slowest arm."""
         return min((arm.scaling for arm in self.arms.values()), default=1.0)
 
     # --- gripper and objects ---
@@ -362,7 +385,7 @@ class UrDriver(SeesNoContacts):
         if width > present + 1e-3:
             self._held.pop(gripper, None)
         elif not holds:
-            self.zero_wrench(gripper)  # it begins to close: nothing is in it yet
+            self.zero_wrench(gripper)  # the empty gripper begins to close
         self._forces[gripper] = force
         self._grippers[gripper].drive(width, force)
 
@@ -378,13 +401,14 @@ class UrDriver(SeesNoContacts):
         return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
-        """As `Driver.wrench`, by the arm's RTDE. Zeroed whenever the hand begins to close.
+        """Return the external wrench on a gripper, measured by its arm; see `Driver.wrench`.
 
-        A UR tells it in the axes of its base, about the TCP (CB3) or about the flange (e-Series). A CB3
-        estimates it from its motors' currents, which is coarse.
+        The measurement is zeroed whenever the hand begins to close. A UR reports the wrench in its base
+        axes, about the TCP (CB3) or about the flange (e-Series). A CB3 estimates it coarsely from motor
+        currents.
 
         Raises:
-            InputError: the gripper's arm is not a real one.
+            InputError: the gripper is not on a real arm.
         """
         g = self._model.gripper(gripper)
         arm = self._arm_of(gripper)
@@ -396,7 +420,7 @@ class UrDriver(SeesNoContacts):
         return np.concatenate([force, torque + np.cross(T.apply(point) - here, force)])
 
     def zero_wrench(self, gripper: str) -> None:
-        """What this hand feels now counts as nothing: to be called where nothing touches it."""
+        """Zero the measured wrench of a gripper; call only while nothing touches the hand."""
         self._arm_of(gripper).zero_force()
 
     def _arm_of(self, gripper: str) -> UrArm:
@@ -409,7 +433,7 @@ class UrDriver(SeesNoContacts):
         return self.arms[group]
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
-        """An object between fingers that hold something goes with them."""
+        """Update the pose of the object in a gripper that holds one."""
         holds = self._grippers[gripper].read()[1]
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
         if not holds:
@@ -435,7 +459,7 @@ class UrDriver(SeesNoContacts):
         q, v = (np.concatenate([s.values[key] for s in states]) for key in ("target_q", "target_qd"))
         return JointState(names, q, v, time=self.now)
 
-    # A real robot sees no contacts but by its own protective stops; its twin does.
+    # A real robot detects contacts only by protective stops; the twin's simulation detects all of them.
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         if self.guard is not None:
             self.guard.stage.expect_contact(body, tuple(others), expected)

@@ -1,4 +1,4 @@
-"""Grippers on a UR's tool: Robotiq's socket, or open and close by the tool's digital output."""
+"""Grippers on a UR's tool: Robotiq's socket protocol, or open/close by a digital output."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from armcell.control.drivers.ur.arm import UrArm
 from armcell.core import ArmcellError, InputError
 from armcell.model import Gripper
 
-TOOL_INPUTS = 16  # bit of the tool's first digital input
-POLL = 0.05  # [s] between questions for the position
-RECONNECT = 0.5  # [s] that an attempt to connect anew may take
+TOOL_INPUTS = 16  # bit number of the tool's first digital input
+POLL = 0.05  # [s] between position requests
+RECONNECT = 0.5  # [s] timeout of an attempt to reconnect
 
 
 class UrGripper(Protocol):
     def drive(self, width: float, force: float) -> None:
-        """Towards a width [m] with a force per finger [N]; 0 grasps."""
+        """Move the gripper toward a width [m] with a limited force per finger [N]; width 0 grasps."""
         ...
 
     def read(self) -> tuple[float, bool]:
-        """Width [m] and whether something is held."""
+        """Return the gripper's width [m] and whether it holds an object."""
         ...
 
     @property
     def silent(self) -> float:
-        """For how long it has told nothing [s]."""
+        """Time since the gripper's last answer [s]."""
         ...
 
     def close(self) -> None: ...
 
 
 class SocketGripper:
-    """A gripper behind a URCap's port in Robotiq's words. A thread keeps asking where it is."""
+    """A gripper with Robotiq's socket protocol on a URCap's port; a thread polls its state."""
 
     def __init__(self, host: str, port: int, gripper: Gripper):
         self._gripper, self._lock = gripper, threading.Lock()
@@ -72,7 +72,7 @@ class SocketGripper:
         return (1.0 - position / 255) * self._gripper.max_width, holds
 
     def _watch(self) -> None:
-        """Asks again and again; a connection that broke is made anew, which moves nothing."""
+        """Poll the gripper's state; reconnect after a lost connection, without moving the gripper."""
         while self._open:
             try:
                 self._reading = self._read_now()
@@ -106,7 +106,7 @@ class SocketGripper:
 
 
 class ToolGripper:
-    """Opens and closes fully: output 0 of the tool closes it, its input 0 says that it holds something."""
+    """A gripper that opens and closes fully: tool output 0 closes, tool input 0 reports a grasp."""
 
     def __init__(self, arm: UrArm, gripper: Gripper):
         self._arm, self._gripper, self._closed = arm, gripper, False
@@ -117,7 +117,7 @@ class ToolGripper:
 
     @property
     def silent(self) -> float:
-        return 0.0  # it is told with the arm's state, which is watched
+        return 0.0  # its input is part of the arm's state, which the supervisor checks
 
     def read(self) -> tuple[float, bool]:
         holds = self._arm.digital_input(TOOL_INPUTS)

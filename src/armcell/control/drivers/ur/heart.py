@@ -1,4 +1,4 @@
-"""The driver's heart: signs of life to the robots, and the regular look at how they are."""
+"""Heartbeat of the UR driver: keep-alive signals to the robots and periodic safety checks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ BEAT = 0.01  # [s] between beats
 
 
 class Heart:
-    """Calls `beat` every BEAT seconds from a thread of its own."""
+    """Background thread that calls a heartbeat function every `BEAT` seconds."""
 
     def __init__(self, beat: Callable[[], None]):
         self._beat = beat

@@ -1,7 +1,4 @@
-"""Who answers at an address: model, serial number, calibration, and whether it may be driven at all.
-
-Nothing here moves anything.
-"""
+"""Identity checks of a robot: model, serial number, calibration, and readiness; no motion."""
 
 from __future__ import annotations
 
@@ -18,35 +15,35 @@ from armcell.control.ur_wire.models import MODELS, UrModel, ur_model
 from armcell.core import InputError
 
 PRIMARY_PORT = 30001
-NEAR = 0.02  # [m]: calibrated geometry is within this of its model's; models differ by more
+NEAR = 0.02  # [m] largest difference of a calibrated geometry from its model; models differ by more
 
 
 @dataclass(frozen=True)
 class Identity:
-    """A robot as it describes itself."""
+    """A robot's identity and state as its controller reports them."""
 
     host: str
     model: UrModel
     version: tuple[int, ...]
     serial: str
     geometry: primary.Kinematics
-    remote: bool | None  # None: a CB3 knows no such thing
+    remote: bool | None  # None: CB3 controllers have no remote control mode
     robot_mode: str
     safety: str
 
     @property
     def calibration(self) -> str:
-        """A checksum of the geometry: the same only for the same robot with the same calibration."""
+        """Checksum of the geometry; equal only for the same robot with the same calibration."""
         g = self.geometry
         data = struct.pack("<24d", *g.theta, *g.a, *g.d, *g.alpha)
         return hashlib.sha256(data).hexdigest()[:12]
 
 
 def identify(host: str) -> Identity:
-    """Ask a robot who it is.
+    """Query a robot's identity and state over its dashboard and primary interface.
 
     Raises:
-        InputError: nobody there, or no UR that we know.
+        InputError: no robot answers, or its model is not supported.
     """
     with DashboardClient(host) as dashboard:
         version = dashboard.version()
@@ -67,7 +64,11 @@ def identify(host: str) -> Identity:
 
 
 def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
-    """Denavit-Hartenberg parameters after factory calibration, from the primary interface."""
+    """Read the calibrated Denavit-Hartenberg parameters from a robot's primary interface.
+
+    Raises:
+        InputError: the robot does not send its geometry.
+    """
     buffer, end = bytearray(), time.monotonic() + timeout
     try:
         with socket.create_connection((host, PRIMARY_PORT), timeout) as link:
@@ -90,9 +91,10 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
 
 
 def check_identity(arm: str, wanted: ArmSettings, found: Identity) -> None:
-    """
+    """Check that a robot has the model, serial number and calibration of the cell file.
+
     Raises:
-        InputError: another model or another robot than the cell file names.
+        InputError: the robot is not the one in the cell file.
     """
     if found.model.name != ur_model(wanted.model).name:
         raise InputError(
@@ -112,9 +114,10 @@ def check_identity(arm: str, wanted: ArmSettings, found: Identity) -> None:
 
 
 def check_swapped(wanted: dict[str, ArmSettings], found: dict[str, Identity]) -> None:
-    """
+    """Check that no arm answers with the serial number or calibration of another arm.
+
     Raises:
-        InputError: an arm answers with what the cell file says of another one.
+        InputError: the arms' addresses are swapped.
     """
     for arm, identity in found.items():
         for other, settings in wanted.items():
@@ -130,9 +133,10 @@ def check_swapped(wanted: dict[str, ArmSettings], found: dict[str, Identity]) ->
 
 
 def check_ready(arm: str, found: Identity) -> None:
-    """
+    """Check that a robot is in remote control, running, and not stopped.
+
     Raises:
-        InputError: the robot cannot be driven now, with what to do about it.
+        InputError: the robot cannot be driven now; the message states the remedy.
     """
     if found.safety not in ("NORMAL", "REDUCED"):
         cure = {

@@ -1,5 +1,6 @@
-"""A trajectory under way on real arms: played by one robot itself, streamed to several by one clock, or
-commanded point by point from elsewhere.
+"""Running trajectories on real arms: played by the robot, streamed, or commanded externally.
+
+One robot plays its trajectory itself; several robots receive setpoints on one clock.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from armcell.core import JointTrajectory
 
 
 class Forwarded:
-    """Played by the robot, whose clock the speed slider and a pause slow."""
+    """A trajectory that the robot plays itself; speed slider and pauses slow its clock."""
 
     def __init__(self, arm: UrArm, trajectory: JointTrajectory):
         self._arm = arm
@@ -37,17 +38,17 @@ class Forwarded:
 
 
 class Streamed:
-    """Sent point by point to several arms. When one slows, pauses or stops, all do: one clock for all."""
+    """A trajectory streamed to several arms on one clock: if one arm slows or stops, all do."""
 
     def __init__(
         self, arms: Sequence[UrArm], trajectory: JointTrajectory, lead: float,
         fault: Callable[[], Fault | None],
     ):  # fmt: skip
-        self._lead = lead  # [s] by which points are ahead of when they are to be reached
+        self._lead = lead  # [s] from sending a point until its due time
         self._arms, self._trajectory, self._fault = arms, trajectory, fault
         self._clock, self._state = 0.0, RUNNING
         self.sent_for = SentClock()
-        self.sent_at: list[float] = []  # when points were sent [s, monotonic]
+        self.sent_at: list[float] = []  # send times of the points [s, monotonic]
         self._cancel = threading.Event()
         threading.Thread(target=self._stream, name="ur stream", daemon=True).start()
 
@@ -67,7 +68,7 @@ class Streamed:
             if self._clock >= duration:
                 self._state = DONE
                 return
-            late = time.monotonic() - due > self._lead  # then the points are for later: no jump
+            late = time.monotonic() - due > self._lead  # then shift the schedule: the arms must not jump
             due = time.monotonic() if late else due + period
             time.sleep(max(due - time.monotonic(), 0.0))
             self._clock = min(self._clock + period * scaling, duration)
@@ -89,16 +90,16 @@ class Streamed:
 
 
 class Commanded:
-    """Commanded point by point from elsewhere, which tells of each.
+    """A motion that the caller commands point by point and reports to this handle.
 
     Args:
-        due: when the next point is for [s, monotonic].
+        due: returns the time [s, monotonic] at which the next point is due.
     """
 
     def __init__(self, due: Callable[[], float]):
         self._due, self._state = due, RUNNING
         self.sent_for = SentClock()
-        self.watched: Following = self  # what compares it, if anything does
+        self.watched: Following = self  # the handle that compares the motion with its twin, if there is one
 
     def sent(self, clock: float, off: Array) -> None:
         self.sent_for.sent(self._due(), clock, off)
@@ -120,4 +121,4 @@ class Commanded:
         return False
 
     def cancel(self) -> None:
-        pass  # who commands it does that
+        pass  # the caller stops the motion

@@ -1,4 +1,4 @@
-"""How good the network to a robot is: round trips and the regularity of its state."""
+"""Network quality of a robot connection: round trips and the regularity of its state."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from armcell.control.drivers.ur.rtde_client import RobotState, RtdeClient
 
 @dataclass(frozen=True)
 class NetworkReport:
-    """Times [s] over one measurement."""
+    """Statistics of one network measurement; times in [s]."""
 
-    round_trip: float  # median, of a dashboard question
+    round_trip: float  # median of a dashboard request
     worst_round_trip: float
-    period: float  # median between states
-    worst_gap: float  # longest between two states
-    frequency: float  # asked for [Hz]
+    period: float  # median interval between states
+    worst_gap: float  # longest interval between two states
+    frequency: float  # requested [Hz]
 
     def __str__(self) -> str:
         return (
@@ -30,10 +30,14 @@ class NetworkReport:
 
 
 def measure_network(host: str, frequency: float, seconds: float = 2.0) -> NetworkReport:
-    """Listen to a robot for a while. Nothing moves.
+    """Measure round trips and state intervals of a robot connection, without moving the robot.
 
+    Args:
+        host: the robot's address.
+        frequency: requested RTDE frequency [Hz].
+        seconds: duration of the state measurement [s].
     Raises:
-        InputError: it does not answer.
+        InputError: the robot does not answer.
     """
     trips = []
     with DashboardClient(host) as dashboard:

@@ -1,4 +1,4 @@
-"""Our program on the robot: its text, the server it connects back to, and the messages it takes."""
+"""The robot program: its URScript text, the server to which it connects, and its messages."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ SCALE = 1_000_000
 KEEP_ALIVE, SERVO, TRAJECTORY, CANCEL, PAYLOAD, TCP, TOOL_OUT, STANDARD_OUT, END = range(9)
 RUNNING, DONE, CANCELLED = "running", "done", "cancelled"
 _RESULTS = {0: DONE, 1: CANCELLED, 2: "starved of points", 3: "faster than a joint can be"}
-ROOM = 32  # points that the program keeps: more than `stream_lead` of them
-STAMP = 100_000  # of a point's time in the program's clock
+ROOM = 32  # capacity of the program's point buffer: covers more than `stream_lead`
+STAMP = 100_000  # ticks per second of a setpoint's time on the program's clock
 _COMMAND, _SERVO, _POINT = struct.Struct(">8i24x"), struct.Struct(">14i"), struct.Struct(">20i")
 SCRIPT_PORT = 30002
 
 
 @dataclass(frozen=True)
 class ProgramSettings:
-    """What the robot's side is told once."""
+    """Constants that armcell's robot program receives at its start."""
 
-    watchdog: float = 0.1  # [s] without a command until a moving arm stops by itself
-    idle_watchdog: float = 2.0  # [s] the same for one that rests: a busy computer is no danger then
-    stop_deceleration: float = 15.0  # [rad/s^2] of its stops
+    watchdog: float = 0.1  # [s] without a command before a moving arm stops itself
+    idle_watchdog: float = 2.0  # [s] for an arm at rest, where a busy computer is not dangerous
+    stop_deceleration: float = 15.0  # [rad/s^2] of the program's stops
 
 
 def program_text(host: str, port: int, session: int, settings: ProgramSettings) -> str:
-    """The script with its blanks filled in."""
+    """Return the robot program's URScript text with all placeholders filled in."""
     text = (files("armcell.control.drivers.ur") / "armcell.script").read_text(encoding="utf-8")
     values = {
         "HOST": host, "PORT": port, "SESSION": session, "WATCHDOG": settings.watchdog,
@@ -50,10 +50,14 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
 
 
 def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
-    """A trajectory's points behind its first, as the program takes them, at least two steps [s] apart.
+    """Encode all points of a trajectory except the first as messages for the robot program.
 
-    All carry the trajectory's number. Points that are nearer are left out; the quintics between the others
-    take position, velocity and acceleration of the trajectory.
+    Points are at least two steps apart; nearer points are omitted. The robot interpolates between the points
+    by quintics from the trajectory's positions, velocities and accelerations.
+
+    Args:
+        step: control period [s].
+        number: trajectory number, stored in every point.
     """
     times = trajectory.times - trajectory.times[0]
     kept, last = [], 0.0
@@ -73,10 +77,13 @@ def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[byt
 
 
 class ProgramLink:
-    """The computer's end: listens, uploads the program, and talks to it.
+    """The computer's side of the robot program: uploads the program and sends its commands.
 
     Args:
-        port: to listen on; every arm needs its own.
+        arm: arm name, for messages.
+        robot: the robot's address.
+        port: port to listen on; every arm needs its own.
+        own_host: this computer's address as seen from the robot; None: determined by the upload.
     """
 
     def __init__(self, arm: str, robot: str, port: int, own_host: str | None, settings: ProgramSettings):
@@ -95,7 +102,7 @@ class ProgramLink:
         self._reverse: socket.socket | None = None
         self._points: socket.socket | None = None
         self._sending = threading.Lock()
-        self.result = DONE  # of the last trajectory
+        self.result = DONE  # result of the last trajectory
         self._session, self._number = 0, 0
 
     @property
@@ -103,10 +110,10 @@ class ProgramLink:
         return self._reverse is not None
 
     def start(self, timeout: float = 5.0) -> int:
-        """Upload the program and wait until it has connected back; returns the session's number.
+        """Upload the robot program and wait until it connects back; return the session number.
 
         Raises:
-            InputError: it did not, with what to look at.
+            InputError: the program did not connect; the message states possible causes.
         """
         self.close_links()
         self._session += 1
@@ -155,7 +162,7 @@ class ProgramLink:
         return found
 
     def _results(self, link: socket.socket) -> None:
-        """Receives results; sees the program's end."""
+        """Receive trajectory results from the robot program until it ends."""
         link.settimeout(None)
         try:
             while True:
@@ -167,17 +174,17 @@ class ProgramLink:
                 self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """A command with up to six values. Without a program nothing is sent."""
+        """Send a command with up to six values to the robot program; ignored without a program."""
         six = [round(float(v) * SCALE) for v in values] + [0] * (6 - len(values))
         self._send(self._reverse, _COMMAND.pack(kind, *six, last))
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """A point to go through at a time [s] of the program's clock, with the speed there."""
+        """Send a setpoint (positions, speeds) that the robot passes at a program clock time [s]."""
         values = (round(float(x) * SCALE) for x in (*np.asarray(q), *np.asarray(v)))
         self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Have a trajectory run; returns its number. `result` tells when it has ended."""
+        """Start a trajectory on the robot and return its number; `result` reports its end."""
         self._number = self._number % 1000 + 1
         points = points_of(trajectory, step, self._number)
         self.result = RUNNING
@@ -202,7 +209,7 @@ class ProgramLink:
     def close_links(self) -> None:
         for link in (self._reverse, self._points):
             if link is not None:
-                with contextlib.suppress(OSError):  # the robot may have been quicker
+                with contextlib.suppress(OSError):  # the robot may have closed it first
                     link.shutdown(socket.SHUT_RDWR)
                 link.close()
         self._forget()

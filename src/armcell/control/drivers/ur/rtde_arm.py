@@ -1,4 +1,4 @@
-"""An arm that `ur_rtde` moves. Its state, and whoever stops it, are those of every other arm."""
+"""A UR arm that the `ur_rtde` library moves; state and supervision are those of `UrArm`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from armcell.control.drivers.ur.program import ProgramSettings
 from armcell.control.drivers.ur.rtde_link import RtdeLink
 from armcell.core import InputError
 
-SLIDER, TOOL, STANDARD = 0, 1, 2  # recipes of inputs
+SLIDER, TOOL, STANDARD = 0, 1, 2  # indices of the input recipes
 
 
 class UrRtdeArm(UrArm):
-    """State over our own RTDE client; motion by servoJ of `ur_rtde` in a process of its own."""
+    """UR arm that reads its state by armcell's RTDE client and moves by `ur_rtde`'s servoJ.
+
+    `ur_rtde` runs in a subprocess.
+    """
 
     inputs = (
         *INPUTS,
@@ -23,7 +26,7 @@ class UrRtdeArm(UrArm):
     )
 
     def _made_link(self, settings: ProgramSettings) -> RtdeLink:
-        # What the state says of slider and pause goes along with every beat.
+        # Every keep-alive signal carries the speed scaling of slider and pause.
         own = RtdeLink(self.name, self.settings.host, 1.0 / self.step, settings, self._scaling_now)
         self._rtde_link = own
         return own

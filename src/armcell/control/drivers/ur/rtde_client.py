@@ -1,4 +1,4 @@
-"""RTDE's client: the robot's state as it comes, and values to it."""
+"""RTDE client: receives the robot's state and sends input values."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ STATE_VARIABLES = (
     "output_double_register_25", "output_int_register_26", "tcp_offset",
 )  # fmt: skip
 
-LOOK = 0.01  # [s] at most between two looks whether something has come
-HISTORY = 0.2  # [s] of states that are kept
-MAX_SLEW = 0.05  # how fast the clocks' offset may rise
-LOST = 0.05  # [s] by which it may jump
+LOOK = 0.01  # [s] longest time between two checks for new packets
+HISTORY = 0.2  # [s] length of the state history
+MAX_SLEW = 0.05  # limit on the increase of the clock offset [s/s]
+LOST = 0.05  # [s] increase beyond which the offset jumps
 
 
 @dataclass(frozen=True)
 class RobotState:
-    """One packet: values by RTDE's names, and when it came (monotonic clock)."""
+    """One RTDE packet: values by RTDE variable name, and its arrival time (monotonic clock)."""
 
     values: dict[str, Any]
     received: float  # [s]
@@ -46,34 +46,37 @@ class RobotState:
 
 
 class RobotClock:
-    """The robot's clock as seen from here: what is least late of the last second's packets tells the offset.
+    """Estimate of the offset between the robot's clock and this computer's monotonic clock.
 
-    Packets come late by what the network and both computers take, never early. So the smallest difference
-    between a packet's arrival and its time stamp is the best, and the clocks of several robots are known
-    on ours to a fraction of their period.
+    Packets arrive late by the delay of the network and both computers, never early. The smallest difference
+    between arrival time and time stamp in the last second is therefore the best estimate, and the clocks of
+    several robots are known on this computer to a fraction of their period.
     """
 
     def __init__(self, window: int):
         self._seen: deque[float] = deque(maxlen=window)
-        self.offset = 0.0  # [s] our monotonic clock minus the robot's
+        self.offset = 0.0  # [s] this computer's monotonic clock minus the robot's clock
         self._last = 0.0
 
     def seen(self, stamp: float, received: float) -> None:
-        """A packet with the robot's time stamp arrived."""
+        """Update the offset from a packet's time stamp and arrival time [s]."""
         first = not self._seen
         self._seen.append(received - stamp)
         least = min(self._seen)
         risen = self.offset + MAX_SLEW * max(stamp - self._last, 0.0)
-        lost = least > self.offset + LOST  # an emulator on a busy machine stood still
+        lost = least > self.offset + LOST  # an emulator on a busy machine paused
         self.offset = least if first or lost else min(least, risen)
         self._last = stamp
 
 
 class RtdeClient:
-    """One connection with a thread that receives.
+    """One RTDE connection to a robot, with a receiver thread.
 
     Args:
-        on_state: called from that thread with every packet.
+        host: the robot's address.
+        frequency: requested rate of the state packets [Hz].
+        inputs: variable names of each input recipe.
+        on_state: called from the receiver thread with every new state.
     """
 
     def __init__(
@@ -83,19 +86,19 @@ class RtdeClient:
         self.host, self.frequency = host, frequency
         self._port, self._inputs, self._on_state = port, inputs, on_state
         self.latest: RobotState | None = None
-        self.last_two: tuple[RobotState, RobotState] | None = None  # replaced as one
+        self.last_two: tuple[RobotState, RobotState] | None = None  # replaced atomically
         self.history: deque[RobotState] = deque(maxlen=max(round(HISTORY * frequency), 2))
         self.clock = RobotClock(round(frequency))
-        self.error: str | None = None  # why the connection ended
+        self.error: str | None = None  # reason for which the connection ended
         self._buffer = bytearray()
         self._recipes: list[rtde.Recipe] = []
         self._sending = threading.Lock()
 
     def connect(self, timeout: float = 3.0) -> None:
-        """Negotiate, start, and wait for the first state.
+        """Negotiate RTDE with the robot, start the transmission, and wait for the first state.
 
         Raises:
-            InputError: nobody there, something else than RTDE, or an input another client holds.
+            InputError: no RTDE server answers, or another client holds one of the inputs.
         """
         try:
             self._socket = socket.create_connection((self.host, self._port), timeout)
@@ -172,7 +175,7 @@ class RtdeClient:
                 if waiting.select(LOOK):
                     self._fill()
                 else:
-                    self._looked = time.monotonic()  # nothing has come
+                    self._looked = time.monotonic()  # no packet has arrived
         except (OSError, ValueError, rtde.RtdeError, struct.error) as error:
             self.error = str(error) or type(error).__name__
         finally:
@@ -180,9 +183,9 @@ class RtdeClient:
 
     @property
     def age(self) -> float:
-        """How old the latest state was when this computer last looked for a newer one [s].
+        """Age of the robot's latest state when this computer last checked for a newer one [s].
 
-        By the robot's time stamp: what lay in a buffer meanwhile is not new.
+        The age uses the robot's time stamp: a packet that waited in a buffer is not new.
         """
         if self.latest is None:
             return float("inf")
@@ -190,14 +193,16 @@ class RtdeClient:
 
     @property
     def blind(self) -> float:
-        """For how long this computer has not looked [s]: it was held up, and knows nothing."""
+        """Time since this computer last checked for packets [s]; large while the process hangs."""
         return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:
-        """Values of an input recipe, counted from 0 in the order given.
+        """Send the values of an RTDE input recipe to the robot.
 
+        Args:
+            recipe: index of the recipe, from 0, in the order of `inputs`.
         Raises:
-            OSError: the connection is gone.
+            OSError: the connection is lost.
         """
         data = bytes([recipe + 1]) + self._recipes[recipe].pack(values)
         with self._sending:
@@ -206,7 +211,7 @@ class RtdeClient:
     def close(self) -> None:
         self._open = False
         if hasattr(self, "_socket"):
-            with contextlib.suppress(OSError):  # the other side may have been quicker
+            with contextlib.suppress(OSError):  # the other side may have closed it first
                 self._socket.shutdown(socket.SHUT_RDWR)
             self._socket.close()
         if hasattr(self, "_thread") and self._thread is not threading.current_thread():

@@ -1,4 +1,4 @@
-"""Motion by `ur_rtde` instead of our own program: a process per arm, which may die by itself."""
+"""Motion link that uses `ur_rtde` in one subprocess per arm, because the library may crash."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from armcell.core import InputError, JointTrajectory
 
 WORKER = Path(__file__).with_name("rtde_worker.py")
 STARTS_WITHIN = 20.0  # [s] to import ur_rtde, connect and upload its script
-ENDS_WITHIN = 0.5  # [s] from its end to the process's; then it is killed
+ENDS_WITHIN = 0.5  # [s] to wait for the subprocess to end before killing it
 
 
 def require_ur_rtde() -> None:
-    """
+    """Check that the `ur_rtde` library is installed.
+
     Raises:
         InputError: `ur_rtde` is not installed.
     """
@@ -40,7 +41,7 @@ def require_ur_rtde() -> None:
 
 
 class RtdeLink:
-    """As `ProgramLink`: takes trajectories and streamed points, tells results."""
+    """Motion link over `ur_rtde`, an alternative to `ProgramLink` with the same interface."""
 
     def __init__(
         self, arm: str, robot: str, frequency: float, settings: ProgramSettings, scaling: Callable[[], float]
@@ -52,18 +53,18 @@ class RtdeLink:
         self._sending = threading.Lock()
         self._session, self._number = 0, 0
         self._ready = threading.Event()
-        self.result, self.clock = DONE, 0.0  # of the last trajectory [s]
-        self.playing = 0  # its number, as soon as the process has it
+        self.result, self.clock = DONE, 0.0  # result and progress [s] of the last trajectory
+        self.playing = 0  # number of the trajectory that the subprocess plays
 
     @property
     def connected(self) -> bool:
         return self._socket is not None
 
     def start(self) -> int:
-        """A new process, whose script runs on the robot; returns the session's number.
+        """Start a `ur_rtde` subprocess with its script on the robot; return the session number.
 
         Raises:
-            InputError: ur_rtde is missing, or could not take hold of the robot.
+            InputError: ur_rtde is not installed, or cannot take control of the robot.
         """
         require_ur_rtde()
         self.close_links()
@@ -97,7 +98,7 @@ class RtdeLink:
         return self._session
 
     def _drain(self, words: Iterable[str] | None) -> None:
-        """What the library says goes nowhere, and must not block it."""
+        """Discard the library's error output, so that a full pipe cannot block the subprocess."""
         for _ in words or ():
             pass
 
@@ -131,7 +132,7 @@ class RtdeLink:
             self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """A command of `program` (outputs excepted: they go by RTDE)."""
+        """Send a command to the `ur_rtde` subprocess; outputs are ignored, because they use RTDE."""
         plain = [float(v) for v in values]
         match kind:
             case program.KEEP_ALIVE:
@@ -146,12 +147,15 @@ class RtdeLink:
                 self._order("end")
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """A point to go through at a time [s, monotonic clock, which processes share]."""
+        """Send a setpoint that the robot passes at a monotonic time [s].
+
+        All processes on this computer share the monotonic clock.
+        """
         point = {"q": np.asarray(q, dtype=float).tolist(), "v": np.asarray(v, dtype=float).tolist()}
         self._order("point", at=at, **point)
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Have a trajectory run; returns its number."""
+        """Start a trajectory in the `ur_rtde` subprocess and return its number."""
         times = np.arange(0.0, trajectory.duration + step, step)
         first = float(trajectory.times[0])
         rows = [trajectory.sample(first + min(t, trajectory.duration))[0].tolist() for t in times]

@@ -1,9 +1,9 @@
-"""The process around `ur_rtde`'s control interface, one per arm: with a broken link it ends (SIGSEGV).
+"""Subprocess for `ur_rtde`'s control interface, one per arm; a lost link crashes it.
 
-Run as a file of its own, with nothing but the standard library and `ur_rtde`:
-`python rtde_worker.py FD HOST FREQUENCY WATCHDOG STOP_DECELERATION`. FD is a socket that takes and gives
-lines of JSON. To it: beat, trajectory, point, cancel, payload, tcp, end. From it: ready, then every cycle
-how far it is.
+With a lost link, the library ends the process by SIGSEGV. The file runs as a script and needs only the
+standard library and `ur_rtde`: `python rtde_worker.py FD HOST FREQUENCY WATCHDOG STOP_DECELERATION`. FD is a
+socket for lines of JSON in both directions. It receives: beat, trajectory, point, cancel, payload, tcp, end.
+It sends: ready, then the progress in every cycle.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from collections import deque
 from itertools import pairwise
 from typing import Any
 
-LOOKAHEAD, GAIN = 0.03, 1000.0  # of servoJ [s], [1]
-KEEP = 0.2  # [s] behind the last streamed point until servoing ends
-LONGEST_STEP = 2.5  # periods that the clock of a trajectory goes on in one cycle: it was held up, no jump
+LOOKAHEAD, GAIN = 0.03, 1000.0  # parameters of servoJ: [s], [1]
+KEEP = 0.2  # [s] after the last streamed point before servoing ends
+LONGEST_STEP = 2.5  # largest clock step in periods: the arm must not jump after a delay
 
 
 class Worker:
@@ -39,7 +39,7 @@ class Worker:
         self._number, self._result = 0, "done"
 
     def read(self) -> None:
-        """Takes orders until the other side is gone."""
+        """Receive orders from armcell until the socket closes or the order `end` arrives."""
         with self._link.makefile("rb") as lines:
             for line in lines:
                 order = json.loads(line)
@@ -131,7 +131,10 @@ class Worker:
 
 
 def between(points: list[tuple[float, list[float], list[float]]], now: float) -> list[float]:
-    """The position at a time: by cubics between points (time, position, speed), at the ends the end's."""
+    """Return the position at a time by cubic interpolation of (time, position, speed) points.
+
+    Before the first and after the last point, the position is the nearest point's.
+    """
     if now <= points[0][0]:
         return points[0][1]
     for (t0, q0, v0), (t1, q1, v1) in pairwise(points):

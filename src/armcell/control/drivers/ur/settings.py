@@ -1,4 +1,4 @@
-"""What a cell file says about its real arms: the block `real`."""
+"""Settings of the real arms of a cell: the block `real` of a cell file."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ class _Strict(BaseModel):
 
 
 class GripperSettings(_Strict):
-    """How a gripper is driven: by a URCap's socket, or opened and closed by the tool's digital output 0."""
+    """Connection of a gripper: a URCap's socket, or open/close by the tool's digital output 0."""
 
-    kind: Literal["socket", "tool_io"] = "socket"  # socket: Robotiq's words
+    kind: Literal["socket", "tool_io"] = "socket"  # socket: Robotiq's protocol
     port: int = Field(63352, ge=1, le=65535)  # of the socket
 
 
 class ArmSettings(_Strict):
-    """One real arm."""
+    """Settings of one real arm."""
 
     host: str = Field(min_length=1)
     model: str = "UR10"
-    port: int = Field(0, ge=0, le=65535)  # this computer's, which the robot connects to; 0: 50001, 50011, ...
-    own_host: str | None = None  # this computer's address as the robot sees it; by default found out
-    serial: str | None = None  # another robot is refused
+    port: int = Field(0, ge=0, le=65535)  # port of this computer; 0: 50001, 50011, ...
+    own_host: str | None = None  # this computer's address as seen from the robot; None: detected
+    serial: str | None = None  # connecting to another robot fails
     calibration: str | None = None  # checksum of the factory calibration, as bringup prints it
     payload: float | None = Field(None, ge=0, le=20)  # [kg]
     payload_cog: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m]
@@ -40,27 +40,27 @@ class ArmSettings(_Strict):
 
 
 class RealSettings(_Strict):
-    """All real arms of a cell, by planning group, and what bounds them."""
+    """Settings of all real arms of a cell, by planning group, with their supervision limits."""
 
     arms: dict[str, ArmSettings] = Field(min_length=1)
-    backend: Literal["own", "ur_rtde"] = "own"  # what moves them: our program on the robot, or that library
+    backend: Literal["own", "ur_rtde"] = "own"  # motion by armcell's robot program, or by ur_rtde
     calibration: Literal["compare", "apply"] = (
-        "compare"  # the robots' own geometry: only looked at, or planned with
+        "compare"  # use of the robots' own geometry: compared only, or applied to the model
     )
     max_state_age: float = Field(0.05, gt=0)  # [s] while an arm moves
     max_silence: float = Field(1.0, gt=0)  # [s] while it rests
-    max_tracking_error: float = Field(0.1, gt=0)  # [rad] target against actual
-    watchdog: float = Field(0.1, ge=0.02, le=1.0)  # [s] without our word until an arm stops by itself
-    twin: bool = True  # play every motion in physics first, and compare the arms with that
-    stream_lead: float = Field(0.04, ge=0.01, le=0.2)  # [s] that streamed points are ahead of their time
+    max_tracking_error: float = Field(0.1, gt=0)  # [rad] between target and actual position
+    watchdog: float = Field(0.1, ge=0.02, le=1.0)  # [s] without a command before an arm stops itself
+    twin: bool = True  # dry-run every motion and compare the arms with the simulation
+    stream_lead: float = Field(0.04, ge=0.01, le=0.2)  # [s] from sending a setpoint until its due time
     stop_deceleration: float = Field(15.0, gt=0, le=40)  # [rad/s^2] of the supervisor's stops
 
 
 def real_settings(values: dict[str, Any], model: RobotModel) -> RealSettings:
-    """The block `real` of a cell file.
+    """Validate the block `real` of a cell file.
 
     Raises:
-        InputError: what is wrong with it, and the cure.
+        InputError: the block is invalid; the message states the cause and the remedy.
     """
     groups = [g.name for g in model.groups.values() if g.tip_link and len(g.joint_names) == 6]
     if not values:

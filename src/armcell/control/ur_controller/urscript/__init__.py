@@ -1,4 +1,4 @@
-"""URScript: read, compiled to Python generators, and run a control step at a time."""
+"""URScript interpreter: parses scripts, compiles them to Python generators, and steps them."""
 
 from armcell.control.ur_controller.urscript.machine import Machine, ProgramError
 from armcell.control.ur_controller.urscript.parser import ScriptError, parse

@@ -1,6 +1,7 @@
-"""URScript's tree to Python source: every function becomes a generator that yields once a control step.
+"""Compiler from URScript's syntax tree to Python generators, which yield every control step.
 
-Nothing of a script reaches Python but through the nodes here: names get a prefix, constants go by `repr`.
+A script reaches Python only through the node types here: variable names get a prefix, and constants are
+written by `repr`.
 """
 
 from __future__ import annotations
@@ -11,20 +12,47 @@ from typing import Any
 
 from armcell.control.ur_controller.urscript.parser import Node, ScriptError
 
+_NOT_EMULATED = """
+    rpc_factory modbus_add_signal modbus_add_rtu_signal modbus_delete_signal modbus_get_signal_status
+    modbus_get_signal_index modbus_get_error_count modbus_get_time_since_signal_invalid
+    modbus_reset_connection modbus_send_custom_command modbus_set_output_register modbus_set_output_signal
+    modbus_set_runstate_dependent_choice modbus_set_signal_update_frequency modbus_set_signal_watchdog
+    modbus_set_digital_input_action
+    track_conveyor_linear track_conveyor_circular stop_conveyor_tracking conveyor_pulse_decode
+    get_conveyor_tick_count set_conveyor_tick_count encoder_enable_pulse_decode encoder_enable_set_tick_count
+    encoder_get_tick_count encoder_set_tick_count encoder_unwind_delta_tick_count path_offset_enable
+    path_offset_disable path_offset_set path_offset_get path_offset_set_alpha_filter
+    path_offset_set_max_offset screw_driving end_screw_driving
+    set_tool_communication reset_world_model add_frame attach_frame
+    convert_pose delete_frame frame_exists get_frame_children get_pose get_root_frames move_frame
+    request_boolean_from_primary_client request_float_from_primary_client
+    request_integer_from_primary_client request_string_from_primary_client
+    read_port_bit read_port_register write_port_bit write_port_register
+    set_runstate_configurable_digital_output_to_value
+    set_runstate_standard_analog_output_to_value set_runstate_standard_digital_output_to_value
+    set_runstate_tool_digital_output_to_value set_runstate_gp_boolean_output_to_value
+    set_euromap_output set_euromap_runstate_dependent_choice get_euromap_input get_euromap_output
+    set_safety_mode_transition_hardness position_deviation_warning reset_revolution_counter
+    tool_wrench_limit_set tool_wrench_limit_disable calculate_inertia_tensor collision_detection_set
+    collision_detection_disable
+"""
+NOT_EMULATED = frozenset(_NOT_EMULATED.split())
+"""Functions of real controllers that compile, but end the program with an error when called."""
+
 
 class _Scope:
     def __init__(self, names: set[str] | None):
-        self.local = names  # None: the program's own body, whose variables all others see
+        self.local = names  # None: the program's body, whose variables are global
 
 
 def compiled(
     statements: list[Node], blocking: Iterable[str], instant: Mapping[str, Callable[..., Any]]
 ) -> CodeType:
-    """Python code that defines `main(G, F)`: a generator function with the program's global variables.
+    """Compile a script to Python code that defines the generator function `main(G, F, B, I, M)`.
 
     Args:
-        blocking: functions that take time, called as `B[name](...)`.
-        instant: functions that do not, called as `I[name](...)`.
+        blocking: names of functions that take time, called as `B[name](...)`.
+        instant: functions that return immediately, called as `I[name](...)`.
     """
     return compile(_Compiler(blocking, instant).source(statements), "<urscript>", "exec")
 
@@ -52,7 +80,7 @@ class _Compiler:
         self._lines.append("  " * depth + text)
 
     def _find(self, statements: list[Node], top: bool) -> None:
-        """Global names: declared so anywhere, or assigned in the program's own body."""
+        """Collect the script's global names: declared global, or assigned in the program's body."""
         for node in statements:
             if node[0] == "assign" and node[1][0] == "name" and (node[3] == "global" or top):
                 self._globals.add(node[1][1])
@@ -143,7 +171,9 @@ class _Compiler:
         if node[0] == "index":
             return f"{self._target(node[1], scope)}[{self._value(node[2], scope)}]"
         if node[0] != "name":
-            raise ScriptError("only a variable or its item can be given a value")
+            raise ScriptError(
+                "only a variable or its item can be assigned", node[-1] if isinstance(node[-1], int) else 0
+            )
         return self._name(node[1], scope)
 
     def _name(self, name: str, scope: _Scope) -> str:
@@ -172,13 +202,13 @@ class _Compiler:
                 return f"(bool({left}) != bool({right}))"
             return f"({left} {sign} {right})"
         if kind == "run":
-            _, name, arguments = node[1]
-            self._known(name)
+            _, name, arguments, place = node[1]
+            self._known(name, place)
             return f"M.spawn(u_{name}({self._arguments(arguments, scope, 'v_')}))"
         return self._call(node, scope)
 
     def _call(self, node: Node, scope: _Scope) -> str:
-        _, name, arguments = node
+        _, name, arguments, place = node
         if name in self._functions:
             return f"(yield from u_{name}({self._arguments(arguments, scope, 'v_')}))"
         given = self._arguments(arguments, scope)
@@ -186,7 +216,9 @@ class _Compiler:
             return f"(yield from B[{name!r}]({given}))"
         if name in self._instant:
             return f"I[{name!r}]({given})"
-        return f"M.unknown({name!r})"  # said when it is called: a script may hold calls it never makes
+        if name in NOT_EMULATED:
+            return f"M.unknown({name!r})"  # not emulated: reported only when the program calls it
+        raise _not_found(name, place)
 
     def _arguments(self, arguments: list[tuple[str | None, Node]], scope: _Scope, prefix: str = "") -> str:
         return ", ".join(
@@ -194,6 +226,12 @@ class _Compiler:
             for keyword, value in arguments
         )
 
-    def _known(self, name: str) -> None:
+    def _known(self, name: str, place: tuple[int, int]) -> None:
         if name not in self._functions:
-            raise ScriptError(f"thread {name!r} is not defined")
+            raise _not_found(name, place)
+
+
+def _not_found(name: str, place: tuple[int, int]) -> ScriptError:
+    line, column = place
+    reason = f"function {name!r} is not known to this controller"
+    return ScriptError(reason, line, column, code=f"compile_error_name_not_found:{name}:")

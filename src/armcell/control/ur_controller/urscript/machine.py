@@ -1,9 +1,10 @@
-"""Runs a compiled program: a main thread and those it starts, each up to its next control step at a time."""
+"""Execution of compiled URScript programs: runs all threads up to their next control step."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Generator, Mapping
+from functools import partial
 from typing import Any
 
 from armcell.control.ur_controller.urscript.compiler import compiled
@@ -14,22 +15,38 @@ from armcell.core import ArmcellError
 log = logging.getLogger(__name__)
 
 Thread = Generator[None, None, Any]
-MAX_TURNS = 20_000  # of loops between two control steps
+MAX_TURNS = 20_000  # largest number of loop iterations between two control steps
 
 
 class ProgramError(ArmcellError):
-    """The program did something a controller stops it for."""
+    """Runtime error for which a controller stops a program.
+
+    Attributes:
+        line: line in the script's text, from 1.
+    """
+
+    def __init__(self, reason: str, line: int = 0):
+        self.line = line
+        super().__init__(f"line {line}: {reason}" if line else reason)
 
 
 class _Halt(Exception):
     pass
 
 
-class Machine:
-    """One program.
+def _takes_time(name: str, *_: Any, **__: Any) -> Thread:
+    raise ProgramError(f"{name} takes time, which a secondary program must not")
 
-    A script that only defines one function without parameters is that program (as UR's controllers take it);
-    otherwise its statements are.
+
+class Machine:
+    """One URScript program with its threads and variables.
+
+    If the script consists of a single function definition without parameters, that function is the program
+    (as on UR's controllers); otherwise the statements of the script are.
+
+    Attributes:
+        secondary: True for a `sec` program, which runs next to the main program and must not take time.
+        line: line that is being executed, from 1.
     """
 
     def __init__(
@@ -40,14 +57,17 @@ class Machine:
     ):
         statements = parse(text)
         self.name = "unnamed"
+        self.secondary = len(statements) == 1 and statements[0][0] == "def" and statements[0][1] == "sec"
         if len(statements) == 1 and statements[0][0] == "def" and not statements[0][3]:
             self.name = statements[0][2]
             statements = statements[0][4]
+        if self.secondary:
+            blocking = {name: partial(_takes_time, name) for name in blocking}
         code = compiled(statements, blocking, instant)
         space: dict[str, Any] = {
             "Vec": Vec, "Pose": Pose, "copied": copied, "bool": bool, "__builtins__": {},
         }  # fmt: skip
-        exec(code, space)  # only what compiler.py writes; names of a script cannot reach Python's
+        exec(code, space)  # safe: the code comes from compiler.py, and script names cannot reach Python names
         self.line = 0
         self._turns = 0
         self.variables: dict[str, Any] = {}
@@ -55,10 +75,10 @@ class Machine:
         self._next, self.running = 2, True
 
     def step(self) -> None:
-        """Let every thread run to its next control step.
+        """Run every thread of the program to its next control step.
 
         Raises:
-            ProgramError: with the line.
+            ProgramError: a runtime error, with its line.
         """
         for key in list(self._threads):
             thread = self._threads.get(key)
@@ -71,13 +91,13 @@ class Machine:
                 self._threads.pop(key, None)
             except _Halt:
                 self._threads.clear()
-            except ProgramError:
-                raise
+            except ProgramError as error:
+                raise (error if error.line else ProgramError(str(error), self.line)) from None
             except KeyError as error:
-                raise ProgramError(f"line {self.line}: variable {error.args[0]!r} has no value") from None
-            except Exception as error:  # whatever a program does, the controller goes on
-                raise ProgramError(f"line {self.line}: {error}") from None
-            if 1 not in self._threads:  # with the main thread the program ends
+                raise ProgramError(f"variable {error.args[0]!r} has no value", self.line) from None
+            except Exception as error:  # no program error may stop the controller
+                raise ProgramError(str(error), self.line) from None
+            if 1 not in self._threads:  # the program ends with its main thread
                 break
         self.running = 1 in self._threads
         if not self.running:
@@ -87,11 +107,11 @@ class Machine:
     def count(self) -> None:
         self._turns += 1
         if self._turns > MAX_TURNS:
-            raise ProgramError(f"line {self.line}: a loop without a wait (add sync() or sleep())")
+            raise ProgramError("a loop without a wait (add sync() or sleep())", self.line)
 
     def spawn(self, thread: Thread) -> int:
         if len(self._threads) > 50:
-            raise ProgramError("more than 50 threads")
+            raise ProgramError("more than 50 threads", self.line)
         key = self._next
         self._next += 1
         self._threads[key] = thread
@@ -111,4 +131,4 @@ class Machine:
         raise _Halt
 
     def unknown(self, name: str) -> None:
-        raise ProgramError(f"line {self.line}: function {name!r} is not known to this controller")
+        raise ProgramError(f"this emulator does not have the function {name!r}", self.line)

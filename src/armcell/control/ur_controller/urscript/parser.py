@@ -1,8 +1,8 @@
-"""Reads URScript into a small syntax tree.
+"""Parser from URScript text to a small syntax tree.
 
-Grammar: Universal Robots, "The URScript Programming Language", without switch and struct. A line's end is
-not needed between statements, and may stand behind `=` (ur_rtde's script has both) or behind an operator
-(UR's external control). A tree's nodes are tuples whose first item is their kind.
+Grammar: Universal Robots, "The URScript Programming Language", without switch and struct. Line breaks between
+statements are optional, and may follow `=` (ur_rtde's script uses both) or an operator (UR's external
+control). Nodes of the tree are tuples whose first item is their kind.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from armcell.core import ArmcellError
 
 MAX_SCRIPT = 1 << 20  # characters
-MAX_DIGITS, LARGEST = 400, 1e300  # of a number's text; of its value
+MAX_DIGITS, LARGEST = 400, 1e300  # of a number: characters of its text, and its value
 MAX_DEPTH = 60  # nested blocks or brackets
 
 _TOKEN = re.compile(
@@ -33,35 +33,46 @@ Node = tuple[Any, ...]
 
 
 class ScriptError(ArmcellError):
-    """Text that is not URScript, with its line."""
+    """Syntax error or compile error in a URScript text.
+
+    Attributes:
+        line, column: position in the text, from 1; 0 refers to the whole text.
+        code: text that a real controller sends on the primary interface.
+    """
+
+    def __init__(self, reason: str, line: int = 0, column: int = 0, code: str = ""):
+        self.line, self.column = line, column
+        self.code = code or f"syntax_error_on_line:{line}:{reason}:"
+        super().__init__(f"line {line}: {reason}" if line else reason)
 
 
 class _Tokens:
     def __init__(self, text: str):
         if len(text) > MAX_SCRIPT:
             raise ScriptError(f"a script of {len(text)} characters is too long (at most {MAX_SCRIPT})")
-        self.items: list[tuple[str, str, int]] = []
-        at, line, depth = 0, 1, 0
+        self.items: list[tuple[str, str, int, int]] = []  # kind, text, line, column
+        at, line, depth, begin = 0, 1, 0, 0
         while at < len(text):
             found = _TOKEN.match(text, at)
             if found is None:
-                raise ScriptError(f"line {line}: {text[at]!r} has no meaning here")
+                raise ScriptError(f"{text[at]!r} has no meaning here", line, at - begin + 1)
+            column = at - begin + 1
             kind, value, at = found.lastgroup or "", found.group(), found.end()
             if kind == "newline":
-                line += 1
+                line, begin = line + 1, at
                 if depth:
                     continue
             if kind == "sign":
                 depth += (value in "([") - (value in ")]")
             if kind != "space":
-                self.items.append((value if kind in ("sign", "newline") else kind, value, line))
-        self.items += [("newline", "\n", line), ("eof", "", line)]
-        self.items = [("\n" if k == "newline" else k, v, n) for k, v, n in self.items]
+                self.items.append((value if kind in ("sign", "newline") else kind, value, line, column))
+        self.items += [("newline", "\n", line, 1), ("eof", "", line, 1)]
+        self.items = [("\n" if k == "newline" else k, v, n, c) for k, v, n, c in self.items]
         self.at = 0
 
     @property
     def kind(self) -> str:
-        kind, value, _ = self.items[self.at]
+        kind, value, _, _ = self.items[self.at]
         return value if kind == "name" and value in KEYWORDS else kind
 
     def next(self) -> str:
@@ -81,16 +92,16 @@ class _Tokens:
         return self.next()
 
     def fail(self, reason: str) -> None:
-        _, value, line = self.items[self.at]
+        _, value, line, column = self.items[self.at]
         shown = {"\n": "the end of the line", "": "the end of the script"}.get(value, repr(value))
-        raise ScriptError(f"line {line}: {reason}, not {shown}")
+        raise ScriptError(f"{reason}, not {shown}", line, column)
 
 
 def parse(text: str) -> list[Node]:
-    """Statements of a script.
+    """Parse a script and return its statements.
 
     Raises:
-        ScriptError: with the line.
+        ScriptError: a syntax error, with its line.
     """
     lines = (line if not line.lstrip().startswith("$") else "" for line in text.split("\n"))
     tokens = _Tokens("\n".join(lines))
@@ -99,7 +110,12 @@ def parse(text: str) -> list[Node]:
 
 
 def depth_after(line: str, depth: int) -> int:
-    """How many blocks are open after a line, for text that comes line by line."""
+    """Return the number of open URScript blocks after a line of text that arrives line by line.
+
+    Args:
+        line: the new line.
+        depth: number of open blocks before the line.
+    """
     words = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line).split()
     first = re.split(r"[^\w]", words[0], maxsplit=1)[0] if words else ""
     if first in ("def", "thread", "sec", "if", "while"):
@@ -221,7 +237,7 @@ def _expression(t: _Tokens, level: int = 0, nesting: int = 0) -> Node:
     left = _expression(t, level + 1, nesting)
     while t.kind in _LEVELS[level]:
         sign = t.next()
-        while t.take("\n"):  # an operator at a line's end: the next line goes on
+        while t.take("\n"):  # an operator at the end of a line continues on the next line
             pass
         left = ("op", sign, left, _expression(t, level + 1, nesting))
     return left
@@ -281,13 +297,14 @@ def _atom(t: _Tokens, nesting: int) -> Node:
         return ("run", call)
     if kind != "name":
         t.fail("expected a value")
+    place = t.items[t.at][2:]
     name = t.next()
     if name == "p" and t.kind == "[":
         t.next()
         items = _list(t, "]", nesting)
         if len(items) not in (1, 6):
             t.fail("a pose has six numbers")
-        # A variable may be called p as well: then one item is its index.
+        # A variable may also be named p; then a single item is its index.
         return ("pose", items) if len(items) == 6 else ("index", ("name", "p"), items[0])
     if not t.take("("):
         return ("name", name)
@@ -300,4 +317,4 @@ def _atom(t: _Tokens, nesting: int) -> Node:
         arguments.append((keyword, _expression(t, 0, nesting)))
         if t.kind != ")":
             t.need(",")
-    return ("call", name, arguments)
+    return ("call", name, arguments, place)

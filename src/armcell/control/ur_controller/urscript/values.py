@@ -1,4 +1,4 @@
-"""Lists and poses of URScript: copied when assigned, with arithmetic by item."""
+"""URScript lists and poses: assignment copies them, and arithmetic is item by item."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Vec(list):
-    """A list of URScript."""
+    """A URScript list with arithmetic item by item."""
 
     def _by_item(self, other: Any, act: Callable[[Any, Any], Any]) -> Vec:
         if isinstance(other, list):
@@ -41,11 +41,11 @@ class Vec(list):
 
 
 class Pose(Vec):
-    """p[x, y, z, rx, ry, rz]: metres and a rotation vector."""
+    """A URScript pose p[x, y, z, rx, ry, rz]: position [m] and rotation vector [rad]."""
 
 
 def copied(value: Any) -> Any:
-    """The value as an assignment stores it."""
+    """Return the value that a URScript assignment stores: lists and poses are copied."""
     if isinstance(value, Vec):
         return type(value)(copied(v) for v in value)
     return value

@@ -1,4 +1,4 @@
-"""moveit_commander: groups, the planning scene and the robot, on the bus's move_group.
+"""Shim of moveit_commander: groups, planning scene and robot, based on the bus's move_group.
 
 Source of names, defaults, exceptions and quirks: moveit_commander of MoveIt 1 (Noetic).
 """
@@ -7,6 +7,7 @@ from armcell.moveit.shims.moveit_commander import conversions, exception
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.move_group import MoveGroupCommander
 from armcell.moveit.shims.moveit_commander.planning_scene_interface import PlanningSceneInterface
+from armcell.moveit.shims.moveit_commander.planning_scene_monitor import PlanningSceneMonitor
 from armcell.moveit.shims.moveit_commander.robot import RobotCommander
 from armcell.moveit.shims.moveit_commander.roscpp_initializer import roscpp_initialize, roscpp_shutdown
 
@@ -14,6 +15,7 @@ __all__ = [
     "MoveGroupCommander",
     "MoveItCommanderException",
     "PlanningSceneInterface",
+    "PlanningSceneMonitor",
     "RobotCommander",
     "conversions",
     "exception",

@@ -1,4 +1,4 @@
-"""moveit_commander.conversions: poses and transforms as lists, messages as bytes."""
+"""Shim of moveit_commander.conversions: poses and transforms as lists, messages as bytes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from armcell.ros.codec import ros1
 
 
 def msg_to_string(msg: Any) -> bytes:
-    """A message in ROS 1's serialisation."""
+    """Return a message serialized in ROS 1's format."""
     return bytes(ros1().encode(msg))
 
 
 def msg_from_string(msg: Any, data: bytes) -> None:
-    """Fill a message from its serialisation."""
+    """Fill a message from its ROS 1 serialization."""
     found = classes().local(ros1().decode(msg._type, data))
     for name in msg._fields:
         setattr(msg, name, getattr(found, name))
@@ -29,7 +29,7 @@ def pose_to_list(pose_msg: Any) -> list[float]:
 
 
 def list_to_pose(pose_list: Any) -> Any:
-    """x, y, z and a quaternion (7) or roll, pitch, yaw (6)."""
+    """Return a Pose from x, y, z and a quaternion (7 values) or roll, pitch, yaw (6 values)."""
     values = [float(v) for v in pose_list]
     if len(values) == 6:
         values = [*values[:3], *quaternion_from_euler(*values[3:]).tolist()]

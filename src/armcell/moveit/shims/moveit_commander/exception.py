@@ -1,5 +1,5 @@
-"""moveit_commander.exception."""
+"""Shim of moveit_commander.exception."""
 
 
 class MoveItCommanderException(Exception):
-    """What was asked cannot be done; says why."""
+    """Error: moveit_commander cannot carry out a request; the text contains the reason."""

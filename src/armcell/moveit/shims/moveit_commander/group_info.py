@@ -1,4 +1,4 @@
-"""What a group is made of, and how it stands."""
+"""Joints, links and current state of a planning group."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """A message's type without its package, or an empty text."""
+    """Return a message's type name without its package, or an empty string."""
     return getattr(value, "_type", "").split("/")[-1]
 
 
 class GroupInfo:
-    """A planning group, what it is made of and how it stands.
+    """A planning group with its joints, links and current state.
 
     Raises:
-        RuntimeError: no such group.
+        RuntimeError: the group does not exist.
     """
 
     def __init__(
@@ -53,10 +53,11 @@ class GroupInfo:
         self._frame = WORLD
         self._active = JOINT
         self._joint_target: dict[str, float] = {}
-        self._poses: dict[str, list[Any]] = {}  # PoseStamped by link
+        self._poses: dict[str, list[Any]] = {}  # link -> PoseStamped targets
         self._remembered: dict[str, list[float]] = {}
-        self._partial: list[tuple[Any, float]] = []  # lines that end early, with their fractions
+        self._partial: list[tuple[Any, float]] = []  # incomplete Cartesian paths with their fractions
         self._start: Any = None
+        self._last_plan: Any = None  # MotionPlanResponse
         self._joint_tolerance, self._position_tolerance, self._orientation_tolerance = 1e-4, 1e-4, 1e-3
         self._time, self._attempts, self._planner, self._pipeline = 5.0, 1, "", ""
         self._velocity = self._acceleration = 0.1
@@ -79,7 +80,7 @@ class GroupInfo:
         return self._name
 
     def stop(self) -> None:
-        """End what moves, also other groups: as MoveIt's trajectory_execution_event."""
+        """Stop all motions, also of other groups, like MoveIt's trajectory_execution_event."""
         bus = self._session.bus
         with bus.advertise("/trajectory_execution_event", "std_msgs/String") as publisher:
             publisher.publish(bus.schema.new("std_msgs/String", "stop"))
@@ -96,7 +97,7 @@ class GroupInfo:
         ]  # fmt: skip
 
     def _variables(self) -> list[str]:
-        """Joints that move, those that mimic others too."""
+        """Return the names of the group's moving joints, including mimic joints."""
         mine = set(self._group.joint_names)
         return [
             j.name for j in self._session.model.joints.values()
@@ -137,7 +138,11 @@ class GroupInfo:
         return self._every_value({})
 
     def _every_value(self, positions: dict[str, float]) -> list[float]:
-        """Of joints that mimic others, too: the given positions, elsewhere the present ones."""
+        """Return the values of all moving joints, including mimic joints.
+
+        Args:
+            positions: joint name -> position; joints that it does not contain keep their current positions.
+        """
         scene = measured_scene()
         q = scene.positions.copy()
         q[scene.model.columns(positions)] = list(positions.values())
@@ -179,7 +184,10 @@ class GroupInfo:
         self._start = None
 
     def set_start_state(self, msg: Any) -> None:
-        """A RobotState; joints that it does not name stay where they are."""
+        """Set the start state of plans from a RobotState.
+
+        Joints that the message does not name keep their current positions.
+        """
         self._start = self._session.messages.local(msg)
 
     def get_current_state_bounded(self) -> Any:

@@ -1,4 +1,4 @@
-"""How a group is planned for: tolerances, constraints, planner, speed; all of it in one request."""
+"""Planning settings of a group: tolerances, constraints, planner and speed, for one request."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets
 
 
 class GroupSettings(GroupTargets):
-    """A group with its settings."""
+    """A planning group with targets and planning settings."""
 
     # --- tolerances ---
     def get_goal_tolerance(self) -> tuple[float, float, float]:
@@ -48,13 +48,18 @@ class GroupSettings(GroupTargets):
         self._replanning = bool(value)
 
     def get_known_constraints(self) -> list[str]:
-        """Those of the constraints database: there is none."""
+        """Return the names in the constraints database; always empty, because armcell has none."""
         return []
 
     def get_path_constraints(self) -> Any:
         return self._session.messages.local(self._path_constraints or self._new("Constraints"))
 
-    def set_path_constraints(self, value: Any) -> None:
+    def set_path_constraints(self, value: Any = None, *, constraints: Any = None) -> None:
+        """Set path constraints from a Constraints message; None clears them.
+
+        Tutorials also pass the argument as `constraints`.
+        """
+        value = constraints if value is None else value
         if value is None:
             self.clear_path_constraints()
         elif kind_of(value) == "Constraints":
@@ -88,7 +93,7 @@ class GroupSettings(GroupTargets):
 
     # --- planner ---
     def set_planning_time(self, seconds: float) -> None:
-        """What is not above 0 changes nothing, as in MoveIt."""
+        """Set the planning time [s]; like MoveIt, ignore values that are not above 0."""
         if seconds > 0:
             self._time = float(seconds)
 

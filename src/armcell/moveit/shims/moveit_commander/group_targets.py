@@ -1,4 +1,4 @@
-"""Where a group is to go: joint values, poses, named states."""
+"""Motion targets of a group: joint values, poses and named states."""
 
 from __future__ import annotations
 
@@ -27,14 +27,21 @@ from armcell.scene import WORLD
 
 
 class GroupTargets(GroupInfo):
-    """A group with targets."""
+    """A planning group with motion targets."""
 
     # --- targets ---
     def get_joint_value_target(self) -> list[float]:
-        """Of joints that mimic others, too; joints without a target keep their places."""
+        """Return the joint positions of the target, including those of mimic joints.
+
+        Joints without a target keep their current positions.
+        """
         return self._every_value(self._joint_target)
 
-    def set_joint_value_target(self, arg1: Any, arg2: Any = None, arg3: Any = None) -> None:
+    def set_joint_value_target(self, arg1: Any, arg2: Any = None, arg3: Any = None) -> bool:
+        """Set the joint target; raise if it is invalid, otherwise return True.
+
+        MoveIt returns None, but tutorials test the result.
+        """
         kind = kind_of(arg1)
         if kind == "RobotState":
             self._set_joints(
@@ -59,6 +66,7 @@ class GroupTargets(GroupInfo):
             self._set_joints(self._by_name(list(arg1)))
         else:
             raise MoveItCommanderException(f"Unsupported argument of type {type(arg1)}")
+        return True
 
     @staticmethod
     def _no_more(*arguments: Any) -> None:
@@ -123,7 +131,10 @@ class GroupTargets(GroupInfo):
         return scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
 
     def _stamped(self, pose: Any) -> Any:
-        """Pose, PoseStamped or a list as the script's own PoseStamped: later changes of theirs are theirs."""
+        """Copy a Pose, PoseStamped or list to a PoseStamped.
+
+        The copy is independent of the caller's object, which the script may change later.
+        """
         local = self._session.messages.local
         if kind_of(pose) == "PoseStamped":
             own = local(pose)
@@ -160,7 +171,7 @@ class GroupTargets(GroupInfo):
         self._target(link, POSITION, [self._stamped([*map(float, xyz), *self._last(link)[3:]])])
 
     def _last(self, link: str) -> list[float]:
-        """The last pose that was wanted of a link, else the present one."""
+        """Return the link's last pose target, or its current pose if it has no target."""
         if self._poses.get(link):
             return pose_to_list(self._poses[link][0].pose)
         return pose_to_list(self.get_current_pose(link).pose)
@@ -173,7 +184,7 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException("Unable to set target pose") from None
 
     def set_pose_targets(self, poses: Any, end_effector_link: str = "") -> None:
-        """Any one of them."""
+        """Set several pose targets; the planner may reach any one of them."""
         self._link(end_effector_link, "set the pose for")
         try:
             self._target(end_effector_link, POSE, [self._stamped(p) for p in poses])
@@ -181,7 +192,12 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException("Unable to set target poses") from None
 
     def shift_pose_target(self, axis: int, value: float, end_effector_link: str = "") -> None:
-        """The present pose moved along x, y, z or turned by roll, pitch, yaw (0 to 5)."""
+        """Set the pose target to the current pose, shifted along or rotated about one axis.
+
+        Args:
+            axis: 0 to 2 shift along x, y, z; 3 to 5 change roll, pitch, yaw.
+            value: shift [m] or change of the angle [rad].
+        """
         link = self._link(end_effector_link, "set the pose for")
         if axis not in range(6):
             raise MoveItCommanderException(
@@ -224,7 +240,10 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException(f"{text} {error}") from None
 
     def get_named_target_values(self, target: str) -> dict[str, float]:
-        """Empty where there is no such target, which is told."""
+        """Return joint name -> position of a named target.
+
+        If the target does not exist, the method logs an error and returns an empty dict.
+        """
         if target in self._remembered:
             return self._by_name(self._remembered[target])
         if target not in self.get_named_targets():

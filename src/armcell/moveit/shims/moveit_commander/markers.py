@@ -1,4 +1,4 @@
-"""The robot's collision geometry as visualization_msgs/MarkerArray."""
+"""Converts the robot's collision geometry to a visualization_msgs/MarkerArray."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ CUBE, SPHERE, CYLINDER, TRIANGLES = 1, 2, 3, 11  # visualization_msgs/Marker
 
 
 def markers(session: Session, scene: PlanningScene, links: Any) -> Any:
-    """Markers of some links where they are; solids that have no marker (cones) are left out."""
+    """Return markers of the collision geometry of some links at their current poses.
+
+    Shapes without a marker type (cones) are omitted.
+    """
     found = []
     for name in links:
         T_world_link = scene.frame_pose(name)

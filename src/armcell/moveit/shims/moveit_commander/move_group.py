@@ -1,4 +1,4 @@
-"""moveit_commander.MoveGroupCommander."""
+"""Shim of moveit_commander.MoveGroupCommander."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderExcep
 from armcell.moveit.shims.moveit_commander.group_info import POSE, TIMING, kind_of
 from armcell.moveit.shims.moveit_commander.group_settings import GroupSettings
 from armcell.moveit.target_hints import closed_on_nothing, unreached_pose
+from armcell.moveit.tutorial_names import METHODS
 from armcell.ros.moveit_convert import robot_state_from_message, robot_trajectory_message
 from armcell.ros.moveit_convert.objects import REMOVE
 from armcell.scene import WORLD
@@ -31,15 +32,18 @@ UNREACHED = {
 
 
 class MoveGroupCommander(GroupSettings):
-    """One planning group. Defaults, exceptions and return values are moveit_commander's.
+    """One planning group with the defaults, exceptions and return values of moveit_commander.
 
     Raises:
-        RuntimeError: no such group.
+        RuntimeError: the group does not exist.
     """
 
     # --- planning and moving ---
     def _take_target(self, joints: Any) -> None:
-        """What `go` and `plan` accept: a JointState, Pose, remembered or named state, or values."""
+        """Set the target from the argument of `go` or `plan`.
+
+        The argument may be a JointState, a Pose, the name of a remembered state, or joint values.
+        """
         if joints is None:
             return
         if kind_of(joints) == "JointState":
@@ -84,7 +88,9 @@ class MoveGroupCommander(GroupSettings):
         sent = self._send("move_group", self._goal(plan_only=False))
         if not wait:
             return True
-        code = finished(self._session, sent).error_code.val
+        result = finished(self._session, sent)
+        self._keep_plan(result)
+        code = result.error_code.val
         self._hint_at_target(code)
         for gripper in self._grippers():
             if code == SUCCESS and gripper.group == self._name:
@@ -92,7 +98,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(code == SUCCESS)
 
     def _hint_at_target(self, code: int) -> None:
-        """Say why a pose cannot be reached, where the tool's direction or the tip link is the cause."""
+        """Hint why a pose cannot be reached, if the tool's direction or the tip link is the cause."""
         if code not in UNREACHED or self._active != POSE:
             return
         scene = measured_scene()
@@ -105,25 +111,64 @@ class MoveGroupCommander(GroupSettings):
                 self._session.hint(f"target {why.split(':')[0]}", why)
 
     def _hint_at_grip(self, gripper: Gripper) -> None:
-        """Say why a gripper that has just closed holds nothing."""
+        """Hint why a gripper that has just closed holds no object."""
         scene, cell = measured_scene(), self._session.served.cell
         closed = gripper.width(scene.state[gripper.joint_name]) < 0.5 * gripper.max_width
         if closed and cell.held(gripper) is None and (why := closed_on_nothing(scene, gripper)):
             self._session.hint(f"nothing in {gripper.name}", why)
 
     def plan(self, joints: Any = None) -> tuple[bool, Any, float, Any]:
-        """(success, RobotTrajectory, planning time [s], MoveItErrorCodes)."""
+        """Plan a motion to the target without executing it.
+
+        Returns:
+            (success, RobotTrajectory, planning time [s], MoveItErrorCodes).
+        """
         self._take_target(joints)
         result = finished(self._session, self._send("move_group", self._goal(plan_only=True)))
+        self._keep_plan(result)
         code = result.error_code
         self._hint_at_target(code.val)
         return code.val == SUCCESS, result.planned_trajectory, result.planning_time, code
+
+    def _keep_plan(self, result: Any) -> None:
+        self._last_plan = self._new(
+            "MotionPlanResponse", trajectory_start=result.trajectory_start, group_name=self._name,
+            trajectory=result.planned_trajectory, planning_time=result.planning_time,
+            error_code=result.error_code,
+        )  # fmt: skip
+
+    def get_last_planning_result(self) -> Any:
+        """Return the MotionPlanResponse of the last plan() or go().
+
+        Tutorials call this method, which MoveIt does not have.
+
+        Raises:
+            MoveItCommanderException: no plan() or go() came before.
+        """
+        name = "get_last_planning_result"
+        self._session.hint(name, f"MoveIt has no {name}; {METHODS[name]}")
+        if self._last_plan is None:
+            raise MoveItCommanderException(f"{name}: no plan() or go() of {self._name} came before")
+        if not self._last_plan.trajectory.joint_trajectory.points:
+            code = ErrorCode(self._last_plan.error_code.val).name
+            self._session.hint(f"{name} {code}", f"{name}: the last plan is empty ({code}), it has no points")
+        return self._last_plan
 
     def compute_cartesian_path(
         self, waypoints: Any, eef_step: float, avoid_collisions: Any = None, path_constraints: Any = None,
         *more: Any, jump_threshold: float | None = None,
     ) -> tuple[Any, float]:  # fmt: skip
-        """(RobotTrajectory, fraction). The third argument may be a jump threshold, as it was up to 1.1.14."""
+        """Plan straight lines of the end effector through waypoints.
+
+        Args:
+            waypoints: poses of the end-effector link.
+            eef_step: largest step [m] between two points of the path.
+            avoid_collisions: whether to check for collisions (default True). A number is taken as
+                `jump_threshold`, which was the third argument up to MoveIt 1.1.14.
+            path_constraints: a Constraints message; None uses those of the group.
+        Returns:
+            (RobotTrajectory, fraction of the path that was planned).
+        """
         third = avoid_collisions
         rest = [path_constraints, *more]
         if third is not None and not isinstance(third, bool | np.bool_):
@@ -165,7 +210,10 @@ class MoveGroupCommander(GroupSettings):
         return found.solution, found.fraction
 
     def execute(self, plan_msg: Any, wait: bool = True) -> bool:
-        """A RobotTrajectory. What plan() returned is taken, too: its trajectory, unless the plan failed."""
+        """Execute a RobotTrajectory; return whether it succeeded.
+
+        The complete result of plan() is accepted as well: if the plan succeeded, its trajectory is executed.
+        """
         if isinstance(plan_msg, tuple | list) and len(plan_msg) == 4:
             self._session.hint(
                 "plan tuple",
@@ -191,7 +239,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Why a plan does not lead to its goal; empty where it may."""
+        """Return why a plan does not lead to its goal, or an empty string if it may."""
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"
@@ -206,7 +254,10 @@ class MoveGroupCommander(GroupSettings):
 
     # --- objects ---
     def attach_object(self, object_name: str, link_name: str = "", touch_links: Any = ()) -> bool:
-        """To a link, the end effector's or the group's first where none is named. True: it was asked for."""
+        """Attach an object to a link; return True if the request was sent.
+
+        Without a link name, the link is the end effector's, or the first of the group.
+        """
         link = link_name or self._eef or next(iter(self._group.link_names), "")
         if not link:
             return False
@@ -217,12 +268,16 @@ class MoveGroupCommander(GroupSettings):
         return True
 
     def _grippers(self) -> list[Gripper]:
-        """Those that the group carries or is."""
+        """Return the grippers that the group carries, or that the group itself represents."""
         every = self._session.model.grippers.values()
         return [g for g in every if self._name in (g.arm_group, g.group)]
 
     def detach_object(self, name: str = "") -> bool:
-        """An object by its name, what a link carries, or all the group carries. True: it was asked for."""
+        """Detach objects from the robot; return True, since the request was sent.
+
+        Args:
+            name: an object, or a link whose objects are detached; without a name, all objects of the group.
+        """
         link = name if name in self._session.model.links else ""
         bodies = measured_scene().attached
         links = {self._eef, *self._group.link_names}
@@ -251,7 +306,10 @@ class MoveGroupCommander(GroupSettings):
             )
 
     def pick(self, object_name: str, grasp: Any = (), plan_only: bool = False) -> int:
-        """The error code. Without grasps they are found; approach, lift and force where they are missing."""
+        """Pick an object; return the value of the result's MoveItErrorCodes.
+
+        Without grasps, armcell generates them. In given grasps it fills in a missing approach, lift or force.
+        """
         grasps = [grasp] if kind_of(grasp) == "Grasp" else list(grasp)
         goal = self._new(
             "PickupGoal", target_name=object_name, group_name=self._name, possible_grasps=grasps,
@@ -260,7 +318,12 @@ class MoveGroupCommander(GroupSettings):
         return self._picked_or_placed("pickup", goal, plan_only)
 
     def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> bool:
-        """Whether it was placed (only pick gives the code). A location: where the object is to be."""
+        """Place a held object; return whether it succeeded (only `pick` returns the error code).
+
+        Args:
+            location: pose of the placed object (Pose, PoseStamped or PlaceLocation), or a list of them; None
+                chooses a place on the surface that `set_support_surface_name` names.
+        """
         goal = self._new(
             "PlaceGoal", group_name=self._name, attached_object_name=object_name,
             place_locations=self._locations(location), support_surface_name=self._support,
@@ -303,7 +366,10 @@ class MoveGroupCommander(GroupSettings):
         self, ref_state_in: Any, traj_in: Any, velocity_scaling_factor: float = 1.0,
         acceleration_scaling_factor: float = 1.0, algorithm: str = TIMING[0],
     ) -> Any:  # fmt: skip
-        """The same way with new times: as fast as the scaled limits allow, whichever algorithm is named."""
+        """Return a trajectory with the same path and new times, as fast as the scaled limits allow.
+
+        All algorithm names of MoveIt are accepted and give the same result.
+        """
         if algorithm not in TIMING:
             self._session.say("ERROR", f"Unknown time parameterization algorithm: {algorithm}")
             return self._new("RobotTrajectory")
@@ -321,7 +387,12 @@ class MoveGroupCommander(GroupSettings):
         return self._session.messages.local(message)
 
     def get_jacobian_matrix(self, joint_values: Any, reference_point: Any = None) -> Any:
-        """(6, n), linear over angular, in the frame of the group's base; of a point in the tip's frame."""
+        """Return the (6, n) Jacobian in the group's base frame, linear rows above angular rows.
+
+        Args:
+            joint_values: positions of the group's joints [rad or m].
+            reference_point: point (3,) in the tip link's frame [m]; None is the frame's origin.
+        """
         values = [float(v) for v in joint_values]
         scene = measured_scene().with_state(JointState.from_mapping(self._by_name(values)))
         point = np.zeros(3) if reference_point is None else np.asarray(reference_point, dtype=float)
@@ -332,7 +403,7 @@ class MoveGroupCommander(GroupSettings):
         return np.vstack([R @ J[:3], R @ J[3:]])
 
     def enforce_bounds(self, robot_state_msg: Any) -> Any:
-        """The state with every joint within its limits."""
+        """Return the robot state with every joint clamped to its limits."""
         scene = measured_scene()
         state = robot_state_from_message(robot_state_msg, scene)
         bounded = self._session.messages.local(robot_state_msg)

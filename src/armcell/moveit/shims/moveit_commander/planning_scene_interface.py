@@ -1,4 +1,4 @@
-"""moveit_commander.PlanningSceneInterface."""
+"""Shim of moveit_commander.PlanningSceneInterface."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ ATTACHED = Components.ROBOT_STATE_ATTACHED_OBJECTS
 
 
 class PlanningSceneInterface:
-    """The world that is planned in. A change is there when the call returns: nothing has to be waited for.
+    """Interface to change and query the planning scene.
 
-    `synchronous=False` publishes on topics as in MoveIt.
+    Every change is complete when its call returns, so scripts need not wait. With `synchronous=False`,
+    changes are published on topics, as in MoveIt.
     """
 
     def __init__(self, ns: str = "", synchronous: bool = True, service_timeout: float = 5.0):
@@ -80,7 +81,13 @@ class PlanningSceneInterface:
 
     # --- attaching ---
     def attach_object(self, object: Any, link: str | None = None, touch_links: Any = None) -> None:
-        """An AttachedCollisionObject, a CollisionObject, or the name of one that the world has."""
+        """Attach an object to a link of the robot.
+
+        Args:
+            object: an AttachedCollisionObject, a CollisionObject, or the name of an object in the world.
+            link: name of the link; None uses the link in the message.
+            touch_links: links that may touch the object; None allows only the link itself.
+        """
         if isinstance(object, str):
             object = self._new("moveit_msgs/CollisionObject", id=object)
         if object._type == "moveit_msgs/CollisionObject":
@@ -123,12 +130,12 @@ class PlanningSceneInterface:
         self._submit(self._new("moveit_msgs/CollisionObject", id=name or "", operation=REMOVE))
 
     def remove_attached_object(self, link: str | None = None, name: str | None = None) -> None:
-        """The object stays in the world."""
+        """Detach an object from the robot; the object stays in the world."""
         item = self._new("moveit_msgs/CollisionObject", id=name or "", operation=REMOVE)
         message = self._new("moveit_msgs/AttachedCollisionObject", link_name=link or "", object=item)
         self._submit(message, attach=True)
 
-    # --- asking ---
+    # --- queries ---
     def get_known_object_names(self, with_type: bool = False) -> list[str]:
         return [o.id for o in self._world() if not with_type or o.type.key]
 
@@ -142,7 +149,7 @@ class PlanningSceneInterface:
         maxz: float,
         with_type: bool = False,
     ) -> list[str]:
-        """Objects whose origin is in a box of the planning frame."""
+        """Return the names of objects whose origin is inside a box of the planning frame."""
         low, high = (minx, miny, minz), (maxx, maxy, maxz)
         found = []
         for item in self._world():
@@ -166,7 +173,11 @@ class PlanningSceneInterface:
         return self.get_planning_scene(int(GEOMETRY)).world.collision_objects
 
     def get_planning_scene(self, components: Any) -> Any:
-        """A PlanningScene of the components asked for (a number, or a PlanningSceneComponents)."""
+        """Return a PlanningScene with the requested components.
+
+        Args:
+            components: a bit mask, or a PlanningSceneComponents message.
+        """
         wanted = self._new(
             "moveit_msgs/PlanningSceneComponents", int(getattr(components, "components", components))
         )
@@ -183,7 +194,7 @@ class PlanningSceneInterface:
         except ServiceError as error:
             raise MoveItCommanderException(str(error)) from None
 
-    # --- making ---
+    # --- creation of messages ---
     @staticmethod
     def make_box(name: str, pose: Any, size: Any) -> Any:
         return _solid(name, pose, BOX, size)
@@ -211,7 +222,7 @@ class PlanningSceneInterface:
 
     @staticmethod
     def make_mesh(name: str, pose: Any, filename: str, scale: Any = (1, 1, 1)) -> Any:
-        """The mesh of a file (STL, DAE, OBJ, ...), scaled."""
+        """Return a CollisionObject with the scaled mesh of a file (STL, DAE, OBJ, ...)."""
         session = current_session()
         try:
             mesh = load_mesh(Path(filename.removeprefix("file://")), tuple(float(s) for s in scale))

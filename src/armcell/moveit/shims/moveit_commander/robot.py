@@ -1,4 +1,4 @@
-"""moveit_commander.RobotCommander."""
+"""Shim of moveit_commander.RobotCommander."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from armcell.scene import WORLD
 
 
 class RobotCommander:
-    """What the robot is and how it stands; groups by name or as attributes (`robot.arm`)."""
+    """Model and current state of the robot.
+
+    Groups are available by name or as attributes (`robot.arm`).
+    """
 
     class Joint:
         """One joint of the robot."""
@@ -46,7 +49,7 @@ class RobotCommander:
             return values[self._name] if self.variable_count() else []
 
         def move(self, position: Any, wait: bool = True) -> bool:
-            """Move this joint alone, with the group that owns it."""
+            """Move only this joint, with the group that owns it."""
             group = self._robot.get_default_owner_group(self._name)
             if group is None:
                 raise MoveItCommanderException(
@@ -85,7 +88,7 @@ class RobotCommander:
         return WORLD
 
     def get_robot_markers(self, *args: Any) -> Any:
-        """A MarkerArray of the robot's collision geometry where it is."""
+        """Return a MarkerArray of the robot's collision geometry at its current pose."""
         session, scene = current_session(), measured_scene()
         wanted = args[0] if args and isinstance(args[0], list | tuple) else list(scene.model.links)
         return markers(session, scene, wanted)
@@ -100,7 +103,7 @@ class RobotCommander:
         return list(self._group(group).joint_names)
 
     def get_joint_names(self, group: str | None = None) -> list[str]:
-        """All joints, fixed and mimicking ones too."""
+        """Return the names of all joints, including fixed and mimic joints."""
         model = current_session().model
         if group is None:
             return list(model.joints)
@@ -149,12 +152,12 @@ class RobotCommander:
         return self._groups[name]
 
     def get_default_owner_group(self, joint_name: str) -> str | None:
-        """The smallest group that moves a joint."""
+        """Return the name of the smallest group that moves a joint, or None."""
         groups = [g for g in current_session().model.groups.values() if joint_name in g.joint_names]
         return min(groups, key=lambda g: len(g.joint_names)).name if groups else None
 
     def __getattr__(self, name: str) -> Any:
-        """`robot.arm`: a group, joint or link by its name."""
+        """Return the group, joint or link with this name (`robot.arm`)."""
         if name.startswith("_"):
             raise AttributeError(name)
         model = current_session().model

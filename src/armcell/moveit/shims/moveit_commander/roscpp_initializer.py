@@ -1,4 +1,4 @@
-"""roscpp_initialize and roscpp_shutdown: there is nothing to start here."""
+"""Shim of roscpp_initialize and roscpp_shutdown, which have nothing to start or stop here."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from armcell.moveit.session import current_session
 
 
 def roscpp_initialize(args: Any) -> None:
-    current_session()  # says what to do where there is none
+    current_session()  # without a session, raises an error that contains the remedy
 
 
 def roscpp_shutdown() -> None:
-    """The cell ends with the script."""
+    """Do nothing: the cell ends with the script."""

@@ -1,0 +1,89 @@
+"""Namespace and remappings of ROS names, from the command line and the cell file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import typer
+
+from armcell.core import InputError
+
+NAMESPACE = typer.Option(
+    "", "--ns", metavar="NAMESPACE", show_default=False,
+    help="Put all names into a namespace, on every wire: --ns arm_left gives /arm_left/joint_states.",
+)  # fmt: skip
+REMAP = typer.Option(
+    None, "--remap", metavar="FROM:=TO", show_default=False,
+    help="Rename a topic, service or action on every wire; repeat it for several.",
+)  # fmt: skip
+ARGUMENTS = typer.Argument(
+    None, metavar="[FROM:=TO]...", show_default=False,
+    help="As for a ROS program: remappings, __ns:= and, with --ros1, __name:= and private parameters.",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Naming:
+    """The namespace and remappings from the command line.
+
+    Attributes:
+        namespace: the namespace for all names; empty for none.
+        remap: remappings FROM:=TO.
+        special: ROS 1 arguments that begin with an underscore.
+    """
+
+    namespace: str
+    remap: tuple[str, ...]
+    special: tuple[str, ...]
+
+    @property
+    def words(self) -> list[str]:
+        """The command line options with the same effect, for the record of a run."""
+        space = ["--ns", self.namespace] if self.namespace else []
+        return space + [word for pair in self.remap for word in ("--remap", pair)]
+
+    def renamed(self, bus: Any, node: str, cell: Any) -> Any:
+        """Return the bus with remapped names; the command line has priority over the cell file.
+
+        Raises:
+            InputError: a name is invalid, or two names become equal.
+        """
+        from armcell.ros.names import name_map
+
+        spec = cell.spec.ros
+        pairs = (*(f"{before}:={after}" for before, after in spec.remap.items()), *self.remap)
+        names = name_map(node, self.namespace or spec.namespace, pairs)
+        return bus if names is None else bus.renamed(names)
+
+
+def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None, ros1: bool) -> Naming:
+    """Parse the options and arguments for names; with ROS 1, ROS_NAMESPACE is the default.
+
+    Raises:
+        InputError: the namespace is invalid, an argument is not a remapping, or an argument applies to ROS 1
+            only.
+    """
+    from armcell.ros.names import name_map
+
+    special = [a for a in arguments or () if a.startswith("_")]
+    spaces = [a for a in special if a.startswith("__ns:=")]
+    rest = tuple(a for a in special if a not in spaces)
+    if rest and not ros1:
+        raise InputError(f"argument {rest[0]!r} applies to ROS 1 alone", cure="add --ros1")
+    namespace = namespace or "".join(a.partition(":=")[2] for a in spaces[-1:])
+    namespace = (namespace or (os.environ.get("ROS_NAMESPACE", "") if ros1 else "")).strip("/")
+    pairs = (*(a for a in arguments or () if not a.startswith("_")), *(remap or ()))
+    name_map("armcell", namespace, pairs)
+    return Naming(namespace, pairs, rest)
+
+
+def unused(bus: Any) -> str:
+    """Return a warning about remappings whose names the cell does not have; empty if none."""
+    if bus.names is None:
+        return ""
+    have = {t.name for t in bus.topics()} | set(bus.services())
+    have |= {name.rpartition("/")[0] for name in have if name.endswith("/goal")}
+    odd = [name for name in bus.names.remapped if name not in have]
+    return f"the cell has no topic, service or action {', '.join(odd)}: nothing is remapped" if odd else ""

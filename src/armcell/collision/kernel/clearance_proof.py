@@ -1,0 +1,41 @@
+"""Proofs that keep a distance between the bodies of a robot, along a motion."""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel import gjk
+from armcell.collision.kernel.block import AT_S, AT_SLACK_PAIR, FIRST, ints
+from armcell.collision.kernel.layout import PAIRS
+from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
+from armcell.collision.kernel.simd import at_address, pointer
+
+
+@njit(cache=True, nogil=True)
+def first_below_clearance(handle, points, room, distance):
+    """Where on a piecewise linear motion (k, dof) two bodies are not proven `distance` [m] apart.
+
+    Args:
+        room: (dof,) how far each joint may be off the edges [rad or m].
+    Returns:
+        The place counted in edges, -1.0 if there is none.
+    """
+    k, (n, dof) = pointer(handle), points.shape
+    I, s = ints(k), at_address(np.float64, k[AT_S])
+    slack_pair = at_address(np.float32, k[AT_SLACK_PAIR])
+    rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
+    loosen(k, pointer(room))
+    for b in range(I[PAIRS]):
+        slack_pair[b] += np.float32(distance)
+    s[gjk.CLOSE] = distance
+    prove(
+        k, pointer(points), pointer(rows), pointer(rows[1:]), n - 1, pointer(at), np.int64(FIRST), FINEST
+    )  # fmt: skip
+    s[gjk.CLOSE] = 0.0
+    for e in range(n - 1):
+        if at[e] != PROVEN:
+            return rows[e] / dof + at[e]
+    return -1.0

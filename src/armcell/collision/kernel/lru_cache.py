@@ -1,0 +1,33 @@
+"""A thread-safe least-recently-used cache."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+Value = TypeVar("Value")
+
+
+class LruCache(Generic[Value]):
+    """Thread-safe cache that keeps the `most` most recently used values."""
+
+    def __init__(self, most: int):
+        self.most = most
+        self._values: OrderedDict[Hashable, Value] = OrderedDict()
+        self._lock = threading.RLock()
+
+    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return the cached value of a key; call `make` if there is none.
+
+        Other threads wait while `make` runs, because they usually need the same value.
+        """
+        with self._lock:
+            if key in self._values:
+                self._values.move_to_end(key)
+                return self._values[key]
+            value = self._values[key] = make()
+            while len(self._values) > self.most:
+                self._values.popitem(last=False)
+            return value

@@ -1,0 +1,68 @@
+"""PlanningSceneMonitor as tutorials use it from Python: octomap of the cell's depth cameras.
+
+MoveIt 1 has the class only in C++. armcell's move_group always monitors states, attached objects and
+collision objects, so the other monitors have nothing to start.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import Any
+
+from armcell.core import InputError
+from armcell.moveit.session import CHECK, current_session
+from armcell.moveit.tutorial_names import CLASSES
+from armcell.ros.nodes import ServedCell
+
+NAME = "PlanningSceneMonitor"
+FIRST_IMAGE = 30.0  # [s, wall clock] for the first images, as the rendering process must start
+CURE = "describe a depth camera under `cameras:` of the cell file"
+
+
+class PlanningSceneMonitor:
+    """Starts and stops updates of the planning scene."""
+
+    def __init__(self, robot_description: str = "robot_description", name: str = ""):
+        self._session = current_session()
+        self._watches: list[Any] = []
+        self._session.hint(NAME, f"MoveIt's Python has no {NAME}; {CLASSES[NAME]}")
+
+    def startWorldGeometryMonitor(self, *topics: Any) -> None:
+        """Update the octomap from the cell's cameras, 10 times a second; wait for the first images.
+
+        The camera `overview`, which renders the report's pictures, is used only if it is the only camera.
+        """
+        served = self._session.served
+        if not isinstance(served, ServedCell):
+            self._session.say(
+                "WARN", "startWorldGeometryMonitor: the cameras are at the other end of the wire"
+            )
+            return
+        cameras = [name for name in served.live.cameras if name != "overview"] or list(served.live.cameras)
+        if not cameras:
+            self._session.say("WARN", f"startWorldGeometryMonitor: the cell has no camera; {CURE}")
+        for camera in cameras if not self._watches else ():
+            try:
+                self._watches.append(self._session.own(served.call(partial(served.live.watch, camera))))
+            except InputError as error:
+                self._session.say("WARN", f"startWorldGeometryMonitor: no octomap of {camera}: {error}")
+        give_up = time.monotonic() + FIRST_IMAGE
+        while any(not w.updates for w in self._watches) and time.monotonic() < give_up:
+            if self._session.shutting_down.wait(CHECK):
+                return
+        for watch in self._watches:
+            if not watch.updates:
+                self._session.say("WARN", f"startWorldGeometryMonitor: no image of {watch.camera.name} yet")
+
+    def stopWorldGeometryMonitor(self) -> None:
+        """Stop the updates from the cameras and keep the octomap."""
+        for watch in self._watches:
+            watch.close()
+        self._watches.clear()
+
+    def startSceneMonitor(self, scene_topic: str = "") -> None:
+        """Do nothing: armcell's move_group always applies scene diffs."""
+
+    def startStateMonitor(self, joint_states_topic: str = "", attached_objects_topic: str = "") -> None:
+        """Do nothing: armcell's move_group always tracks the joint states."""

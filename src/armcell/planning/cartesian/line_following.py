@@ -1,0 +1,304 @@
+"""Step-by-step inverse kinematics along a straight line, and the reasons why a line stops.
+
+Each step is a descent from the previous joint positions. A redundant arm may meanwhile move along its null
+space: away from joint limits, or along the solution that `plan_redundancy` finds. An arm without redundant
+joints has a single solution to follow.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import Leaving, allowing, resting_pairs
+from armcell.core import SE3, CartesianRequest, Contact, ErrorCode
+from armcell.kinematics import IKSolver
+from armcell.planning.cartesian.redundancy import plan_redundancy
+from armcell.planning.constraints.manifold import ConstraintManifold, Violation
+
+Array = NDArray[np.float64]
+
+SINGULAR = 0.05  # smallest singular value of the Jacobian [m, rad], far below normal values
+
+COLLISION, CONSTRAINT, JUMP, LIMIT, REACH, SINGULARITY, BRANCH = (
+    "collision", "path constraint", "jump", "joint limit", "out of reach", "singularity", "no way on",
+)  # fmt: skip
+
+
+LEAD_OUT = (
+    "the line begins in contact and does not lead out of it: begin with a waypoint a few millimeters off "
+    "what it touches, or allow the contact"
+)
+
+TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "relative_jump_threshold"
+"""Names of the request's jump thresholds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """The first step of a Cartesian path that is not feasible.
+
+    Attributes:
+        explain: computes the reason with its evidence; called only for the best of all attempts.
+    """
+
+    explain: Callable[[], StopReason]
+
+
+@dataclass(frozen=True, eq=False)
+class StopReason:
+    """Why a Cartesian path stops.
+
+    Cause (one of the constants above), text, error code and evidence.
+    """
+
+    cause: str
+    text: str
+    code: ErrorCode
+    evidence: dict[str, Any] = field(default_factory=dict)
+
+
+def collision_stop(contacts: list[Contact]) -> StopReason:
+    """Describe a stop caused by contacts."""
+    text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
+    return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
+
+
+def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) -> StopReason:
+    """Describe a stop caused by a joint that would jump.
+
+    Args:
+        threshold: of the request, in `unit` or as a factor. field: the request field that holds the
+            threshold.
+    """
+    what = f"{threshold:g} times the mean step" if field == RELATIVE else f"threshold {threshold:g}"
+    text = f"{joint} would jump {step:.2f} {unit} ({what})"
+    return StopReason(JUMP, text, ErrorCode.PLANNING_FAILED, {"joint": joint, "step": step, "field": field})
+
+
+def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
+    """List constraints that q (n,) violates or satisfies by too little to prove any motion."""
+    return manifold.violations(q, inside=manifold.allowance == 0.0)
+
+
+def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
+    """Describe a stop caused by path constraints."""
+    found = at_violation(manifold, q)
+    words = [
+        v.text
+        if v.amount > manifold.boundary_margin
+        else f"{v.name} comes to the edge of its {v.kind} constraint"
+        for v in found[:3]
+    ]
+    text = "; ".join(words) or "the motion between two steps leaves the path constraints"
+    evidence = {"violations": found, "constraints": [v.name for v in found]}
+    return StopReason(CONSTRAINT, text, ErrorCode.INVALID_MOTION_PLAN, evidence)
+
+
+def ik_stop(
+    ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
+) -> StopReason:
+    """Describe a stop caused by inverse kinematics.
+
+    Joint limit, out of reach, singularity or another branch.
+
+    Args:
+        before: positions (dof,) of the last feasible step. closest: positions (dof,) nearest to the pose.
+        short: distance [m] and angle [rad] that are missing at `closest`. limits: joints at their limits
+            there.
+    """
+    J = ik.tree.jacobian(closest, ik.tip_link, ik.joint_names)
+    least = float(np.linalg.svd(J, compute_uv=False)[-1])
+    evidence: dict[str, Any] = {
+        "joints_at_limit": limits,
+        "missing_m": short[0],
+        "missing_rad": short[1],
+        "least_singular_value": least,
+        "near_singularity": least < SINGULAR,
+    }
+    if limits:
+        cause, text = LIMIT, f"{', '.join(limits)} at the limit"
+    elif next(iter(ik.solutions(pose, before)), None) is None:
+        cause, text = REACH, "out of reach"
+        evidence["reach_m"] = ik.prepared.chain.reach
+    elif least < SINGULAR:
+        cause, text = SINGULARITY, f"singular (smallest singular value {least:.3f})"
+    else:
+        cause, text = BRANCH, "another joint solution reaches the pose, but not from here"
+    missing = f"{short[0] * 1000:.1f} mm, {np.rad2deg(short[1]):.1f} deg short"
+    return StopReason(cause, f"{text} ({missing})", ErrorCode.NO_IK_SOLUTION, evidence)
+
+
+JointPreference = Callable[
+    [Array, int], Array
+]  # (positions (n,), number of the step) -> how they would like to change (n,)
+
+TASK = 6  # degrees of freedom of a pose; further joints are redundant
+ZONE, ZONE_SHARE = 0.35, 0.15  # [rad or m], and of the joint's range, from a limit in which it is left
+GAIN = 0.15  # share of the zone left per step
+FASTEST = 0.05  # [rad or m] along the null space in one step
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedLine:
+    """Joint positions (n,) of the feasible steps along a line, and the stop (None.
+
+    The line is complete).
+    """
+
+    path: list[Array]
+    stop: Stop | None
+
+
+def _near(checker: KernelChecker, q: Array) -> list[Contact]:
+    """List contacts at q (n,), or pairs within the padding.
+
+    Only the nearest pair if just the kernel finds one.
+    """
+    if found := checker.exact.contacts(q):
+        return found
+    nearest = checker.exact.nearest(q)
+    return [] if nearest is None else [nearest]
+
+
+class RestingStart:
+    """Decides which positions (n,) are allowed while the arm leaves resting contact at its start (n,)."""
+
+    def __init__(self, checker: KernelChecker, start: Array):
+        near = resting_pairs(checker.exact, start)
+        self._leaving = Leaving(checker.exact, start, near)
+        self._others = KernelChecker(allowing(checker.scene, near), checker.joint_names)
+        self._others.relax_margins(start)
+
+    def refuses(self, q: Array) -> list[Contact] | None:
+        """Return the contacts that forbid positions q (n,), or None if q is allowed."""
+        if (contact := self._leaving.refuses(q)) is not None:
+            return [contact]
+        return None if self._others.is_free(q) else _near(self._others, q)
+
+
+class LineFollower:
+    """Follows Cartesian lines with the joints of one group; other joints stay at `rest` (dof,).
+
+    Args:
+        bounds: (n, 2) lower and upper limits that the group's joints keep.
+        resting: rules for leaving the contact if the start is in resting contact.
+    """
+
+    def __init__(
+        self, request: CartesianRequest, ik: IKSolver, checker: KernelChecker | None,
+        manifold: ConstraintManifold | None, rest: Array, bounds: Array, cancel: threading.Event,
+        resting: RestingStart | None = None,
+    ):  # fmt: skip
+        self.cancel, self.resting = cancel, resting
+        self.request, self.ik, self.checker, self.manifold = request, ik, checker, manifold
+        self.rest, self.bounds = rest, np.ascontiguousarray(bounds)
+        slides = np.array([ik.model.joint(name).type == "prismatic" for name in ik.joint_names])
+        most = np.where(slides, request.prismatic_jump_threshold, request.jump_threshold)
+        self.most = np.where(most > 0, most, np.inf)  # 0 switches the test off, as in MoveIt
+        self.slides = slides
+        span = bounds[:, 1] - bounds[:, 0]
+        self.zone = np.where(np.isfinite(span), np.minimum(ZONE, ZONE_SHARE * span), 0.0)
+
+    def follow(self, poses: list[SE3], start: Array) -> FollowedLine:
+        """Follow poses from the start positions (n,) as far as any attempt gets."""
+        best = None
+        for wish in self._wishes(poses, start):
+            tried = self._walk(poses, start, wish)
+            if best is None or len(tried.path) > len(best.path):
+                best = tried
+            if best.stop is None:
+                break
+        assert best is not None
+        return best
+
+    def _wishes(self, poses: list[SE3], start: Array) -> Iterator[JointPreference | None]:
+        if len(start) <= TASK:
+            yield None
+            return
+        yield self._from_limits
+        yield None
+        way = plan_redundancy(
+            self.ik, poses, start, self.rest, self.bounds, self.zone, lambda q: self._refused(q) is None
+        )
+        if way is not None:
+            yield lambda q, k: way[k] - q
+
+    def _from_limits(self, q: Array, k: int) -> Array:
+        low, high = self.bounds[:, 0] + self.zone - q, q - self.bounds[:, 1] + self.zone
+        return GAIN * (np.maximum(low, 0.0) - np.maximum(high, 0.0))
+
+    def _walk(self, poses: list[SE3], start: Array, wish: JointPreference | None) -> FollowedLine:
+        ik, q = self.ik, self._full(start)
+        path: list[Array] = []
+        last = start
+        for k, pose in enumerate(poses):
+            if self.cancel.is_set():
+                break
+            before = q.copy()
+            step = None
+            if wish is not None:
+                step = wish(last, k)
+                step *= min(1.0, FASTEST / max(float(np.max(np.abs(step))), 1e-12))
+            meters, radians, ok = ik.descend(q, pose, wish=step, bounds=self.bounds)
+            now = q[ik.columns].copy()
+            if not ok:
+                at = (now - self.bounds[:, 0] < 1e-3) | (self.bounds[:, 1] - now < 1e-3)
+                limits = [name for name, yes in zip(ik.joint_names, at, strict=True) if yes]
+                short = (meters, radians)
+                return FollowedLine(path, Stop(partial(ik_stop, ik, pose, before, q, short, limits)))
+            moved = np.abs(now - last)
+            worst = int(np.argmax(moved / self.most))
+            if moved[worst] > self.most[worst]:
+                jump = (ik.joint_names[worst], float(moved[worst]), float(self.most[worst]))
+                kind = (SLIDING, "m") if self.slides[worst] else (TURNING, "rad")
+                return FollowedLine(path, Stop(partial(jump_stop, *jump, *kind)))
+            if (stop := self._refused(now)) is not None:
+                return FollowedLine(path, stop)
+            path.append(now)
+            last = now
+        return FollowedLine(path, None)
+
+    def _refused(self, q: Array) -> Stop | None:
+        """Return why the arm must not be at q (n,), or None if q is allowed."""
+        checker, manifold = self.checker, self.manifold
+        if checker is not None and not checker.is_free(q):
+            if self.resting is None:
+                return Stop(lambda: collision_stop(_near(checker, q)))
+            if (found := self.resting.refuses(q)) is not None:
+                return Stop(lambda: collision_stop(found))
+        if manifold is not None and at_violation(manifold, q):
+            return Stop(lambda: constraint_stop(manifold, q))
+        return None
+
+    def _full(self, q: Array) -> Array:
+        full = self.rest.copy()
+        full[self.ik.columns] = q
+        return full
+
+
+def relative_jump(
+    path: Array, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
+) -> tuple[int, Stop] | None:
+    """Find the first step of a path (k, n) longer than `factor` times the mean (as MoveIt does).
+
+    The length of a step is the sum of all joints' motions.
+
+    Args:
+        slides: (n,) which joints are prismatic.
+    """
+    moved = np.abs(np.diff(path, axis=0))
+    steps = moved.sum(axis=1)
+    if factor <= 0 or not len(steps) or not np.any(steps > factor * steps.mean()):
+        return None
+    k = int(np.argmax(steps > factor * steps.mean()))
+    joint = int(np.argmax(moved[k]))
+    unit = "m" if slides[joint] else "rad"
+    return k, Stop(partial(jump_stop, names[joint], float(moved[k, joint]), factor, RELATIVE, unit))

@@ -1,0 +1,265 @@
+"""Certify and time a path.
+
+Round its corners, prove it collision-free, parameterize it, add the lead-in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.collision import Certificate
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.resting import certify_from_rest, clearance_from_rest
+from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.kinematics import InverseDynamics
+from armcell.model import Inertial, RobotModel
+from armcell.planning.moved_frame import MovedFrame, limit_cartesian_speed
+from armcell.planning.request import ValidatedRequest
+from armcell.scene import PlanningScene, solid_inertia
+from armcell.timing import (
+    BlendedPath,
+    TimingSettings,
+    TorqueLimitError,
+    TorqueModel,
+    jerk_limited,
+    parameterize,
+    smoothing_departure,
+)
+
+Array = NDArray[np.float64]
+
+SAGITTA = 2e-4
+"""[rad] deviation of the certified chords from the rounded path."""
+ROUNDINGS = (1.0, 0.3, 0.09, 0.0)
+"""Shares of the corner rounding, largest first."""
+PADDED_ROUNDINGS = (
+    2  # roundings tested with padding; sharper corners cost more time than the padding is worth
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedMotion:
+    """A certified and timed motion, or the certificate that shows where the path touches."""
+
+    certificate: Certificate
+    trajectory: JointTrajectory | None = None
+    path: BlendedPath | None = None
+    padded_motion: bool = False  # the motion also keeps the padding
+
+
+class Certifier(Protocol):
+    """Protocol of a checker that proves motions: the exact checker or the kernel."""
+
+    model: RobotModel
+    joint_names: tuple[str, ...]
+
+    def certify(
+        self, waypoints: ArrayLike, slack: ArrayLike | None = None, *, evidence: bool = True
+    ) -> Certificate: ...
+
+
+def certify_and_time(
+    checker: Certifier,
+    waypoints: ArrayLike,
+    velocity_scaling: float,
+    acceleration_scaling: float,
+    timing: TimingSettings = TimingSettings(),
+    torque: TorqueModel | None = None,
+    jerk_limits: bool = False,
+    keeps_padding: Callable[[Array, Array | None], bool] | None = None,
+) -> CertifiedMotion:
+    """Round the corners of a path (k, n), certify it and compute its timing.
+
+    Corners whose rounding touches an obstacle are rounded less, at last not at all: the motion then stops
+    there.
+
+    Args:
+        keeps_padding: whether a polyline (m, n) keeps the padding too if each joint may deviate by a slack
+            (n,). A rounding that keeps the padding is preferred to a larger one that is only free of
+            contact.
+        torque: torque limits to respect, see `torque_model`.
+        jerk_limits: respect the model's jerk limits (not scaled) and follow the path exactly.
+    Raises:
+        InputError: a limit is missing, or both torque and jerk limits are requested.
+        TorqueLimitError: a joint is too weak to hold still somewhere on the path.
+    """
+    if torque is not None and jerk_limits:
+        raise InputError("torque limits and jerk limits cannot be kept together", cure="ask for one of them")
+    points = np.asarray(waypoints, dtype=float)
+    names = checker.joint_names
+    velocity = checker.model.limits(names, "velocity") * velocity_scaling
+    acceleration = checker.model.limits(names, "acceleration") * acceleration_scaling
+
+    def timed(path: BlendedPath) -> JointTrajectory:
+        if jerk_limits:
+            jerk = checker.model.limits(names, "jerk")
+            return jerk_limited(path, names, velocity, acceleration, jerk, timing)
+        return parameterize(path, names, velocity, acceleration, timing, torque)
+
+    # The timed motion may differ from the certified chords by the chords' own error and by the
+    # deviation that smoothing the accelerations causes.
+    slack = np.full(len(names), SAGITTA)
+    if not jerk_limits:
+        slack += smoothing_departure(acceleration, timing)
+    shares = ROUNDINGS if len(points) > 2 else ROUNDINGS[:1]
+    rounded: dict[float, tuple[BlendedPath, Array]] = {}
+
+    def at(share: float) -> tuple[BlendedPath, Array, Array | None]:
+        if share not in rounded:
+            path = BlendedPath(points, share * timing.max_deviation, smooth=jerk_limits)
+            rounded[share] = path, path.polyline(SAGITTA)
+        path, chords = rounded[share]
+        return path, chords, slack if path.length > 0 else None
+
+    for share in shares[:PADDED_ROUNDINGS]:
+        path, chords, room = at(share)
+        if keeps_padding is not None and keeps_padding(chords, room):
+            return CertifiedMotion(Certificate(True), timed(path), path, padded_motion=True)
+    for share in shares:
+        path, chords, room = at(share)
+        certificate = checker.certify(chords, room, evidence=False)
+        if certificate.free:
+            return CertifiedMotion(certificate, timed(path), path)
+    # With slack, a start or goal very close to an obstacle cannot be proven; the bare edges can.
+    path = BlendedPath(points, 0.0)
+    certificate = checker.certify(path.points, evidence=False)
+    if not certificate.free:
+        return CertifiedMotion(certificate)
+    return CertifiedMotion(certificate, timed(path), path)
+
+
+def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
+    """Build the inverse dynamics of a group: the robot's links and the objects attached to them."""
+    payloads = []
+    for body in scene.attached.values():
+        center, inertia = solid_inertia(body.object.shapes, body.object.mass_kg)
+        pose = body.T_link_object @ SE3.from_xyz(*center)
+        payloads.append((body.link, Inertial(body.object.mass_kg, pose, inertia)))
+    return InverseDynamics(scene.model, joint_names, scene.positions, payloads)
+
+
+def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
+    """Compute the distance [m] that a motion is proven to keep (at most 0.25).
+
+    See `KernelChecker.clearance`.
+
+    A pair in resting contact at the start counts from the point where it no longer moves apart.
+    """
+    return clearance_from_rest(checker, trajectory.positions)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion:
+    """A path (k, n) with its trajectory if it is certified, or the reason why it is not."""
+
+    waypoints: Array
+    trajectory: JointTrajectory | None = None
+    certified: bool = False
+    reason: str = ""
+    note: str = ""  # information for the caller about a certified motion
+    padded_motion: bool = True  # the motion keeps the scene's padding everywhere, not only at samples
+
+
+def certify_request_motion(
+    validated: ValidatedRequest, checker: KernelChecker, waypoints: Array
+) -> PlannedMotion | Outcome:
+    """Certify and time a path for a request.
+
+    An Outcome means that no other path can succeed either.
+    """
+    request = validated.request
+    if validated.workspace is not None and (q := validated.workspace.first_outside(waypoints)) is not None:
+        return PlannedMotion(
+            waypoints, reason=f"the paths found leave the workspace: {validated.workspace.describe(q)}"
+        )
+    torque = torque_model(validated.scene, validated.joint_names) if request.torque_limits else None
+    padded = validated.scene.padding > 0 or any(p > 0 for p in validated.scene.link_padding.values())
+    try:
+        finished = certify_and_time(
+            checker, waypoints, request.velocity_scaling, request.acceleration_scaling,
+            torque=torque, jerk_limits=request.jerk_limits,
+            keeps_padding=partial(_certify_padded, checker) if padded else None,
+        )  # fmt: skip
+    except TorqueLimitError as error:
+        evidence = {"joint": error.joint, "torque": error.torque, "limit": error.limit}
+        return Outcome(ErrorCode.PLANNING_FAILED, str(error), evidence)
+    if finished.trajectory is None:
+        return PlannedMotion(waypoints)
+    made = complete_motion(validated, checker, waypoints, finished.trajectory)
+    return replace(made, padded_motion=finished.padded_motion or not padded)
+
+
+def _certify_padded(checker: KernelChecker, chords: Array, slack: Array | None) -> bool:
+    return checker.certify(chords, slack, padded=True, evidence=False).free
+
+
+def complete_motion(
+    validated: ValidatedRequest, checker: KernelChecker, waypoints: Array, trajectory: JointTrajectory
+) -> PlannedMotion:
+    """Prepend the lead-in from the robot's actual state and apply the Cartesian speed limit."""
+    request, note = validated.request, ""
+    if validated.lead_in is not None:
+        lead = time_lead_in(validated, checker)
+        if lead is None:
+            note = "the motion begins at the start within limits; the lead-in to it is not free"
+        else:
+            waypoints = np.vstack([validated.lead_in[:-1], waypoints])
+            trajectory = concatenated(lead, trajectory)
+            note = contact_note(validated)
+    elif "start_repaired" in validated.evidence:
+        note = "the motion begins at the repaired start, not where the robot is"
+    if request.max_cartesian_speed is not None:
+        moved_frame = MovedFrame(validated.scene, request.group, request.speed_link)
+        trajectory = limit_cartesian_speed(trajectory, moved_frame, request.max_cartesian_speed)
+    timing = "timing" in validated.adapters
+    return PlannedMotion(waypoints, trajectory if timing else None, certified=True, note=note)
+
+
+def contact_note(validated: ValidatedRequest) -> str:
+    """Describe the contacts that a motion leaves first, for the result's message."""
+    contacts = validated.evidence.get("start_repaired", {}).get("contacts", ())
+    return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""
+
+
+def time_lead_in(validated: ValidatedRequest, checker: KernelChecker) -> JointTrajectory | None:
+    """Time the motion from the robot's actual state to the planning start.
+
+    None if it is not proven free.
+    """
+    lead = validated.lead_in
+    if lead is None:
+        return None
+    checker = (
+        checker.without_arm_clearance or checker
+    )  # the lead-in need not keep the clearance between arms yet
+    if not certify_from_rest(checker, lead, deepest=np.inf, evidence=False).free:
+        return None
+    names, request = validated.joint_names, validated.request
+    velocity = checker.model.limits(names, "velocity") * request.velocity_scaling
+    acceleration = checker.model.limits(names, "acceleration") * request.acceleration_scaling
+    path = BlendedPath(lead, 0.0)
+    if request.jerk_limits:
+        return jerk_limited(path, names, velocity, acceleration, checker.model.limits(names, "jerk"))
+    torque = torque_model(validated.scene, names) if request.torque_limits else None
+    return parameterize(path, names, velocity, acceleration, TimingSettings(), torque)
+
+
+def concatenated(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
+    """Concatenate two trajectories that meet at rest."""
+
+    def both(a: Array | None, b: Array | None) -> Array | None:
+        return None if a is None or b is None else np.vstack([a, b[1:]])
+
+    return replace(
+        second,
+        times=np.concatenate([first.times, first.times[-1] + second.times[1:]]),
+        positions=np.vstack([first.positions, second.positions[1:]]),
+        velocities=both(first.velocities, second.velocities),
+        accelerations=both(first.accelerations, second.accelerations),
+    )

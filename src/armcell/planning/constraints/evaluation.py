@@ -1,0 +1,272 @@
+"""Evaluate constraints at joint positions.
+
+Errors, violations in words, visibility, distances to shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.collision import links_in_hull, view_cone
+from armcell.core import (
+    SE3,
+    SO3,
+    Box,
+    Capsule,
+    Cone,
+    Constraints,
+    Cylinder,
+    InputError,
+    JointConstraint,
+    OrientationConstraint,
+    Plane,
+    PositionConstraint,
+    Shape,
+    Sphere,
+    UnknownNameError,
+    VisibilityConstraint,
+)
+from armcell.planning.moved_frame import MovedFrame, with_joint_positions
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+AXES = {"x": 0, "z": 2}
+EDGE_ON = 1e-6  # [m] distance from the disc's plane at which the sensor does not see the disc
+
+
+def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Array, str]:
+    """Compute how far the scene's state is from satisfying a visibility constraint.
+
+    The rule is MoveIt's (kinematic_constraints::VisibilityConstraint::decide).
+
+    Returns:
+        error (3,): view angle, range angle [rad], depth [m] of the deepest link in the cone; excess (3,):
+        the part beyond the limits; and a description of the violations.
+    """
+    sensor, target, view, range_ = view_of(scene, c)
+    violations_found, excess = [], np.zeros(3)
+    for k, (angle, most, what) in enumerate(
+        ((view, c.max_view_angle, "the target's axis"), (range_, c.max_range_angle, "the target"))
+    ):
+        # Beyond 90 deg it looks at the wrong side, whatever the limit.
+        if most is not None and angle > min(most, np.pi / 2):
+            excess[k] = angle - min(most, np.pi / 2)
+            degrees, over = np.rad2deg(angle), np.rad2deg(excess[k])
+            violations_found.append(f"{c.sensor} looks {degrees:.1f} deg past {what}, {over:.1f} too far")
+    depth = 0.0
+    if abs(target.inv().apply(sensor.translation)[2]) <= EDGE_ON:
+        excess[0] = max(excess[0], np.pi / 2)
+        violations_found.append(f"{c.sensor} sees the target from its edge")
+    else:
+        corners = view_cone(sensor.translation, target, c.target_radius, c.cone_sides)
+        within = links_in_hull(scene, corners, own_links(scene, c))
+        if within:
+            depth = max(within.values())
+            excess[2] = max(depth, 2 * EDGE_ON)  # to touch the cone is to be in it
+            violations_found.append(
+                f"{', '.join(sorted(within))} in the view of {c.sensor}, {depth * 1000:.1f} mm deep"
+            )
+    return np.array([view, range_, depth]), excess, "; ".join(violations_found)
+
+
+def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
+    """Compute the world poses of sensor and target, the view angle and the range angle [rad]."""
+    sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
+    target = scene.frame_pose(c.frame) @ c.T_frame_target
+    looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
+    way = target.translation - sensor.translation
+    return sensor, target, _angle(looks, -target.rotation.matrix[:, 2]), _angle(looks, way)
+
+
+def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
+    """Return the links that carry the sensor and the target; they may be inside the view cone."""
+    return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
+
+
+def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
+    """Raise if a visibility constraint is invalid in every state.
+
+    Raises:
+        UnknownNameError: no such frame or axis.
+        InputError: an impossible radius, angle or number of sides.
+    """
+    scene.frame_pose(c.sensor)
+    scene.frame_pose(c.frame)
+    if c.view_axis not in AXES:
+        raise UnknownNameError("view axis", c.view_axis, AXES)
+    if not (np.isfinite(c.target_radius) and c.target_radius > 0):
+        raise InputError(f"a target's radius is {c.target_radius:g} m, it must be positive")
+    if c.cone_sides != int(c.cone_sides) or c.cone_sides < 3:
+        raise InputError(f"a cone of {c.cone_sides} sides", cure="give at least 3")
+    for what, angle in (("view", c.max_view_angle), ("range", c.max_range_angle)):
+        if angle is not None and not 0 < angle <= np.pi:
+            raise InputError(f"max_{what}_angle is {angle:g} rad", cure="give an angle in (0, pi], or None")
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Compute the angle between two vectors [rad], accurately for small angles too."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+ROUNDING = 1e-6  # [rad or m] beyond a tolerance that counts as rounding: the accuracy of inverse kinematics
+PARAMETERIZATIONS = ("rotation_vector", "xyz_euler")
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintError:
+    """The error of joint positions with respect to one constraint.
+
+    `error`: of a joint, the difference from the constraint's position (1,) [rad or m]; of a point, the
+    distance from its region (1,) [m], 0 inside; of an orientation, the rotation error (3,) [rad]; of a view
+    (3,), see `visibility`. `excess` (same shape) is the part beyond the tolerance.
+    """
+
+    constraint: JointConstraint | PositionConstraint | OrientationConstraint | VisibilityConstraint
+    error: Array
+    excess: Array
+    words: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether the constraint is satisfied up to rounding."""
+        return bool(np.all(self.excess <= ROUNDING))
+
+
+def constraint_errors(
+    scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
+) -> tuple[ConstraintError, ...]:
+    """Evaluate every constraint at positions q.
+
+    Joints first, then positions, orientations and visibilities.
+
+    Args:
+        q: positions (n,) of the group's joints; other joints keep their position in the scene.
+    Raises:
+        UnknownNameError: a joint, link or frame that does not exist.
+        InputError: a region shape without an inside, or an unknown parameterization.
+    """
+    at = with_joint_positions(scene, scene.model.group(group).joint_names, q)
+    return (
+        *(_joint(at, c) for c in constraints.joints),
+        *(_position(at, group, c) for c in constraints.positions),
+        *(_orientation(at, group, c) for c in constraints.orientations),
+        *(ConstraintError(c, *visibility(at, c)) for c in constraints.visibilities),
+    )
+
+
+def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
+    """Return whether positions q (n,) of the group satisfy all constraints.
+
+    See `constraint_errors`.
+    """
+    return all(error.ok for error in constraint_errors(scene, group, constraints, q))
+
+
+def violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
+    """Describe which constraints are violated and by how much; empty if all are satisfied."""
+    return "; ".join(e.words for e in constraint_errors(scene, group, constraints, q) if not e.ok)
+
+
+def _joint(scene: PlanningScene, c: JointConstraint) -> ConstraintError:
+    value = scene.positions[scene.model.columns((c.joint,))[0]]
+    error = value - c.position
+    excess = max(error - c.tolerance_above, -c.tolerance_below - error, 0.0)
+    words = (
+        f"joint {c.joint} at {value:.4g} is {excess:.3g} outside of "
+        f"[{c.position - c.tolerance_below:.4g}, {c.position + c.tolerance_above:.4g}]"
+    )
+    return ConstraintError(c, np.array([error]), np.array([excess]), words)
+
+
+def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> ConstraintError:
+    T_world_link, name = _pose(scene, group, c.link)
+    point = T_world_link.apply(c.point)
+    distance = region_distance(scene, c, point)
+    words = f"{name} is {distance * 1000:.1f} mm outside of its region"
+    return ConstraintError(c, np.array([distance]), np.array([distance]), words)
+
+
+def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
+    """Compute the distance [m] of a world point (3,) from a constraint's region, 0 inside."""
+    at = scene.frame_pose(c.frame).inv().apply(point)
+    return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
+
+
+def _orientation(scene: PlanningScene, group: str, c: OrientationConstraint) -> ConstraintError:
+    T_world_link, name = _pose(scene, group, c.link)
+    wanted = scene.frame_pose(c.frame).rotation @ c.rotation
+    error = rotation_error(wanted, T_world_link.rotation, c.parameterization)
+    tolerance = np.asarray(c.tolerance, dtype=float)
+    excess = np.where(tolerance >= np.pi, 0.0, np.maximum(np.abs(error) - tolerance, 0.0))
+    k = int(np.argmax(excess))
+    words = f"{name} is turned {np.rad2deg(excess[k]):.2f} deg too far about {'xyz'[k]} of the wanted frame"
+    return ConstraintError(c, error, excess, words)
+
+
+def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]:
+    moved_frame = MovedFrame(scene, group, name)
+    return scene.frame_pose(moved_frame.name), moved_frame.name
+
+
+def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
+    """Compute the error (3,) [rad] from the wanted to the present rotation, in wanted axes."""
+    turn = wanted.inv() @ present
+    if parameterization == "rotation_vector":
+        return turn.log()
+    if parameterization != "xyz_euler":
+        raise UnknownNameError("parameterization", parameterization, PARAMETERIZATIONS)
+    # Rx(a) Ry(b) Rz(c): the transpose of Rz(-c) Ry(-b) Rx(-a), whose angles rpy gives.
+    return -turn.inv().rpy
+
+
+def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
+    """Convert a rotation error (3,) back to a rotation; inverse of `rotation_error`."""
+    if parameterization == "rotation_vector":
+        return SO3.exp(error)
+    return SO3.from_rpy(-np.asarray(error, dtype=float)).inv()
+
+
+def _beyond(over: ArrayLike) -> float:
+    return float(np.linalg.norm(np.maximum(over, 0.0)))
+
+
+def _to_segment(p: Array, a: Array, b: Array) -> float:
+    t = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return float(np.linalg.norm(p - a - t * (b - a)))
+
+
+def _to_view_cone(s: Cone, p: Array) -> float:
+    r, z, half = float(np.hypot(p[0], p[1])), float(p[2]), s.length / 2
+    if -half <= z <= half and r <= s.radius * (half - z) / s.length:
+        return 0.0
+    at, rim, apex = np.array([r, z]), np.array([s.radius, -half]), np.array([0.0, half])
+    return min(_to_segment(at, rim, apex), _to_segment(at, np.array([0.0, -half]), rim))
+
+
+_DISTANCES: dict[type, Callable[..., float]] = {
+    Box: lambda s, p: _beyond(np.abs(p) - s.half_extents),
+    Sphere: lambda s, p: _beyond(np.linalg.norm(p) - s.radius),
+    Cylinder: lambda s, p: _beyond((np.hypot(p[0], p[1]) - s.radius, abs(p[2]) - s.length / 2)),
+    Capsule: lambda s, p: _beyond(
+        np.linalg.norm(p - (0, 0, np.clip(p[2], -s.length / 2, s.length / 2))) - s.radius
+    ),
+    Cone: _to_view_cone,
+    Plane: lambda s, p: _beyond(p[2]),
+}
+
+
+def distance_to_shape(shape: Shape, point: ArrayLike) -> float:
+    """Compute the distance [m] of a point (3,) in the shape's frame from the shape; 0 inside.
+
+    Raises:
+        InputError: the shape is a mesh, cloud or octree: these are surfaces, not regions.
+    """
+    if type(shape) not in _DISTANCES:
+        known = ", ".join(sorted(kind.__name__ for kind in _DISTANCES))
+        raise InputError(f"a {type(shape).__name__} cannot be a region; these can: {known}")
+    return _DISTANCES[type(shape)](shape, np.asarray(point, dtype=float))

@@ -1,0 +1,294 @@
+"""RRT-Connect on the constraint manifold: every step is projected (Numba).
+
+After CBiRRT2 (Berenson, Srinivasa and Kuffner, IJRR 2011). Samples are projected too (as in the projected
+state space of Kingston, Moll and Kavraki, IJRR 2019), so that extensions head for reachable configurations.
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel.block import EXACT, PADDED, check_block, ints, lanes_of
+from armcell.collision.kernel.layout import DOF as DOF_OF_PACK
+from armcell.collision.kernel.motion import edge_free
+from armcell.collision.kernel.simd import L, pointer
+from armcell.planning.constraints.error_kernels import (
+    DOF,
+    MAX_ROWS,
+    WORK,
+    manifold_pointers,
+    within_tolerances,
+)
+from armcell.planning.constraints.projection import project
+from armcell.planning.constraints.proof import edge_keeps_tolerances
+from armcell.planning.planners.native.nearest_neighbors import nearest_node, reset_leaves
+from armcell.planning.planners.native.rrt_connect import (
+    FROM,
+    ITERATIONS,
+    NODES,
+    NODES_0,
+    NODES_1,
+    TO,
+    TURN,
+    kronecker_steps,
+)
+from armcell.planning.planners.native.tree import get, put, trace
+
+ROWS = 64  # rows of one walk
+STALL = 0.1  # smallest progress of a step, as a share of its length
+
+
+def space_size(dof: int) -> int:
+    """Compute the scratch size in doubles.
+
+    [two ends and steps], [sample steps], [sample], [closest approach], [zeros].
+    """
+    return (ROWS + 2) * dof + 5 * dof + 1
+
+
+def closest_at(dof: int) -> int:
+    """Return the scratch offset of the closest approach of the trees.
+
+    Length [rad], then its two ends.
+    """
+    return (ROWS + 4) * dof
+
+
+@njit(cache=True)
+def _apart(p, a, b, dof):
+    total = 0.0
+    for j in range(dof):
+        total += (p[b + j] - p[a + j]) ** 2
+    return np.sqrt(total)
+
+
+@njit(cache=True)
+def _sampled(n, c, x, p, a, b, step):
+    """Return whether samples of the motion from p[a:] to p[b:] keep the tolerances."""
+    dof = n[DOF]
+    count = max(int(np.ceil(_apart(p, a, b, dof) / step)), 1)
+    at = n[WORK] + 32 + MAX_ROWS * (dof + 2) + MAX_ROWS * MAX_ROWS
+    for i in range(1, count + 1):
+        for j in range(dof):
+            x[at + j] = p[a + j] + i / count * (p[b + j] - p[a + j])
+        if not within_tolerances(n, c, x, x, at, False):
+            return False
+    return True
+
+
+@njit(cache=True)
+def _clear(k, p, a, out, first, end, step):
+    """Count the rows from `first` to `end` that are reached without contact, in order.
+
+    Row -1 is p[a:]. Short steps share one block of samples.
+    """
+    I, w, edges = ints(k), lanes_of(k), end - first
+    dof = I[DOF_OF_PACK]
+    if edges > 1:
+        each, lane = L // edges, 0
+        for e in range(first, end):
+            row = out + e * dof
+            before = a if e == 0 else row - dof
+            for i in range(1, each + 1):
+                for j in range(dof):
+                    w[j * L + lane] = np.float32(p[before + j] + i / each * (p[row + j] - p[before + j]))
+                lane += 1
+        if check_block(k, (np.int64(1) << lane) - 1, np.int64(EXACT | PADDED)) == 0:
+            return edges
+    for e in range(first, end):
+        row = out + e * dof
+        if not edge_free(k, p, a if e == 0 else row - dof, row, step):
+            return e - first
+    return edges
+
+
+@njit(cache=True)
+def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allowance, projecting, stop):
+    """Walk from p[a:] toward p[to:] in projected steps as far as the path is free.
+
+    Args:
+        most: maximal number of rows, at least one less than the buffer holds. delta: length of a step
+            [rad].
+        step: distance between validity checks [rad]. none: dof zeros.
+        projecting: if False, the walk ends at a step with a sample outside the tolerances (rejection).
+    Returns:
+        Rows written, and whether the last of them is p[to:].
+    """
+    dof, count, clear, at = n[DOF], 0, 0, a
+    left, arrived, going = _apart(p, a, to, n[DOF]), False, True
+    together = min(max(int(L * step / delta), 1), L)
+    while going:
+        row = out + count * dof
+        going = False
+        if left <= delta:
+            arrived = (
+                edge_keeps_tolerances(n, c, x, p, at, to, none, allowance)
+                if projecting
+                else _sampled(n, c, x, p, at, to, step)
+            )
+            if arrived:
+                for j in range(dof):
+                    p[row + j] = p[to + j]
+                count += 1
+        if (
+            not arrived
+            and count < most
+            and stop[0] == 0
+            and (left > delta or (projecting and left > 0.1 * delta))
+        ):
+            f = min(delta / left, 0.5 if projecting else 1.0)
+            for j in range(dof):
+                p[row + j] = p[at + j] + f * (p[to + j] - p[at + j])
+            if projecting:
+                if project(n, c, x, p, row, lower, upper):
+                    near = _apart(p, row, to, dof)
+                    going = (
+                        _apart(p, at, row, dof) <= 2.0 * delta
+                        and near <= left - STALL * f * left
+                        and edge_keeps_tolerances(n, c, x, p, at, row, none, allowance)
+                    )
+                    left = near
+            else:
+                left -= f * left
+                going = _sampled(n, c, x, p, at, row, step)
+            if going:
+                at = row
+                count += 1
+        if count - clear >= together or not going:
+            free = _clear(k, p, a, out, clear, count, step)
+            if free < count - clear:
+                return clear + free, False
+            clear = count
+    return count, arrived
+
+
+@njit(cache=True)
+def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, delta, step, allowance,
+            projecting, nodes, parents, leaves, leaf_ints, capacity, room, stop, max_iterations,
+            found):  # fmt: skip
+    """Run `constrained_rrt_connect` on pointers; the trees are stored as in `rrt_connect`."""
+    dof = n[DOF]
+    q, out = dof, 2 * dof
+    n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]
+    for iteration in range(found[ITERATIONS] + 1, found[ITERATIONS] + max_iterations + 1):
+        if stop[0] != 0 or n0 + 4 * ROWS > capacity or n1 + 4 * ROWS > capacity:
+            break
+        found[ITERATIONS], found[NODES], found[NODES_0], found[NODES_1] = iteration, n0 + n1, n0, n1
+        for j in range(dof):
+            u = sample[j] + steps[j]
+            sample[j] = u - 1.0 if u >= 1.0 else u
+            p[q + j] = lower[j] + (upper[j] - lower[j]) * sample[j]
+        if projecting:
+            if not project(n, c, x, p, q, lower, upper):
+                continue
+        elif not within_tolerances(n, c, x, p, q, False):
+            continue
+        mine, other = (n1, n0) if tree == 1 else (n0, n1)
+        if abs(mine - other) < mine:  # take turns, unless the other tree is twice as large
+            tree = 1 - tree
+            mine, other = other, mine
+        found[TURN] = tree
+        first, first_other = tree * capacity, (1 - tree) * capacity
+        i = nearest_node(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, p, q, room)
+        get(nodes, dof, first + i, p, 0)
+        most = min(int(np.ceil(reach / delta)), ROWS - 1)
+        count, _ = walk(
+            k, n, c, x, p, 0, q, out, most, lower, upper, none, delta, step, allowance, projecting, stop
+        )
+        if count == 0:
+            continue
+        near, reached = 0, False  # reaching a sample is not reaching the other tree
+        while True:
+            for row in range(count - 1 if reached else count):  # the other tree has the last one
+                put(nodes, dof, first + mine, p, out + row * dof)
+                parents[first + mine] = i
+                i = mine
+                mine += 1
+            if count > 0:
+                for j in range(dof):
+                    p[j] = p[out + (count - 1) * dof + j]
+            if reached or mine + 2 * ROWS > capacity:
+                break
+            if near > 0 and count < ROWS - 1:  # the walk towards the other tree has ended
+                left = _apart(p, 0, q, dof)
+                if left < closest[0]:
+                    closest[0] = left
+                    for j in range(2 * dof):
+                        closest[1 + j] = p[j]
+                break
+            # On towards the nearest node of the other tree.
+            to = nearest_node(nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, p, 0, room)
+            near = 1 + to
+            get(nodes, dof, first_other + to, p, q)
+            count, reached = walk(
+                k,
+                n,
+                c,
+                x,
+                p,
+                0,
+                q,
+                out,
+                ROWS - 1,
+                lower,
+                upper,
+                none,
+                delta,
+                step,
+                allowance,
+                projecting,
+                stop,
+            )
+        n0, n1 = (mine, other) if tree == 0 else (other, mine)
+        if reached:
+            found[FROM], found[TO] = (i, near - 1) if tree == 0 else (near - 1, i)
+            return True
+    found[NODES_0], found[NODES_1] = n0, n1
+    return False
+
+
+@njit(cache=True, nogil=True)
+def constrained_rrt_connect(handle, constraints, start, goals, lower, upper, shift, reach, delta, step,
+                            allowance, projecting, nodes, parents, leaves, leaf_ints, room, space, found,
+                            stop, max_iterations, path):  # fmt: skip
+    """Find waypoints from the start to one of the goals, into path (m, dof); see `rrt_connect`.
+
+    Args:
+        constraints: handle of the manifold. delta: length of a projected step [rad].
+        allowance: [rad and m] added to the tolerances. projecting: 0 for rejection sampling.
+        space: see `space_size`.
+    Returns:
+        Number of waypoints (0: none found), iterations and nodes of all calls.
+    """
+    dof, capacity = len(start), len(parents) // 2
+    n, c, x = manifold_pointers(constraints)
+    t, u = pointer(nodes), pointer(parents)
+    at = (ROWS + 2) * dof
+    if found[ITERATIONS] == 0:
+        put(t, dof, 0, pointer(start), 0)
+        parents[0] = -1
+        for g in range(len(goals)):
+            put(t, dof, capacity + g, pointer(goals), g * dof)
+            parents[capacity + g] = -1 - g
+        found[NODES_0], found[NODES_1], found[TURN] = 1, len(goals), 1
+        reset_leaves(pointer(leaf_ints), capacity)
+        kronecker_steps(dof, space[at:])
+        space[at + dof : at + 2 * dof] = shift
+        space[at + 2 * dof] = np.inf
+    if not _search(
+        pointer(handle), n, c, x, pointer(lower), pointer(upper), pointer(space[at:]),
+        pointer(space[at + dof :]), pointer(space[at + 2 * dof :]), pointer(space[at + 4 * dof + 1 :]),
+        pointer(space), reach, delta, step, allowance, projecting, t, u, pointer(leaves),
+        pointer(leaf_ints), capacity, pointer(room), pointer(stop), max_iterations, pointer(found),
+    ):  # fmt: skip
+        return 0, found[ITERATIONS], found[NODES]
+    count, goal = trace(
+        t, u, dof, capacity, found[FROM], found[TO], dof, pointer(space), pointer(path), len(path)
+    )
+    if count > 0:  # the trees are float32; restore the exact ends
+        path[0] = start
+        path[count - 1] = goals[goal]
+    return count, found[ITERATIONS], found[NODES]

@@ -1,0 +1,278 @@
+"""Diagnosis of a Cartesian path that stops.
+
+Where, why, and the nearest change that completes it.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+
+from armcell.core import SE3, SO3, CartesianRequest, ErrorCode
+from armcell.kinematics import IKSolver, ik_solver
+from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis.changes import (
+    change_request,
+    change_start,
+    change_waypoints,
+    replace_by_free_motion,
+)
+from armcell.planning.diagnosis.constraints import blame_path_constraints
+from armcell.planning.diagnosis.contacts import suggest_freeing_objects
+from armcell.planning.diagnosis.diagnosis import CLOSE_TO_LIMIT, Diagnosis, report_limit_margins
+from armcell.planning.diagnosis.nearest_free import ANGLES, DIRECTIONS, DISTANCES
+from armcell.planning.diagnosis.pose import explain_pose
+
+BRANCHES = 24  # joint solutions of the start pose to try
+HALVINGS = 6
+DETOURS = (0.05, 0.1, 0.2, 0.4)  # [m] distances of detours from the stop
+SHARE = 0.4  # share of the remaining time for the search of another last waypoint
+
+
+def explain_cartesian_stop(diagnosis: Diagnosis) -> None:
+    """Explain where and why a straight line stops, and find changes that complete it."""
+    request, result = diagnosis.request, diagnosis.result
+    assert isinstance(request, CartesianRequest)
+    report_limit_margins(diagnosis)
+    ik = ik_solver(diagnosis.scene.model, request.group, request.link)
+    here = diagnosis.start_scene.frame_pose(ik.tip_link)
+    number, pose = result.evidence.get("waypoint", 1) - 1, result.evidence.get("stops_at", here)
+    _report_place(diagnosis, request, number, pose)
+    diagnosis.contacts = [c for c in result.evidence.get("contacts", []) if c is not None]
+    if result.code is ErrorCode.NO_IK_SOLUTION:
+        _report_reach(diagnosis, request, ik)
+    if result.path is not None:
+        diagnosis.state = diagnosis.group_state(result.path.waypoints[-1])
+    if result.code is ErrorCode.PLANNING_FAILED and "joint" in result.evidence:
+        _jump(diagnosis, request)
+    if "violations" in result.evidence:
+        blame_path_constraints(diagnosis)
+    _other_start(diagnosis, request, ik, here)
+    _smaller_turn(diagnosis, request, here)
+    _aside(diagnosis, request, ik)
+    _around(diagnosis, request, ik, number, pose)
+    if diagnosis.contacts and result.path is not None:
+        last = result.path.waypoints[-1]
+        there = next(iter(ik.nearest(request.waypoints[-1], _full(diagnosis, last), diagnosis.rng, 4)), last)
+        suggest_freeing_objects(diagnosis, [there, diagnosis.start], diagnosis.contacts, padded=True)
+    if _can_stand(diagnosis, request, request.waypoints[-1], ik):
+        diagnosis.suggest(
+            "go there freely instead of on a straight line", replace_by_free_motion, effort=np.inf
+        )
+    _shorter(diagnosis, request, number, pose)
+
+
+def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose: SE3) -> None:
+    goal = request.waypoints[-1]
+    meters, radians = pose.distance_to(goal)
+    x, y, z = pose.translation
+    diagnosis.add_finding(
+        f"it stops at {diagnosis.result.fraction:.0%}, at ({x:.3f}, {y:.3f}, {z:.3f}) on the way to waypoint "
+        f"{number + 1} of {len(request.waypoints)}; "
+        f"{wording.length(meters)} and {wording.angle(radians)} are left"
+    )
+    diagnosis.data |= {"fraction": diagnosis.result.fraction, "stops_at": pose, "waypoint": number + 1}
+
+
+def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
+    """Report whether the last waypoint or only the line to it is out of reach."""
+    path = diagnosis.result.path
+    q = diagnosis.start if path is None else path.waypoints[-1]
+    found = explain_pose(diagnosis.start_scene, request.group, request.waypoints[-1], request.link)
+    if not found.branches:
+        diagnosis.add_finding(f"the last waypoint is out of reach: {found.summary}")
+    else:
+        free = sum(b.free for b in found.branches)
+        diagnosis.add_finding(
+            f"other joint solutions reach the last waypoint ({free} of {len(found.branches)} joint "
+            "solutions are free), but not on a straight line from here"
+        )
+    margins = np.minimum(q - ik.lower, ik.upper - q)
+    for k in np.flatnonzero(margins < CLOSE_TO_LIMIT):
+        name = ik.joint_names[k]
+        diagnosis.add_finding(
+            f"there {name} is {wording.joint_value(diagnosis.scene.model, name, margins[k])} from its limit"
+        )
+    evidence = diagnosis.result.evidence
+    diagnosis.data["least_singular_value"] = evidence["least_singular_value"]
+    if evidence["near_singularity"]:
+        least = evidence["least_singular_value"]
+        diagnosis.add_finding(f"there the arm is near a singularity (smallest singular value {least:.3f})")
+
+
+def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
+    """Suggest smaller steps or a larger jump threshold."""
+    for k in range(1, 6):
+        step = request.max_step / 2**k
+        changed = replace(request, max_step=step)
+        if diagnosis.succeeds(diagnosis.scene, changed) is not None:
+            diagnosis.suggest(
+                f"take steps of {wording.length(step)}", change_request, {"max_step": step}, known=True
+            )
+            return
+    name = diagnosis.result.evidence["field"]
+    for factor in (1.5, 2.0, 4.0, 10.0, 100.0):
+        threshold = getattr(request, name) * factor
+        if diagnosis.succeeds(diagnosis.scene, replace(request, **{name: threshold})) is not None:
+            text = f"allow larger joint steps: {name} {threshold:.3g}"
+            diagnosis.suggest(text, change_request, {name: threshold}, known=True)
+            return
+
+
+def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, here: SE3) -> None:
+    """Suggest another joint solution of the start pose.
+
+    Another branch, or another elbow of a redundant arm.
+    """
+    tried = []
+    for q in islice(ik.solutions(here, diagnosis.start_scene.positions, diagnosis.rng), BRANCHES):
+        if np.abs(q - diagnosis.start).max() > 1e-3 and (
+            not request.avoid_collisions or diagnosis.checker.is_free(q)
+        ):
+            tried.append(q)
+    tried.sort(key=lambda q: float(np.linalg.norm(q - diagnosis.start)))
+    diagnosis.data["other_starts"] = len(tried)
+    for q in tried:
+        state = diagnosis.group_state(q)
+        if diagnosis.succeeds(diagnosis.scene, change_start(diagnosis.scene, request, state)[1]) is not None:
+            step = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
+            diagnosis.nearest = state
+            diagnosis.suggest(
+                f"begin at the same pose with another joint solution: {step}",
+                change_start,
+                {"state": state},
+                effort=float(np.linalg.norm(q - diagnosis.start)),
+                known=True,
+            )
+            return
+    diagnosis.add_finding(f"none of {len(tried)} other joint solutions of the start pose completes the line")
+
+
+def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) -> None:
+    """Find the largest part of the last rotation with which the line is completed."""
+    before = [here, *request.waypoints][-2]
+    goal = request.waypoints[-1]
+    total = before.distance_to(goal)[1]
+    if total < np.deg2rad(1.0):
+        return
+
+    def changed(share: float) -> tuple[SE3, ...]:
+        rotation = before.interpolate(goal, share).rotation
+        return (*request.waypoints[:-1], SE3(rotation, goal.translation))
+
+    def completes(share: float) -> bool:
+        return diagnosis.succeeds(diagnosis.scene, replace(request, waypoints=changed(share))) is not None
+
+    if not completes(0.0):
+        return
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if completes(middle) else (low, middle)
+    text = f"turn {wording.angle(low * total)} instead of {wording.angle(total)}"
+    diagnosis.suggest(
+        text, change_waypoints, {"waypoints": changed(low)}, effort=(1 - low) * total, known=True
+    )
+
+
+def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
+    """Try to shift, then to turn, the last waypoint in 26 directions."""
+    goal, rest = request.waypoints[-1], request.waypoints[:-1]
+
+    def shifted(step: np.ndarray) -> SE3:
+        return SE3(goal.rotation, goal.translation + step)
+
+    def turned(step: np.ndarray) -> SE3:
+        return SE3(goal.rotation @ SO3.exp(step), goal.translation)
+
+    for sizes, pose, tell in (
+        (DISTANCES[DISTANCES < 0.2], shifted, lambda v: f"move the last waypoint {wording.offset(v)}"),
+        (ANGLES[ANGLES < 1.0], turned, lambda v: f"turn the last waypoint {wording.turn(v)}"),
+    ):
+        step = _first(diagnosis, request, rest, sizes, pose, ik)
+        if step is not None:
+            diagnosis.suggest(
+                tell(step),
+                change_waypoints,
+                {"waypoints": (*rest, pose(step))},
+                effort=float(np.linalg.norm(step)),
+                known=True,
+            )
+
+
+def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, ik):
+    """Find the smallest change (3,) of the goal with which the line is completed, or None."""
+    until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
+    for size in sizes:
+        for direction in DIRECTIONS:
+            if time.monotonic() > until:
+                return None
+            step = size * direction
+            if not _can_stand(diagnosis, request, pose(step), ik):
+                continue
+            if (
+                diagnosis.succeeds(diagnosis.scene, replace(request, waypoints=(*rest, pose(step))))
+                is not None
+            ):
+                return _least(diagnosis, request, rest, step, pose)
+    return None
+
+
+def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
+    """Reduce a change (3,) of the goal to the smallest part that completes the line."""
+    low, high = 0.5, 1.0
+    for _ in range(4):
+        middle = (low + high) / 2
+        found = diagnosis.succeeds(diagnosis.scene, replace(request, waypoints=(*rest, pose(middle * step))))
+        low, high = (middle, high) if found is None else (low, middle)
+    return high * step
+
+
+def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, number: int, stop: SE3) -> None:
+    """Try one more waypoint beside the place where the line stops."""
+    if not _can_stand(diagnosis, request, request.waypoints[-1], ik):
+        return
+    until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
+    for size in DETOURS:
+        for direction in DIRECTIONS:
+            if time.monotonic() > until:
+                return
+            by = SE3(stop.rotation, stop.translation + size * direction)
+            waypoints = (*request.waypoints[:number], by, *request.waypoints[number:])
+            if not _can_stand(diagnosis, request, by, ik):
+                continue
+            if diagnosis.succeeds(diagnosis.scene, replace(request, waypoints=waypoints)) is not None:
+                text = f"go round by a waypoint {wording.offset(size * direction)} of where it stops"
+                diagnosis.suggest(text, change_waypoints, {"waypoints": waypoints}, effort=size, known=True)
+                return
+
+
+def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
+    """Return all joints (dof,) with the group's at q (n,)."""
+    full = diagnosis.start_scene.positions.copy()
+    full[diagnosis.columns] = q
+    return full
+
+
+def _can_stand(diagnosis: Diagnosis, request: CartesianRequest, pose: SE3, ik: IKSolver) -> bool:
+    """Return whether any free configuration reaches the pose; cheaper than a line."""
+    some = islice(ik.solutions(pose, diagnosis.start_scene.positions, diagnosis.rng), 8)
+    return any(not request.avoid_collisions or diagnosis.checker.is_free(q) for q in some)
+
+
+def _shorter(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose: SE3) -> None:
+    """Suggest the feasible part as a request of its own."""
+    if diagnosis.result.path is None or diagnosis.result.fraction <= 0:
+        return
+    waypoints = (*request.waypoints[:number], pose)
+    meters, radians = pose.distance_to(request.waypoints[-1])
+    left = f"{wording.length(meters)} and {wording.angle(radians)}"
+    diagnosis.suggest(
+        f"end where it stops, {left} before the goal",
+        change_waypoints,
+        {"waypoints": waypoints},
+        effort=np.inf,
+    )

@@ -1,0 +1,73 @@
+"""Plan a request and explain the result; inverse kinematics whose failures can be explained."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import (
+    SE3,
+    CartesianRequest,
+    ErrorCode,
+    Explanation,
+    IKResult,
+    InputError,
+    PlanRequest,
+    PoseGoal,
+)
+from armcell.kinematics import ik_solver
+from armcell.planning.cartesian import plan_cartesian
+from armcell.planning.diagnosis import explain_misuse
+from armcell.planning.pipeline import plan
+from armcell.scene import PlanningScene
+
+
+def explain(
+    scene: PlanningScene, request: PlanRequest | CartesianRequest, seconds: float = 10.0
+) -> Explanation:
+    """Plan a request and explain why it fails and what would help.
+
+    Also explains invalid requests.
+
+    Args:
+        seconds: approximate time limit of the explanation, besides the planning itself.
+    """
+    try:
+        if isinstance(request, CartesianRequest):
+            return plan_cartesian(scene, request).explain(seconds)
+        return plan(scene, request).explain(seconds)
+    except InputError as error:
+        return explain_misuse(scene, request, error, seconds)
+
+
+def solve_ik(
+    scene: PlanningScene,
+    group: str,
+    T_world_link: SE3,
+    link: str | None = None,
+    avoid_collisions: bool = True,
+    seed: int = 0,
+) -> IKResult:
+    """Find joint positions that put a link (by default the tip) at a pose.
+
+    Returns:
+        SUCCESS with `positions` (n,) of the group; NO_IK_SOLUTION if no solution is within limits, or all
+        are in collision. `explain()` reports each solution, and a reachable pose nearby.
+    Raises:
+        InputError: unknown group or link, or a pose that is not finite.
+    """
+    ik = ik_solver(scene.model, group, link)
+    free = KernelChecker(scene, ik.joint_names).is_free if avoid_collisions else None
+    result = ik.solve(T_world_link, scene.positions, free, np.random.default_rng(seed))
+    if result.ok:
+        return result
+    evidence = {k: v for k, v in result.evidence.items() if k != "invalid"}
+
+    def explainer(seconds: float) -> Explanation:
+        request = PlanRequest(group, (PoseGoal(T_world_link, link),), seed=seed)
+        found = plan(scene, request).explain(seconds)
+        return replace(found, code=ErrorCode.NO_IK_SOLUTION)
+
+    return replace(result, evidence=evidence, explainer=explainer)

@@ -1,0 +1,219 @@
+"""Convert a request's goals to collision-free joint positions, or explain the failure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import (
+    ConstraintGoal,
+    Contact,
+    ErrorCode,
+    InputError,
+    JointGoal,
+    NamedGoal,
+    Outcome,
+    PoseGoal,
+)
+from armcell.kinematics import ik_solver
+from armcell.planning.constraints.constraint_validation import contradiction
+from armcell.planning.constraints.evaluation import violations
+from armcell.planning.goals.sampling import is_region, is_wide, sample_goal_positions, whole_turn_equivalents
+from armcell.planning.moved_frame import MovedFrame
+from armcell.planning.request import ValidatedRequest
+
+Array = NDArray[np.float64]
+
+Found = tuple[Outcome, list[Array]]
+
+MORE = 100  # further solutions to test if none of the first is free
+ENOUGH = 4  # free positions of a goal to begin with
+BLOCKED = 16  # positions in collision after which another posture is tried
+
+
+def find_joint_goals(
+    validated: ValidatedRequest, checker: KernelChecker, rng: np.random.Generator
+) -> tuple[tuple[Array, ...], Outcome]:
+    """Find collision-free goal positions (n,) of the group, nearest to the start first.
+
+    Returns:
+        The goals and SUCCESS; or no goals and the code, message and evidence of the last failed goal.
+    """
+    found: list[Array] = []
+    failure = Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, "the request has no goal")
+    for goal in validated.request.goals:
+        if isinstance(goal, PoseGoal):
+            result, positions = _from_pose(validated, goal, checker, rng)
+        elif isinstance(goal, ConstraintGoal):
+            result, positions = _from_constraints(validated, goal, checker, rng)
+        else:
+            if isinstance(goal, NamedGoal):
+                goal = JointGoal(validated.scene.model.named_state(validated.request.group, goal.name))
+            result, positions = _from_joints(validated, goal, checker, rng)
+        if result.ok:
+            found += positions
+        else:
+            failure = result
+    if not found:
+        return (), failure
+    start = validated.scene.positions[checker.columns]
+    found.sort(key=lambda q: float(np.linalg.norm(q - start)))
+    return tuple(found), Outcome(ErrorCode.SUCCESS)
+
+
+class _GoalFilter:
+    """Filters goal positions by collisions and workspace; remembers why it rejected them."""
+
+    def __init__(self, validated: ValidatedRequest, checker: KernelChecker):
+        self.validated, self.checker = validated, checker
+        self.blocked: list[Array] = []
+        self.forbidden = ""
+
+    def usable(self, q: Array) -> bool:
+        """Return whether positions q (n,) are free and allowed, and remember why if they are not."""
+        if not self.checker.is_free(q):
+            self.blocked.append(q)
+            return False
+        why = self.validated.forbids(q)
+        self.forbidden = self.forbidden or why
+        return not why
+
+    def first(self, positions: Iterable[Array], count: int) -> list[Array]:
+        """Return the first `count` usable positions."""
+        return list(islice((q for q in positions if self.usable(q)), count))
+
+    def refusal(self) -> Outcome | None:
+        """Summarize why all tested positions were rejected, or None if none was tested."""
+        if self.forbidden:
+            return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
+        contacts = [c for c in map(self.checker.exact.contacts, self.blocked[:BLOCKED]) if c]
+        if not contacts:
+            return None
+        shallowest = min(contacts, key=lambda c: -min(x.distance for x in c))
+        outcome = _in_collision(shallowest)
+        if len(contacts) == 1:
+            return outcome
+        text = f"each of {len(contacts)} joint solutions is in collision; the best: {outcome.message}"
+        return Outcome(ErrorCode.GOAL_IN_COLLISION, text, outcome.evidence)
+
+
+def _from_joints(
+    validated: ValidatedRequest, goal: JointGoal, checker: KernelChecker, rng: np.random.Generator
+) -> Found:
+    scene, names, state = validated.scene, validated.joint_names, goal.state
+    for name in state.joint_names:  # misuse, not a failure of planning
+        if name not in names:
+            scene.model.joint(name)
+            raise InputError(f"goal names joint {name!r}, which the group does not move")
+    q = scene.state.updated(state).reindexed(names).positions
+    try:
+        scene.model.check_positions(q, names, margin=max(goal.tolerance, 1e-9))
+    except InputError as error:
+        return Outcome(ErrorCode.GOAL_STATE_INVALID, f"goal: {error}"), []
+    low, high = scene.model.lower[checker.columns], scene.model.upper[checker.columns]
+    q = np.clip(q, low, high)
+    start = scene.positions[checker.columns]
+    goal_filter = _GoalFilter(validated, checker)
+    centers = whole_turn_equivalents(scene.model, names, q, start) if goal.turns else [q]
+    found = goal_filter.first(centers, len(centers))
+    if not found and is_region(goal):
+        found = goal_filter.first(sample_goal_positions(scene, validated.request.group, goal, rng), 1)
+    if found:
+        return Outcome(ErrorCode.SUCCESS), found
+    refusal = goal_filter.refusal()
+    return _in_collision(checker.exact.contacts(q)) if refusal is None else refusal, []
+
+
+def _from_pose(
+    validated: ValidatedRequest, goal: PoseGoal, checker: KernelChecker, rng: np.random.Generator
+) -> Found:
+    scene, group = validated.scene, validated.request.group
+    moved_frame = MovedFrame(scene, group, goal.link)
+    ik = ik_solver(scene.model, group, moved_frame.link)
+    target = moved_frame.link_target(goal.T_world_link)
+    valid: list[Array] = []
+    goal_filter = _GoalFilter(validated, checker)
+    for among in (8, 24):  # mostly the first few solutions are good enough
+        valid, goal_filter = [], _GoalFilter(validated, checker)
+        for q in ik.nearest(target, scene.positions, rng, among):
+            if goal_filter.usable(q):
+                valid.append(q)
+            if len(valid) >= ENOUGH or len(goal_filter.blocked) >= BLOCKED:
+                break
+        if valid:
+            return Outcome(ErrorCode.SUCCESS), valid
+    if (
+        goal_filter.blocked or goal_filter.forbidden or is_wide(goal)
+    ):  # another posture, or elsewhere in the tolerances
+        some = islice(sample_goal_positions(scene, group, goal, rng, validated.deadline), MORE)
+        first = len(goal_filter.blocked)
+        if valid := goal_filter.first(some, 1):
+            return Outcome(ErrorCode.SUCCESS), valid
+        del goal_filter.blocked[max(first, BLOCKED) :]
+    if (refusal := goal_filter.refusal()) is not None:
+        return refusal, []
+    result = ik.solve(target, scene.positions, rng=rng)
+    evidence = {**result.evidence, "target": goal.T_world_link}
+    return Outcome(ErrorCode.NO_IK_SOLUTION, result.message, evidence), []
+
+
+def _from_constraints(
+    validated: ValidatedRequest, goal: ConstraintGoal, checker: KernelChecker, rng: np.random.Generator
+) -> Found:
+    scene, group = validated.scene, validated.request.group
+    if why := contradiction(scene, group, goal.constraints):
+        return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {why}"), []
+    goal_filter = _GoalFilter(validated, checker)
+    some = islice(sample_goal_positions(scene, group, goal, rng, validated.deadline), MORE)
+    if found := goal_filter.first(some, ENOUGH):
+        return Outcome(ErrorCode.SUCCESS), found
+    if (refusal := goal_filter.refusal()) is not None:
+        return refusal, []
+    here = violations(scene, group, goal.constraints, scene.positions[checker.columns])
+    text = f"goal: no state that keeps to all constraints was found; at the start {here}"
+    return Outcome(ErrorCode.NO_IK_SOLUTION, text), []
+
+
+def _in_collision(contacts: list[Contact]) -> Outcome:
+    text = "goal in collision: " + "; ".join(c.describe() for c in contacts[:3])
+    return Outcome(ErrorCode.GOAL_IN_COLLISION, text, {"contacts": contacts})
+
+
+DISTINCT = 1e-2  # [rad or m] goals nearer than this to each other, in every joint, count as the same
+
+
+def stream_goals(
+    validated: ValidatedRequest, checker: KernelChecker, known: Sequence[Array], seed: int
+) -> Iterator[Array] | None:
+    """Yield further free goal positions (n,) while a search runs.
+
+    None if the goals have no further positions.
+
+    Nothing is computed before the first position is requested. The request's goals take turns.
+    """
+    regions = [goal for goal in validated.request.goals if is_region(goal)]
+    if not regions:
+        return None
+
+    def new_ones() -> Iterator[Array]:
+        rng, given = np.random.default_rng([seed, 1]), list(known)
+        sources = [
+            sample_goal_positions(validated.scene, validated.request.group, goal, rng, validated.deadline)
+            for goal in regions
+        ]
+        while sources:
+            for source in list(sources):
+                for q in source:
+                    new = all(np.max(np.abs(q - k)) > DISTINCT for k in given)
+                    if new and checker.is_free(q) and not validated.forbids(q):
+                        given.append(q)
+                        yield q
+                        break
+                else:
+                    sources.remove(source)
+
+    return new_ones()

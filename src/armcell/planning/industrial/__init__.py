@@ -1,1 +1,0 @@
-"""Industrial motions: PTP, LIN, CIRC and sequences of them with blend radii; MoveIt's Pilz pipeline."""

@@ -1,0 +1,15 @@
+"""Planning for two arms: synchronized, around a moving arm, carrying an object together."""
+
+from armcell.planning.multi_arm.around_moving_arm import RunningMotion, plan_around_moving_arm
+from armcell.planning.multi_arm.carry import plan_carry
+from armcell.planning.multi_arm.closed_chain import CarriedObject
+from armcell.planning.multi_arm.synchronized import SynchronizedPlan, plan_synchronized
+
+__all__ = [
+    "CarriedObject",
+    "RunningMotion",
+    "SynchronizedPlan",
+    "plan_around_moving_arm",
+    "plan_carry",
+    "plan_synchronized",
+]

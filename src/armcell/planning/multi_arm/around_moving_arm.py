@@ -1,0 +1,320 @@
+"""Plan one arm's motion around the other arm's running motion.
+
+Unchanged, delayed, or searched in time.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.arms import CLEARANCE, Arms, without_arm
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import Contact, ErrorCode, InputError, JointTrajectory, Outcome, PlanRequest, PlanResult
+from armcell.planning.certify import concatenated, time_lead_in
+from armcell.planning.moving_obstacles import delayed
+from armcell.planning.multi_arm.space_time_search import SpaceTimePath, SpaceTimeProblem, search, shortened
+from armcell.planning.pipeline import StartAndGoals, find_start_and_goals, plan
+from armcell.planning.request import validate_request
+from armcell.scene import PlanningScene
+from armcell.timing.averaged import averaged_pieces
+from armcell.timing.chords import chords
+
+Array = NDArray[np.float64]
+
+WAIT_STEP = 0.1  # [s] increment of waits
+WINDOWS = (0.8, 0.4, 0.2)  # [s] smoothing windows; shorter ones follow the path more closely but are slower
+MARGIN = 0.02  # [m] added to the clearance while searching, for corners that smoothing cuts
+STEP = 0.03  # [rad] between samples of an edge against the world
+THOROUGH, BRIEF = 30_000, 800  # iterations of the search for a first path, and for an earlier arrival
+SEARCHES = 3  # searches, each for an earlier arrival than the last
+
+
+@dataclass(frozen=True, eq=False)
+class RunningMotion:
+    """The motion of an arm that began, or will begin, at `start` [s].
+
+    The arm stands still after its end.
+    """
+
+    trajectory: JointTrajectory
+    start: float = 0.0
+
+    @property
+    def end(self) -> float:
+        """End time [s] of the motion."""
+        return self.start + self.trajectory.duration
+
+    @staticmethod
+    def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
+        """Create the motion of an arm that stays at its position in the scene."""
+        names = scene.model.group(group).joint_names
+        q = scene.state.reindexed(names).positions[None]
+        return RunningMotion(JointTrajectory(names, np.zeros(1), q, q * 0, q * 0), time)
+
+
+def plan_around_moving_arm(
+    scene: PlanningScene,
+    request: PlanRequest,
+    other: str,
+    running: RunningMotion,
+    start_time: float = 0.0,
+    clearance: float = CLEARANCE,
+    cancel: threading.Event | None = None,
+) -> PlanResult:
+    """Plan one arm's motion that is proven to avoid the other arm's running motion.
+
+    Args:
+        scene: with the planned arm at its start; the other arm's position in the scene does not matter.
+        other: the other arm's group. running: its motion, which must come to rest.
+        start_time: [s] on the clock of `running.start`.
+        clearance: distance to the other arm and its attached objects [m].
+    Returns:
+        Like `plan`. `evidence["beside"]` is "as planned", "waits" or "searched"; the trajectory includes
+        waits. On failure `evidence["contact"]` is the pair and `evidence["time"]` the time [s] at which it
+        would meet.
+    Raises:
+        InputError: misuse, see `plan`; groups that share joints.
+    """
+    began = time.monotonic()
+    if not np.isfinite(start_time):
+        raise InputError("start_time must be a finite number of seconds")
+    arms = Arms(scene, (request.group, other))
+    alone = without_arm(scene, other)
+    first = plan(alone, request, cancel)
+    if not first.ok or first.trajectory is None:
+        return first
+    timeline = MovingArmTimeline(arms, running, start_time, clearance)
+    if (at := timeline.first_conflict(first.trajectory)) is None:
+        return _with_strategy(first, "as planned", began)
+    start = first.trajectory.positions[0]
+    contact = arms.contact(np.concatenate([start, timeline.other_at(start_time)]))
+    if contact is not None and contact.distance < clearance:
+        # The arms start closer than the clearance: keep slightly less than the start distance.
+        timeline = MovingArmTimeline(arms, running, start_time, max(contact.distance - 1e-3, 0.0))
+        if timeline.first_conflict(first.trajectory) is None:
+            return _with_strategy(first, "as planned", began)
+    waits = _waiting(timeline, first.trajectory)
+    found = None if waits is None else replace(first, trajectory=waits)
+    latest = np.inf if waits is None else start_time + waits.duration
+    searched = _searched(alone, timeline, request, first, latest, began + request.planning_time, cancel)
+    if searched is not None and start_time + searched.duration < latest:
+        return _with_strategy(replace(first, trajectory=searched, path=None), "searched", began)
+    if found is not None:
+        return _with_strategy(found, "waits", began)
+    pair, when = timeline.contact(first.trajectory, at), at
+    text = "" if pair is None else f"{pair.body_a} would meet {pair.body_b} at {when:.2f} s; "
+    return PlanResult(
+        ErrorCode.PLANNING_FAILED,
+        f"{text}no path in space and time was found that keeps "
+        f"{1000 * timeline.clearance:.0f} mm off {other!r}",
+        {"contact": pair, "time": when},
+        planner_id=first.planner_id,
+        planning_time=time.monotonic() - began,
+    )
+
+
+def _with_strategy(result: PlanResult, how: str, began: float) -> PlanResult:
+    spent = time.monotonic() - began
+    return replace(result, evidence={**result.evidence, "beside": how}, planning_time=spent)
+
+
+class MovingArmTimeline:
+    """The other arm's motion as straight pieces over time, with clearance queries."""
+
+    def __init__(self, arms: Arms, running: RunningMotion, start_time: float, clearance: float):
+        self.arms, self.running, self.start_time, self.clearance = arms, running, start_time, clearance
+        end = max(running.end, start_time)
+        self.times, self.points, self.room = chords((running.trajectory,), (running.start,), start_time, end)
+        self.end = end
+        self.dof = len(arms.joint_names) - self.points.shape[1]
+        self._room = np.concatenate([np.zeros(self.dof), self.room])
+
+    def other_at(self, t: float) -> Array:
+        """Interpolate the other arm's joint positions at a time [s]."""
+        return np.array([np.interp(t, self.times, column) for column in self.points.T])
+
+    def first_conflict(self, trajectory: JointTrajectory) -> float | None:
+        """Find the time [s] at which a motion, or the rest after it, violates the clearance.
+
+        None if it never does.
+        """
+        found = self.arms.certify(
+            trajectory, self.running.trajectory, (self.start_time, self.running.start), self.clearance,
+            begin=self.start_time, until=max(self.end, self.start_time + trajectory.duration), evidence=False,
+        )  # fmt: skip
+        return None if found.free else found.time
+
+    def contact(self, trajectory: JointTrajectory, at: float) -> Contact | None:
+        """Find the nearest pair of bodies at a time [s] of a motion that begins at the start time."""
+        q = trajectory.sample(at - self.start_time)[0]
+        return self.arms.contact(np.concatenate([q, self.other_at(at)]))
+
+    def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
+        """Return whether a straight motion (p, s) to (q, t) keeps the clearance plus `more` [m]."""
+        inside = self.times[(self.times > s) & (self.times < t)]
+        clock = np.concatenate([[s], inside, [t]]) if t > s else np.array([s])
+        share = (clock - s) / (t - s) if t > s else np.zeros(1)
+        points = np.empty((len(clock), self.dof + self.points.shape[1]))
+        points[:, : self.dof] = p + share[:, None] * (q - p)
+        for j in range(self.points.shape[1]):
+            points[:, self.dof + j] = np.interp(clock, self.times, self.points[:, j])
+        return self.arms.find_too_close(points, self._room, self.clearance + more) < 0
+
+    def free_after(self, q: Array, more: float) -> float:
+        """Compute the time [s] after which the arm may rest at q.
+
+        Inf if the other arm comes to rest too near.
+        """
+        end = np.concatenate([q, self.points[-1]])[None]
+        if self.arms.find_too_close(end, None, self.clearance + more) >= 0:
+            return np.inf
+        points = np.hstack([np.tile(q, (len(self.times), 1)), self.points])[::-1]
+        at = self.arms.first_too_close(points, self._room, self.clearance + more)
+        return float(self.times[0] if at < 0 else self.times[len(self.times) - 1 - int(at)])
+
+
+def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointTrajectory | None:
+    """Delay a motion by the shortest wait that lets the other arm pass.
+
+    None if no wait is possible.
+    """
+    start = trajectory.positions[0]
+    longest = timeline.end - timeline.start_time + WAIT_STEP
+    for k in range(1, int(np.ceil(longest / WAIT_STEP)) + 1):
+        wait = k * WAIT_STEP
+        if not timeline.keeps_clearance(start, timeline.start_time, start, timeline.start_time + wait):
+            return None  # the arm cannot wait here that long
+        later = delayed(trajectory, wait)
+        if timeline.first_conflict(later) is None:
+            return later
+    return None
+
+
+class _TimelineValidity:
+    """Edge validity: free of the world at samples, and proven clear of the other arm."""
+
+    def __init__(self, checker: KernelChecker, timeline: MovingArmTimeline, margin: float):
+        self.checker, self.timeline, self.margin = checker, timeline, margin
+
+    def free(self, p: Array, s: float, q: Array, t: float) -> bool:
+        if not self.timeline.keeps_clearance(p, s, q, t, self.margin):
+            return False
+        return bool(np.array_equal(p, q)) or self.checker.edge_is_free(p, q, STEP)
+
+
+def _searched(
+    alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
+    deadline: float, cancel: threading.Event | None,
+) -> JointTrajectory | None:  # fmt: skip
+    """Search in time for the earliest arrival before `latest` [s].
+
+    Return a proven smooth motion or None.
+    """
+    endpoints = find_start_and_goals(validate_request(alone, request, cancel))
+    if isinstance(endpoints, Outcome) or first.trajectory is None:
+        return None
+    if endpoints.validated.lead_in is None:
+        return _earliest(alone, timeline, request, endpoints, latest, deadline, cancel)
+    lead = time_lead_in(
+        endpoints.validated, endpoints.checker
+    )  # out of resting contact; the search begins at its end
+    if lead is None:
+        return None
+    later = MovingArmTimeline(
+        timeline.arms, timeline.running, timeline.start_time + lead.duration, timeline.clearance
+    )
+    found = _earliest(alone, later, request, endpoints, latest, deadline, cancel)
+    whole = None if found is None else concatenated(lead, found)
+    return whole if whole is not None and timeline.first_conflict(whole) is None else None
+
+
+def _earliest(
+    alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, endpoints: StartAndGoals,
+    latest: float, deadline: float,
+    cancel: threading.Event | None,
+) -> JointTrajectory | None:  # fmt: skip
+    """Search in time from the start of `endpoints` at the timeline's start time.
+
+    See `_searched`.
+    """
+    names, model = endpoints.checker.joint_names, alone.model
+    velocity = model.limits(names, "velocity") * request.velocity_scaling
+    acceleration = model.limits(names, "acceleration") * request.acceleration_scaling
+    rng = np.random.default_rng(request.seed)
+    best: JointTrajectory | None = None
+    horizon = latest
+    iterations = THOROUGH if np.isinf(latest) else BRIEF
+    for window in WINDOWS:
+        margin = MARGIN * window / WINDOWS[0]
+        if not timeline.keeps_clearance(
+            endpoints.start, timeline.start_time, endpoints.start, timeline.start_time, margin
+        ):
+            margin = 0.0
+        goals = np.array(endpoints.goals)
+        problem = SpaceTimeProblem(
+            _TimelineValidity(endpoints.checker, timeline, margin), endpoints.start,
+            timeline.start_time + window / 2, goals,
+            np.array([timeline.free_after(g, margin) for g in goals]),
+            np.minimum(velocity, acceleration * window),
+            np.maximum(np.minimum(endpoints.lower, endpoints.start), endpoints.start - np.pi),
+            np.minimum(np.maximum(endpoints.upper, endpoints.start), endpoints.start + np.pi),
+        )  # fmt: skip
+        arrivals = [problem.arrival(g) for g in range(len(goals))]
+        if not np.isfinite(min(arrivals)):
+            return best
+        for _ in range(SEARCHES):
+            if time.monotonic() > deadline or (cancel is not None and cancel.is_set()):
+                return best
+            at_most = min(horizon - window, _horizon(problem, timeline, arrivals))
+            path = search(problem, at_most, rng, deadline, iterations)
+            if path is None:
+                break
+            path = shortened(problem, path, rng, deadline)
+            smooth = _smoothed(names, path, timeline.start_time, acceleration, endpoints.checker, timeline)
+            if smooth is None:
+                continue
+            if timeline.start_time + smooth.duration < horizon:
+                best, horizon, iterations = smooth, timeline.start_time + smooth.duration, BRIEF
+        if best is not None:
+            return best
+    return best
+
+
+def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
+    """Compute the latest arrival to search for [s].
+
+    A detour after the other arm has come to rest.
+    """
+    soonest = min(arrivals)
+    return max(timeline.end, soonest) + 2.0 * (soonest - problem.start_time) + 1.0
+
+
+def _smoothed(
+    names: tuple[str, ...], path: SpaceTimePath, start_time: float, acceleration: Array,
+    checker: KernelChecker, timeline: MovingArmTimeline,
+) -> JointTrajectory | None:  # fmt: skip
+    """Smooth a path in time; return the motion if it is certified free, else None."""
+    times, points = path.times, path.points
+    keep = np.concatenate([[True], np.diff(times) > 1e-6])
+    times, points = times[keep], points[keep]
+    if len(times) < 2:
+        return None
+    try:
+        smooth = averaged_pieces(names, times, points, acceleration)
+    except InputError:
+        return None
+    window = smooth.duration - float(times[-1] - times[0])
+    lead = float(times[0]) - window / 2 - start_time
+    if lead < -1e-9:  # a wider window than assumed: begin later
+        lead = 0.0
+    if lead > 1e-6:
+        smooth = delayed(smooth, lead)
+    if timeline.first_conflict(smooth) is not None:
+        return None
+    _, chain, room = chords((smooth,), (0.0,), 0.0, smooth.duration)
+    return smooth if checker.certify(chain, room, evidence=False).free else None

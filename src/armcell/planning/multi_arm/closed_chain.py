@@ -1,0 +1,298 @@
+"""Two arms that hold one object.
+
+Inverse kinematics of the closed chain, and RRT-Connect over object poses.
+
+Two arms that hold one object form a closed chain: six of their joints are free, and while no arm changes
+its branch, the object's pose determines all joints. So the search runs in the space of poses (three of
+position, three of rotation), and inverse kinematics follows every edge in small steps: the grasps hold
+exactly along the whole path. (Projecting both arms' joints onto the chain would search twelve dimensions
+for the same six, and would hold the grasps only up to its convergence.)
+
+After Kuffner and LaValle, "RRT-Connect", ICRA 2000. The trees meet in a pose; a final check verifies that
+the joints can follow the whole path from the start.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import SE3, SO3
+from armcell.kinematics import ik_solver
+from armcell.planning.multi_arm.object_paths import length
+from armcell.scene import PlanningScene
+
+Array = NDArray[np.float64]
+
+JUMP = 0.2  # [rad] largest joint step between near poses; a larger step means another branch
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedObject:
+    """An object held by two hands: by group, the pose of the hand's TCP in the object's frame."""
+
+    name: str
+    grasps: Mapping[str, SE3]  # T_object_tcp
+    tips: Mapping[str, str]  # by group, the tcp link
+
+    @property
+    def radius(self) -> float:
+        """Upper bound [m] of a hand's distance from the object's origin.
+
+        Scales rotations to lengths.
+        """
+        return max(0.1, *(float(np.linalg.norm(T.translation)) for T in self.grasps.values()))
+
+
+@dataclass(frozen=True)
+class ClosedChainFailure:
+    """The reason why an arm cannot follow the carried object."""
+
+    group: str
+    share: float  # share of the path
+    jumps: bool  # otherwise the pose is out of reach
+
+    def __str__(self) -> str:
+        at = f"{100 * self.share:.0f} %"
+        if self.jumps:
+            return f"{self.group} would have to change its posture at {at}"
+        return f"{self.group} does not reach {at} of it"
+
+
+class ClosedChainIK:
+    """Inverse kinematics of both arms with fixed grasps. Positions `q` are of all joints (dof,)."""
+
+    def __init__(self, scene: PlanningScene, carried: CarriedObject):
+        self.carried = carried
+        self.solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
+
+    def at(self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP) -> Array | ClosedChainFailure:
+        """Solve for the object at T (T_world_object), on the branch of `last`."""
+        new = last.copy()
+        for group, ik in self.solvers.items():
+            near = ik.nearest(T @ self.carried.grasps[group], last, among=8)
+            if not near:
+                return ClosedChainFailure(group, share, False)
+            if np.max(np.abs(near[0] - last[ik.columns])) > jump:
+                return ClosedChainFailure(group, share, True)
+            new[ik.columns] = near[0]
+        return new
+
+    def along(self, poses: Sequence[SE3], shares: Array, q: Array) -> Array | ClosedChainFailure:
+        """Solve for poses at shares of a path (k, dof), each solution near the previous one."""
+        rows, last = [], q
+        for T, share in zip(poses, shares, strict=True):
+            last = self.at(T, last, float(share))
+            if isinstance(last, ClosedChainFailure):
+                return last
+            rows.append(last)
+        return np.array(rows)
+
+    def postures(self, T: SE3, q: Array) -> list[Array] | ClosedChainFailure:
+        """List solutions with the object at T on all branches, nearest to q first."""
+        options = []
+        for group, ik in self.solvers.items():
+            options.append(ik.nearest(T @ self.carried.grasps[group], q, among=8))
+            if not options[-1]:
+                return ClosedChainFailure(group, 1.0, False)
+        found = []
+        for choice in product(*options):
+            new = q.copy()
+            for ik, own in zip(self.solvers.values(), choice, strict=True):
+                new[ik.columns] = own
+            found.append(new)
+        return sorted(found, key=lambda p: float(np.abs(p - q).max()))
+
+
+STRIDE, SWING = 0.03, 0.06  # [m] and [rad] of the object between two solutions of the inverse kinematics
+LEAP = 0.4  # [rad] largest joint step between solutions; a larger step means another branch
+STEP = 1 / 32  # [rad] of the joints between validity checks
+REACH = 10  # strides per extension
+SPREAD = 0.5  # [m] sampling range beyond start and goal
+LEVEL = 0.5  # share of samples with an orientation of the straight path
+SHORTCUTS = 120
+WORTHWHILE = 0.98  # largest length ratio of a shortcut
+SAME = 1e-3  # [rad] tolerance of equal joint positions
+
+
+@dataclass(frozen=True, eq=False)
+class SearchLimits:
+    """Deadline and cancel event of a search."""
+
+    deadline: float  # [s] of time.monotonic()
+    cancel: threading.Event
+
+    @property
+    def over(self) -> bool:
+        """Whether the search is cancelled or its deadline has passed."""
+        return self.cancel.is_set() or time.monotonic() > self.deadline
+
+
+class _Tree:
+    """Tree of object poses with all joints (dof,) at each pose."""
+
+    def __init__(self, radius: float):
+        self.radius = radius
+        self.keys = np.empty((256, 12))
+        self.poses: list[SE3] = []
+        self.q: list[Array] = []
+        self.parents: list[int] = []
+
+    def _key(self, T: SE3) -> Array:
+        """Map a pose to 12 numbers whose differences measure translation and rotation."""
+        return np.concatenate([T.translation, (self.radius / np.sqrt(2)) * T.rotation.matrix.ravel()])
+
+    def add(self, T: SE3, q: Array, parent: int) -> int:
+        n = len(self.parents)
+        if n == len(self.keys):
+            self.keys = np.vstack([self.keys, np.empty_like(self.keys)])
+        self.keys[n] = self._key(T)
+        self.poses.append(T)
+        self.q.append(q)
+        self.parents.append(parent)
+        return n
+
+    def nearest(self, T: SE3) -> int:
+        gaps = self.keys[: len(self.parents)] - self._key(T)
+        return int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
+
+    def branch(self, node: int) -> Iterator[SE3]:
+        """Yield the poses from a node to its root."""
+        while node >= 0:
+            yield self.poses[node]
+            node = self.parents[node]
+
+
+class ObjectPoseSearch:
+    """A search from one object pose, with its joint positions, to another.
+
+    Args:
+        checker: of both arms' joints. q: all joints (dof,) at the start. ends: joint positions allowed at
+            the goal.
+    """
+
+    def __init__(
+        self, hands: ClosedChainIK, checker: KernelChecker, start: SE3, q: Array, goal: SE3,
+        ends: Sequence[Array],
+        rng: np.random.Generator, limits: SearchLimits,
+    ):  # fmt: skip
+        self.hands, self.checker, self.rng, self.limits = hands, checker, rng, limits
+        self.start, self.q, self.goal = start, q, goal
+        self.radius = hands.carried.radius
+        self.ahead, self.back = _Tree(self.radius), _Tree(self.radius)
+        self.ahead.add(start, q, -1)
+        for end in ends:
+            self.back.add(goal, end, -1)
+        corners = np.array([start.translation, goal.translation])
+        self.low, self.high = corners.min(axis=0) - SPREAD, corners.max(axis=0) + SPREAD
+
+    def find_poses(self) -> list[SE3] | None:
+        """Find object poses from start to goal, straight in between and already shortened.
+
+        None if stopped.
+        """
+        grown, other = self.ahead, self.back
+        while not self.limits.over:
+            target = self._sample()
+            node = self._extend(grown, target, REACH)
+            if node is not None:
+                met = self._extend(other, grown.poses[node[0]], None)
+                if met is not None and met[1]:
+                    mine, its = (node[0], met[0]) if grown is self.ahead else (met[0], node[0])
+                    poses = [*list(self.ahead.branch(mine))[::-1], *list(self.back.branch(its))[1:]]
+                    if self._followed(poses, self.q) is not None:
+                        return self._shortened(poses)
+            grown, other = other, grown
+        return None
+
+    def _sample(self) -> SE3:
+        rng = self.rng
+        position = rng.uniform(self.low, self.high)
+        rotation = self.start.interpolate(self.goal, float(rng.random())).rotation
+        if rng.random() > LEVEL:
+            axis = rng.normal(size=3)
+            angle = np.pi * rng.random() ** 2
+            rotation = rotation @ SO3.exp(angle * axis / np.linalg.norm(axis))
+        return SE3(rotation, position)
+
+    def _extend(self, tree: _Tree, target: SE3, most: int | None) -> tuple[int, bool] | None:
+        """Extend a tree toward a pose by at most `most` strides.
+
+        Return the node and whether it is at the pose.
+        """
+        near = tree.nearest(target)
+        if length(tree.poses[near], target, self.radius) < 1e-9:
+            return near, True
+        reached = self._walk(tree.poses[near], tree.q[near], target, most)
+        if reached is None:
+            return None
+        T, q, arrived = reached
+        return tree.add(T, q, near), arrived
+
+    def _walk(self, T: SE3, q: Array, target: SE3, most: int | None = None) -> tuple[SE3, Array, bool] | None:
+        """Walk straight from T toward a pose until an arm cannot follow or something touches."""
+        meters, radians = T.distance_to(target)
+        count = max(int(np.ceil(max(meters / STRIDE, radians / SWING))), 1)
+        columns, at, arrived = self.checker.columns, None, False
+        for k in range(1, min(count, most or count) + 1):
+            pose = target if k == count else T.interpolate(target, k / count)
+            new = self.hands.at(pose, q, jump=LEAP)
+            if isinstance(new, ClosedChainFailure) or not self.checker.edge_is_free(
+                q[columns], new[columns], STEP
+            ):
+                break
+            at, q, arrived = pose, new, k == count
+            if k % REACH == 0 and self.limits.over:
+                break
+        return None if at is None else (at, q, arrived)
+
+    def _shortened(self, poses: list[SE3]) -> list[SE3]:
+        """Shorten a pose path by straight shortcuts that the joints can follow."""
+        joints = self._followed(poses, self.q)
+        for _ in range(SHORTCUTS):
+            if joints is None or len(poses) < 3 or self.limits.over:
+                break
+            ends = np.concatenate([[0.0], np.cumsum([length(a, b, self.radius) for a, b in pairwise(poses)])])
+            low, high = np.sort(self.rng.uniform(-0.2, 1.2, 2).clip(0, 1)) * ends[-1]
+            i = min(int(np.searchsorted(ends, low, side="right")) - 1, len(poses) - 2)
+            j = min(int(np.searchsorted(ends, high, side="right")) - 1, len(poses) - 2)
+            if i == j or high - low < STRIDE:
+                continue
+            first, last = (
+                poses[k].interpolate(poses[k + 1], float((at - ends[k]) / (ends[k + 1] - ends[k])))
+                for k, at in ((i, low), (j, high))
+            )
+            if length(first, last, self.radius) > WORTHWHILE * (high - low):
+                continue
+            middle = [T for T in (first, last) if self._apart(T, poses[i]) and self._apart(T, poses[j + 1])]
+            tried = [*poses[: i + 1], *middle, *poses[j + 1 :]]
+            part = self._followed(tried[i : i + len(middle) + 2], joints[i])
+            if part is not None and np.max(np.abs(part[-1] - joints[j + 1])) < SAME:
+                joints = [*joints[:i], *part, *joints[j + 2 :]]
+                poses = tried
+        return poses
+
+    def _apart(self, a: SE3, b: SE3) -> bool:
+        return length(a, b, self.radius) > 1e-6
+
+    def _followed(self, poses: Sequence[SE3], q: Array) -> list[Array] | None:
+        """Compute all joints at poses, starting with q; None if the path is not free."""
+        found = [q]
+        for a, b in pairwise(poses):
+            reached = self._walk(a, found[-1], b)
+            if reached is None or not reached[2]:
+                return None
+            found.append(reached[1])
+        return found
+
+    @property
+    def poses_tried(self) -> int:
+        """Number of poses in both trees."""
+        return len(self.ahead.parents) + len(self.back.parents)

@@ -1,1 +1,0 @@
-"""The native planner: RRT-Connect, shortcuts and proofs in one compiled piece."""

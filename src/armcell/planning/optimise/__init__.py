@@ -1,1 +1,0 @@
-"""Trajectory optimisation: a whole path pushed out of obstacles by their signed distances."""

@@ -1,0 +1,1 @@
+"""Industrial motions PTP, LIN, CIRC and blended sequences, like MoveIt's Pilz pipeline."""

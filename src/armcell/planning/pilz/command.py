@@ -1,0 +1,116 @@
+"""Input and output of the PTP, LIN and CIRC generators.
+
+The motion command and the generated motion.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.core import SE3, ErrorCode, JointGoal, JointTrajectory, NamedGoal, Outcome, PlanRequest, PoseGoal
+from armcell.planning.moved_frame import MovedFrame
+from armcell.planning.pilz.paths import Curve, JointLine
+from armcell.planning.pilz.settings import PilzSettings
+from armcell.planning.pilz.velocity_profile import Profile, Trapezoid
+from armcell.planning.request import ValidatedRequest
+
+Array = NDArray[np.float64]
+
+AT_GOAL = 1e-9  # [m, rad or joint units] less than this is no motion
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCommand:
+    """A motion to generate: from joint positions (n,) to those found for the request's goal."""
+
+    validated: ValidatedRequest
+    checker: KernelChecker
+    start: Array
+    goal: Array
+
+    @property
+    def request(self) -> PlanRequest:
+        return self.validated.request
+
+    @property
+    def settings(self) -> PilzSettings:
+        return self.validated.choice.settings
+
+    def moved_frame(self, link: str | None = None) -> MovedFrame:
+        """Return the frame that moves along the path: the goal's link, or the group's tip."""
+        wanted = self.request.goals[0]
+        named = wanted.link if isinstance(wanted, PoseGoal) else link
+        return MovedFrame(self.validated.scene, self.request.group, named)
+
+    def goal_pose(self, moved_frame: MovedFrame) -> SE3:
+        """Compute the goal pose T_world_tip."""
+        wanted = self.request.goals[0]
+        return wanted.T_world_link if isinstance(wanted, PoseGoal) else moved_frame.pose(self.goal)
+
+    @property
+    def goal_joints(self) -> Array | None:
+        """Goal positions (n,) if the goal is given as joint positions, else None."""
+        return self.goal if isinstance(self.request.goals[0], JointGoal | NamedGoal) else None
+
+    def standing(self) -> GeneratedMotion:
+        """Generate a motion of one point, for a goal at the robot's present position."""
+        zero = np.zeros((1, len(self.start)))
+        names = self.validated.joint_names
+        trajectory = JointTrajectory(names, np.zeros(1), self.start[None], zero, zero)
+        return GeneratedMotion(JointLine(self.start, self.start), trajectory)
+
+    def stopped(self) -> Outcome | None:
+        """Return the outcome if the request is cancelled or its time is up, else None."""
+        if self.validated.cancel.is_set():
+            return Outcome(ErrorCode.PREEMPTED, f"{self.validated.planner_id}: cancelled")
+        if time.monotonic() > self.validated.deadline:
+            return Outcome(ErrorCode.TIMED_OUT, f"{self.validated.planner_id}: the time is over")
+        return None
+
+    def tip_profile(self, length: float, angle: float) -> Profile:
+        """Compute the velocity profile over s in 0..1 of a tip path of given length [m] and angle.
+
+        The longer of length and angle (scaled by the equivalent radius) is accelerated and braked, as in
+        KDL's paths, which MoveIt uses.
+        """
+        limits, request = self.settings.limits, self.request
+        way = max(length, angle * limits.equivalent_radius)
+        faster = request.acceleration_scaling
+        trapezoid = Trapezoid.fastest(
+            1.0, request.velocity_scaling * limits.max_trans_vel / way,
+            faster * limits.max_trans_acc / way, faster * limits.max_trans_dec / way,
+        )  # fmt: skip
+        return Profile(trapezoid, self.settings.smoothing)
+
+
+@dataclass(frozen=True, eq=False)
+class GeneratedMotion:
+    """A motion before its proof.
+
+    Joint curve, trajectory, and the frame of its tip (if it has one).
+    """
+
+    curve: Curve
+    trajectory: JointTrajectory
+    moved_frame: MovedFrame | None = None
+
+
+Generator = Callable[[MotionCommand], GeneratedMotion | Outcome]
+
+
+def time_curve(curve: Curve, profile: Profile, joint_names: tuple[str, ...]) -> JointTrajectory:
+    """Time a joint curve by a velocity profile over its parameter."""
+    times = profile.times()
+    s, speed, acceleration = profile.at(times)
+    s[0], speed[0], acceleration[0] = 0.0, 0.0, 0.0
+    s[-1], speed[-1], acceleration[-1] = 1.0, 0.0, 0.0
+    q, first, second = curve.at(s)
+    v = first * speed[:, None]
+    a = second * speed[:, None] ** 2 + first * acceleration[:, None]
+    return JointTrajectory(joint_names, times, q, v, a)

@@ -1,0 +1,320 @@
+"""Tip paths (line, arc), joint curves, and inverse kinematics along a tip path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, ErrorCode, Outcome
+from armcell.kinematics import IKSettings, IKSolver, ik_solver
+from armcell.planning.moved_frame import MovedFrame
+
+Array = NDArray[np.float64]
+
+COLLINEAR = 1e-5  # [m^2] cross product below which three points span no plane (MoveIt's MAX_COLINEAR_NORM)
+RADIUS_DIFFERENCE = 1e-2  # [m] start and goal may be at from the center (MoveIt's MAX_RADIUS_DIFF)
+
+
+class TipPath(Protocol):
+    """Protocol of a tip path: a pose for every s in 0..1.
+
+    Position and orientation change evenly with s.
+    """
+
+    start: SE3
+    goal: SE3
+
+    @property
+    def length(self) -> float: ...  # [m]
+
+    @property
+    def angle(self) -> float: ...  # [rad]
+
+    def pose(self, s: float) -> SE3: ...
+
+
+class Line:
+    """A straight line between two poses."""
+
+    def __init__(self, start: SE3, goal: SE3):
+        self.start, self.goal = start, goal
+
+    @cached_property
+    def turn(self) -> Array:
+        """The whole rotation as a vector (3,) in the start's axes [rad]."""
+        return (self.start.rotation.inv() @ self.goal.rotation).log()
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.goal.translation - self.start.translation))
+
+    @property
+    def angle(self) -> float:
+        return float(np.linalg.norm(self.turn))
+
+    def position(self, s: float) -> Array:
+        return (1 - s) * self.start.translation + s * self.goal.translation
+
+    def pose(self, s: float) -> SE3:
+        return SE3(self.start.rotation @ SO3.exp(s * self.turn), self.position(s))
+
+
+class Arc(Line):
+    """A circular arc between two poses.
+
+    Args:
+        axis: (3,) unit vector; the arc turns about it by `sweep` [rad], right-handed.
+    """
+
+    def __init__(self, start: SE3, goal: SE3, center: Array, axis: Array, sweep: float):
+        super().__init__(start, goal)
+        self.center, self.axis, self.sweep = center, axis, sweep
+
+    @property
+    def radius(self) -> float:
+        """Radius of the arc [m]."""
+        return float(np.linalg.norm(self.start.translation - self.center))
+
+    @property
+    def length(self) -> float:
+        return self.radius * self.sweep
+
+    def position(self, s: float) -> Array:
+        turned = SO3.exp(s * self.sweep * self.axis).matrix
+        return self.center + turned @ (self.start.translation - self.center)
+
+
+def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
+    """Compute the arc from start through a point (3,) [m] to goal."""
+    a, b = interim - start.translation, goal.translation - start.translation
+    normal = np.cross(a, b)
+    size = float(np.linalg.norm(normal))
+    if size < COLLINEAR:
+        return _no_arc(
+            "start, interim point and goal lie on one line (or two of them coincide)",
+            "move the interim point aside, or use LIN",
+        )
+    # Circumscribed circle: https://en.wikipedia.org/wiki/Circumcircle#Higher_dimensions
+    center = start.translation + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size**2)
+    axis = normal / size  # about it start, interim and goal come one after the other
+    u, v = start.translation - center, goal.translation - center
+    sweep = float(np.arctan2(axis @ np.cross(u, v), u @ v)) % (2 * np.pi)
+    return Arc(start, goal, center, axis, sweep)
+
+
+def arc_around(start: SE3, goal: SE3, center: Array) -> Arc | Outcome:
+    """Compute the shorter arc from start to goal around a center (3,) [m].
+
+    A center that is not exactly equidistant is moved until it is: the arc keeps its radius and ends in the
+    goal.
+    """
+    u, v = start.translation - center, goal.translation - center
+    near, far = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+    if abs(near - far) > RADIUS_DIFFERENCE:
+        text = (
+            f"the center is {near * 1000:.1f} mm from the start and {far * 1000:.1f} mm from the goal, "
+            f"they may differ by {RADIUS_DIFFERENCE * 1000:.0f} mm"
+        )
+        return _no_arc(text, "give a center that is as far from both, or an interim point")
+    chord = goal.translation - start.translation
+    length = float(np.linalg.norm(chord))
+    if length > 1e-9:
+        middle = (start.translation + goal.translation) / 2
+        center = center - ((center - middle) @ chord) / length**2 * chord
+        u, v = start.translation - center, goal.translation - center
+    normal = np.cross(u, v)
+    size = float(np.linalg.norm(normal))
+    if size < COLLINEAR:
+        return _no_arc(
+            "start, center and goal lie on one line (or two of them coincide), so there is more than one arc",
+            "give an interim point instead of the center",
+        )
+    return Arc(start, goal, center, normal / size, float(np.arctan2(size, u @ v)))
+
+
+def _no_arc(why: str, cure: str) -> Outcome:
+    return Outcome(ErrorCode.INVALID_MOTION_PLAN, f"CIRC: {why} ({cure})")
+
+
+class Curve(Protocol):
+    """Protocol of a twice continuously differentiable joint curve over s."""
+
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        """Evaluate positions and first and second derivatives (m, n) at s (m,)."""
+        ...
+
+    def polyline(self, sagitta: float) -> tuple[Array, Array]:
+        """Sample points (k, n) on the curve.
+
+        Return them and the largest deviation (n,) from their chords.
+        """
+        ...
+
+
+class JointLine:
+    """A straight line in joint space."""
+
+    def __init__(self, start: Array, goal: Array):
+        self.start, self.step = start, goal - start
+
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        first = np.tile(self.step, (len(s), 1))
+        return self.start + s[:, None] * self.step, first, np.zeros_like(first)
+
+    def polyline(self, sagitta: float) -> tuple[Array, Array]:
+        return np.array([self.start, self.start + self.step]), np.zeros(len(self.start))
+
+
+class JointSpline:
+    """A cubic spline through points (k, n) at x (k,).
+
+    Args:
+        ends: first derivatives (2, n) at both ends, if specified.
+    """
+
+    def __init__(self, x: Array, points: Array, ends: Array | None = None):
+        from scipy.interpolate import CubicSpline  # takes a quarter of a second to import
+
+        bc: Any = "not-a-knot" if ends is None else ((1, ends[0]), (1, ends[1]))
+        self.x, self.spline = x, CubicSpline(x, points, bc_type=bc)
+
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        return self.spline(s), self.spline(s, 1), self.spline(s, 2)
+
+    def polyline(self, sagitta: float) -> tuple[Array, Array]:
+        # Second derivatives are linear between knots, so they are largest at knots; a chord over h is at
+        # most h^2 / 8 of them away.
+        bend = np.abs(self.spline(self.x, 2)).max(axis=0)
+        span = self.x[-1] - self.x[0]
+        count = max(int(np.ceil(span * np.sqrt(bend.max() / 8 / sagitta))), 1)
+        return self.spline(np.linspace(self.x[0], self.x[-1], count + 1)), bend * (span / count) ** 2 / 8
+
+
+EXACT = IKSettings(position_tolerance=1e-9, rotation_tolerance=1e-9)
+"""Far below the tip's accuracy: position errors enter accelerations divided by the squared step."""
+
+STEP, TURN = 0.005, 0.05  # [m], [rad] of the path between two solutions
+ARC_STEP = 0.05  # [rad] of an arc's sweep between two solutions
+OFF = 1e-6  # [m], [rad] largest deviation between solutions; otherwise the steps are halved
+HALVINGS = 5
+GOAL_MISSED = 0.02  # [rad or m] largest miss of a joint goal that further attempts can correct
+AT_GOAL = 1e-6  # [rad or m] joint goal reached
+AIMS = 4
+
+
+def solver_for(moved_frame: MovedFrame, group: str) -> IKSolver:
+    """Return an inverse kinematics solver with tight tolerances for a frame."""
+    return ik_solver(moved_frame.scene.model, group, moved_frame.link, EXACT)
+
+
+def follow_path(
+    path: TipPath,
+    moved_frame: MovedFrame,
+    ik: IKSolver,
+    start: Array,
+    goal: Array | None = None,
+    stopped: Callable[[], Outcome | None] = lambda: None,
+) -> JointSpline | Outcome:
+    """Solve inverse kinematics along a tip path.
+
+    Return the joint curve over s in 0..1, or where it stops.
+
+    Args:
+        start: (n,) at the beginning of the path.
+        goal: (n,) to end at, if specified: a redundant arm is led there along the path.
+        stopped: returns the outcome if the time is over or the request is cancelled.
+    Returns:
+        The curve, or the code, message and evidence (`fraction`) of where it stops.
+    """
+    count = max(int(np.ceil(path.length / STEP)), int(np.ceil(path.angle / TURN)), 4)
+    count = max(count, int(np.ceil(getattr(path, "sweep", 0.0) / ARC_STEP)))
+    off, at = np.inf, 0.0
+    for _ in range(HALVINGS):
+        if (answer := stopped()) is not None:
+            return answer
+        points = _led(path, moved_frame, ik, start, goal, count)
+        if isinstance(points, Outcome):
+            return points
+        curve = JointSpline(np.linspace(0.0, 1.0, count + 1), points)
+        off, at = _largest_error(path, moved_frame, curve, count)
+        if off <= OFF:
+            return curve
+        count *= 2
+    text = f"near {at:.0%} of the path the joints would have to jump (the tip would leave it by {off:.2g} m)"
+    return Outcome(ErrorCode.PLANNING_FAILED, text, {"fraction": at})
+
+
+def _led(
+    path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
+) -> Array | Outcome:
+    """Compute solutions (count + 1, n) that end at the goal (n,), if there is one."""
+    points = _solutions(path, moved_frame, ik, start, goal, count)
+    if goal is None:
+        return points
+    aim = goal
+    for _ in range(AIMS):
+        if isinstance(points, Outcome) or np.max(np.abs(points[-1] - goal)) <= AT_GOAL:
+            return points
+        if np.max(np.abs(points[-1] - goal)) > GOAL_MISSED:
+            break
+        aim = aim + goal - points[-1]
+        points = _solutions(path, moved_frame, ik, start, aim, count)
+    if isinstance(points, Outcome):
+        return points
+    k = int(np.argmax(np.abs(points[-1] - goal)))
+    text = (
+        "on this path the arm reaches the goal's pose with other joint positions: "
+        f"{ik.joint_names[k]} at {points[-1][k]:.3f} instead of {goal[k]:.3f}"
+    )
+    return Outcome(ErrorCode.PLANNING_FAILED, text, {"fraction": 1.0, "joint": ik.joint_names[k]})
+
+
+def _solutions(
+    path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
+) -> Array | Outcome:
+    """Solve for each pose (count + 1, n), starting from the previous solution."""
+    q = moved_frame.full(start)
+    points = [start]
+    for k in range(1, count + 1):
+        s = k / count
+        if goal is not None:
+            q[ik.columns] += _sideways(ik, q, start + s * (goal - start) - points[-1])
+        meters, radians, ok = ik.descend(q, moved_frame.link_target(path.pose(s)))
+        if not ok:
+            return _stops(path, ik, points[-1], s, meters, radians)
+        points.append(q[ik.columns].copy())
+    return np.array(points)
+
+
+def _sideways(ik: IKSolver, q: Array, wish: Array) -> Array:
+    """Project a joint step (n,) onto the null space of the tip (zero for six joints)."""
+    J = ik.tree.jacobian(q, ik.tip_link, ik.joint_names)
+    return wish - np.linalg.pinv(J, rcond=1e-4) @ (J @ wish)
+
+
+def _stops(path: TipPath, ik: IKSolver, last: Array, s: float, meters: float, radians: float) -> Outcome:
+    limits = ik.at_limit(last)
+    why = f"{', '.join(limits)} at the limit" if limits else "out of reach or singular"
+    at = ", ".join(f"{v:.3f}" for v in path.pose(s).translation)
+    text = (
+        f"stops at {s:.0%} of the path, before ({at}): {why} "
+        f"({meters * 1000:.1f} mm, {np.rad2deg(radians):.1f} deg short)"
+    )
+    return Outcome(ErrorCode.NO_IK_SOLUTION, text, {"fraction": s, "joints_at_limit": limits})
+
+
+def _largest_error(
+    path: TipPath, moved_frame: MovedFrame, curve: JointSpline, count: int
+) -> tuple[float, float]:
+    """Find the tip's largest deviation half-way between solutions [m or rad] and its place."""
+    middles = (np.arange(count) + 0.5) / count
+    errors = [
+        max(moved_frame.pose(q).distance_to(path.pose(s)))
+        for s, q in zip(middles, curve.at(middles)[0], strict=True)
+    ]
+    worst = int(np.argmax(errors))
+    return errors[worst], float(middles[worst])

@@ -1,0 +1,164 @@
+"""Path simplification kernel: shortcuts and rounded corners.
+
+Every accepted edge is proven free.
+
+Paths are rows of a flat float64 buffer `p`, behind a bare pointer: the joint positions, then a flag whether
+the edge to the next row is proven (1 or 0).
+"""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel.block import FIRST, ints
+from armcell.collision.kernel.layout import DOF
+from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
+from armcell.collision.kernel.simd import pointer
+
+COARSE = 1e-3
+"""[rad] Proofs of shortcuts stop at intervals of this half width: a shortcut that needs finer intervals
+passes within a few millimeters of an obstacle and is not worth its proof."""
+
+MIN_CHANGE = 0.01  # [rad] smaller moves of a corner are not tried
+ROUNDS = 4
+WORTHWHILE = 0.02  # smallest relative gain that justifies another round
+
+
+@njit(cache=True)
+def _distance(p, dof, a, b):
+    total = 0.0
+    for j in range(dof):
+        total += (p[b + j] - p[a + j]) ** 2
+    return np.sqrt(total)
+
+
+@njit(cache=True)
+def _copy(p, width, src, dst):
+    for j in range(width):
+        p[dst + j] = p[src + j]
+
+
+@njit(cache=True)
+def _shortcut(k, p, count, first, last, at, mode, stop):
+    """Join each vertex with the farthest later vertex that a proven straight line reaches."""
+    dof = ints(k)[DOF]
+    width, i = dof + 1, 0
+    while i < count - 2 and stop[0] == 0:
+        for j in range(count - 1, i + 1, -1):
+            if stop[0] != 0:
+                break
+            first[0], last[0] = i * width, j * width
+            if prove(k, p, first, last, np.int64(1), at, mode | FIRST, COARSE) == 0:
+                gone = j - i - 1
+                for row in range(j, count):
+                    _copy(p, width, row * width, (row - gone) * width)
+                p[i * width + dof] = 1.0
+                count -= gone
+                break
+        i += 1
+    return count
+
+
+@njit(cache=True)
+def _round_corners(k, p, count, room, first, last, at, mode):
+    """Move corners toward the midpoints of their edges if the new edges are proven free.
+
+    p: rows, count of them; behind `room` rows there is memory for three times as many tried rows and then
+    for the new path. Returns count, changed.
+    """
+    dof = ints(k)[DOF]
+    width, tried = dof + 1, 0
+    base = room * width  # triples: midpoint before, corner moved, midpoint after
+    for i in range(1, count - 1):
+        a, b, c = (i - 1) * width, i * width, (i + 1) * width
+        t, change = base + 3 * i * width, 0.0
+        for j in range(dof):
+            before, after = 0.5 * (p[a + j] + p[b + j]), 0.5 * (p[b + j] + p[c + j])
+            corner = 0.5 * p[b + j] + 0.25 * (before + after)
+            p[t + j], p[t + width + j], p[t + 2 * width + j] = before, corner, after
+            change += (corner - p[b + j]) ** 2
+        p[t + dof], p[t + width + dof], p[t + 2 * width + dof] = 1.0, 1.0, p[b + dof]
+        if change > MIN_CHANGE * MIN_CHANGE:
+            first[2 * tried], last[2 * tried] = t, t + width
+            first[2 * tried + 1], last[2 * tried + 1] = t + width, t + 2 * width
+            tried += 1
+    if tried == 0:
+        return count, False
+    prove(k, p, first, last, 2 * tried, at, mode, COARSE)
+    # Write the new path behind the triples, then over the old one.
+    out, n, done, changed = base + 3 * count * width, 1, 0, False
+    _copy(p, width, 0, out)
+    for i in range(1, count - 1):
+        t = base + 3 * i * width
+        if done < tried and first[2 * done] == t:
+            good = at[2 * done] == PROVEN and at[2 * done + 1] == PROVEN
+            done += 1
+            if good and n + 4 < room:
+                changed = True
+                if _distance(p, dof, out + (n - 1) * width, t) > 1e-9:
+                    _copy(p, width, t, out + n * width)
+                    n += 1
+                else:
+                    p[out + (n - 1) * width + dof] = 1.0
+                _copy(p, width, t + width, out + n * width)
+                _copy(p, width, t + 2 * width, out + (n + 1) * width)
+                n += 2
+                continue
+        if n + 2 >= room:
+            return count, False
+        _copy(p, width, i * width, out + n * width)
+        n += 1
+    if not changed:
+        return count, False
+    _copy(p, width, (count - 1) * width, out + n * width)
+    n += 1
+    for i in range(n):
+        _copy(p, width, out + i * width, i * width)
+    return n, True
+
+
+@njit(cache=True, nogil=True)
+def simplify_path(handle, path, count, space, index, room, mode, stop):
+    """Shorten path[:count] in place; every remaining edge is proven free.
+
+    Args:
+        path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.
+        room: (dof,) how far each joint may deviate from the edges [rad].
+        stop: stop[0] != 0 ends the shortening; set by another thread.
+    Returns:
+        The new count; 0 if an edge that could not be replaced cannot be proven.
+    """
+    k = pointer(handle)
+    m, dof = path.shape
+    width = dof + 1
+    p, a, f, t = pointer(space), pointer(space[6 * m * width :]), pointer(index), pointer(index[2 * m :])
+    for i in range(count):
+        for j in range(dof):
+            p[i * width + j] = path[i, j]
+        p[i * width + dof] = 0.0
+    loosen(k, pointer(room))
+    length = 1e300
+    for _ in range(ROUNDS):
+        count = _shortcut(k, p, count, f, t, a, mode, pointer(stop))
+        before, length = length, 0.0
+        for i in range(count - 1):
+            length += _distance(p, dof, i * width, (i + 1) * width)
+        if stop[0] != 0 or count <= 2 or length > (1 - WORTHWHILE) * before:
+            break
+        count, changed = _round_corners(k, p, count, m, f, t, a, mode)
+        if not changed:
+            break
+    n = 0  # remaining original edges are proven last, without padding
+    for i in range(count - 1):
+        if p[i * width + dof] == 0.0:
+            f[n], t[n] = i * width, (i + 1) * width
+            n += 1
+    if n > 0 and prove(k, p, f, t, n, a, np.int64(FIRST), FINEST) != 0:
+        return 0
+    for i in range(count):
+        for j in range(dof):
+            path[i, j] = p[i * width + j]
+    return count

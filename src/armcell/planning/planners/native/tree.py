@@ -1,0 +1,114 @@
+"""Storage of two search trees in blocks of 16 nodes; brute-force nearest neighbors."""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armcell.collision.kernel.simd import (
+    L,
+    any_lt,
+    fma,
+    hmin,
+    load,
+    mask_lt,
+    select_lt,
+    splat,
+    store,
+    trailing_zeros,
+)
+
+FAR = 1e9
+
+
+def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Allocate two trees of `capacity` nodes each (a multiple of L).
+
+    `put` fills them block by block.
+
+    Returns:
+        Nodes (blocks, dof, L) as one float32 array, parents (-1 - r for root r), radii of the dynamic
+        domain.
+    """
+    return (
+        np.empty(2 * capacity * dof, np.float32),
+        np.empty(2 * capacity, np.int32),
+        np.empty(2 * capacity),
+    )
+
+
+@njit(cache=True, forceinline=True)
+def put(nodes, dof, i, q, at):
+    """Write the configuration q[at:] as node i; the rest of a new block is set far away.
+
+    Write nodes in ascending order.
+    """
+    base = (i // L) * dof * L + i % L
+    if i % L == 0:
+        for j in range(dof):
+            store(nodes, base + j * L, splat(np.float32(FAR)))
+    for j in range(dof):
+        nodes[base + j * L] = np.float32(q[at + j])
+
+
+@njit(cache=True, forceinline=True)
+def get(nodes, dof, i, q, at):
+    """Read node i into q[at:]."""
+    base = (i // L) * dof * L + i % L
+    for j in range(dof):
+        q[at + j] = nodes[base + j * L]
+
+
+@njit(cache=True)
+def nearest(nodes, dof, first, count, q, at, room):
+    """Find the nearest of `count` nodes from node `first` (a multiple of L) on to q[at:].
+
+    `room` is scratch memory of L floats.
+    """
+    best, where = splat(np.float32(FAR * FAR)), splat(np.float32(0.0))
+    for block in range((count + L - 1) // L):
+        base = (first // L + block) * dof * L
+        d = load(nodes, base) - splat(q[at])
+        total = d * d
+        for j in range(1, dof):
+            d = load(nodes, base + j * L) - splat(q[at + j])
+            total = fma(d, d, total)
+        if any_lt(total, best):
+            where = select_lt(total, best, splat(np.float32(block)), where)
+            best = select_lt(total, best, total, best)
+    store(room, 0, where)
+    # The smallest lane; a tiny increment makes the comparison "less than" find it.
+    lane = trailing_zeros(mask_lt(best, splat(hmin(best) * np.float32(1.000001) + np.float32(1e-30))))
+    return int(room[lane]) * L + lane
+
+
+@njit(cache=True)
+def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
+    """Write the path from tree 0's root to its node i, and on from tree 1's node k to its root.
+
+    Args:
+        row: scratch, dims numbers. path: rows of the first dof coordinates, at most `most`.
+    Returns:
+        How many rows (0: too many), and the root of tree 1 at which the path ends.
+    """
+    before, after, root = 0, 0, i
+    while root >= 0:
+        before, root = before + 1, parents[root]
+    root = k
+    while root >= 0:
+        after, root = after + 1, parents[capacity + root]
+    if before + after > most:
+        return 0, -1 - root
+    for at in range(before - 1, -1, -1):
+        get(nodes, dims, i, row, 0)
+        for j in range(dof):
+            path[at * dof + j] = row[j]
+        i = parents[i]
+    for at in range(before, before + after):
+        get(nodes, dims, capacity + k, row, 0)
+        for j in range(dof):
+            path[at * dof + j] = row[j]
+        k = parents[capacity + k]
+    return before + after, -1 - root

@@ -1,0 +1,221 @@
+"""Registry of planners: lookup by name, MoveIt's names, parameters, first-use hooks."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import InputError, Registry, UnknownNameError
+from armcell.core.checks import settings_from
+from armcell.planning.planners.problem import Planner
+
+Array = NDArray[np.float64]
+
+SettingsParser = Callable[[Mapping[str, Any]], Any]
+
+
+class UnknownParameterError(UnknownNameError):
+    """A parameter that a planner does not have; lists its parameters with their present values."""
+
+    def __init__(self, planner: str, name: object, present: Mapping[str, Any]):
+        self.kind, self.name, self.known = f"parameter of planner {planner!r}", name, sorted(present)
+        near = difflib.get_close_matches(str(name), self.known, n=1, cutoff=0.6)
+        has = ", ".join(f"{key} = {present[key]}" for key in self.known) or "none"
+        InputError.__init__(
+            self,
+            f"unknown {self.kind} {str(name)!r}; it has: {has}",
+            cure=f"did you mean {near[0]!r}?" if near else None,
+        )
+
+
+def settings_parser(planner: str, cls: type) -> SettingsParser:
+    """Create a parser from request parameters to a planner's settings dataclass.
+
+    Raises:
+        UnknownParameterError: no such parameter. InputError: a value of the wrong type.
+    """
+
+    def make(parameters: Mapping[str, Any]) -> Any:
+        present = {f.name: f.default for f in fields(cls)}
+        for name in parameters:
+            if name not in present:
+                raise UnknownParameterError(planner, name, present)
+        settings = settings_from(cls, parameters, f"planner {planner}")
+        for f in fields(cls):
+            value = getattr(settings, f.name)
+            if value is not None and value <= 0:
+                raise InputError(
+                    f"parameter {f.name!r} of planner {planner!r} is {value}, it must be positive"
+                )
+        return settings
+
+    make.defaults = lambda: {f.name: f.default for f in fields(cls)}  # type: ignore[attr-defined]
+    return make
+
+
+logger = logging.getLogger(__name__)
+
+
+def announce_compilation(planner: str, function: Any) -> None:
+    """Log that a planner's kernel will be compiled, unless it is loaded or cached."""
+    if function.signatures or _cached(function):
+        return
+    logger.info("compiling planner %s, which is kept for later runs", planner)
+
+
+def _cached(function: Any) -> bool:
+    """Return whether Numba's cache folder has an index file for a function."""
+    folder, code = Path(os.environ["NUMBA_CACHE_DIR"]), function.py_func.__code__
+    pattern = f"{Path(code.co_filename).stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"
+    return any(folder.rglob(pattern))
+
+
+PILZ = "pilz"
+"""The pipeline of PTP, LIN and CIRC; its planners are `pilz.command.Generator`s."""
+
+pipelines: dict[str, Registry[Any]] = {
+    "native": Registry("planner of pipeline 'native'"),
+    "ompl": Registry("planner of pipeline 'ompl'"),
+    PILZ: Registry("planner of pipeline 'pilz'"),
+}
+"""Planners by pipeline and name."""
+
+PIPELINE_ALIASES = {"": "native", "pilz_industrial_motion_planner": PILZ}
+"""MoveIt's names for pipelines."""
+
+settings_parsers: dict[Planner, SettingsParser] = {}
+"""Parsers from parameters to settings. A planner without an entry takes no parameters."""
+
+first_use_hooks: dict[Planner, Callable[[], object]] = {}
+"""Functions that compile a planner's kernels before a request's planning time starts, by planner."""
+
+
+def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
+    """Convert a request's parameters to a planner's settings; None if there are no parameters.
+
+    Raises:
+        UnknownParameterError: the planner has no such parameter; lists its parameters.
+        InputError: an impossible value.
+    """
+    if not parameters:
+        return None
+    if planner in settings_parsers:
+        return settings_parsers[planner](parameters)
+    raise UnknownParameterError(planner_id, next(iter(parameters)), {})
+
+
+def planner_defaults(pipeline_id: str, planner_id: str) -> dict[str, Any]:
+    """List a planner's parameters with their default values.
+
+    Raises:
+        UnknownNameError: no such pipeline or planner.
+    """
+    maker = settings_parsers.get(find_planner(pipeline_id, planner_id))
+    return maker.defaults() if maker is not None and hasattr(maker, "defaults") else {}
+
+
+ALIASES = {"BKPIECE": "BKPIECE1", "KPIECE": "KPIECE1", "LBKPIECE": "LBKPIECE1"}
+"""MoveIt's names for planners that have another name in OMPL."""
+
+SIMILAR_PLANNERS = {
+    "ABITstar": ("BITstar",), "AITstar": ("BITstar",), "AnytimePathShortening": ("AORRTC",),
+    "BiEST": ("EST", "RRTConnect"), "BiTRRT": ("RRTConnect",), "CForest": ("RRTstar",),
+    "EITstar": ("BITstar",), "LBTRRT": ("RRTstar",), "LazyPRM": ("PRM",),
+    "LazyPRMstar": ("PRMstar",), "LazyRRT": ("RRT",), "PDST": ("KPIECE1",), "ProjEST": ("EST", "KPIECE1"),
+    "RRTXstatic": ("RRTstar",), "RRTsharp": ("RRTstar",),
+    "SBL": ("EST", "LBKPIECE1"), "SPARS": ("PRM",), "SPARStwo": ("PRM",), "SST": ("RRTstar",),
+    "STRIDE": ("EST",), "TRRT": ("RRT",),
+}  # fmt: skip
+"""OMPL planners that its Python wheel lacks, with the most similar available planners."""
+
+
+def normalized_pipeline_id(pipeline_id: str) -> str:
+    """Convert a pipeline name to armcell's; an empty name means the default pipeline."""
+    return PIPELINE_ALIASES.get(pipeline_id, pipeline_id)
+
+
+class UnknownPlannerError(UnknownNameError):
+    """A planner that a pipeline lacks.
+
+    Names the pipeline that has it, or the most similar planners.
+    """
+
+    def __init__(self, pipeline_id: str, name: str):
+        self.kind, self.name = f"planner of pipeline {pipeline_id!r}" if pipeline_id else "planner", name
+        self.known = [n for p, table in pipelines.items() if pipeline_id in ("", p) for n in table]
+        having = [p for p in pipelines if _name_in(p, name) is not None]
+        every = sorted({planner for table in pipelines.values() for planner in table})
+        spelled = {planner.casefold(): planner for planner in every}
+        near = [spelled[k] for k in difflib.get_close_matches(name.casefold(), spelled, n=3, cutoff=0.6)]
+        if having:
+            cure = f"pipeline {having[0]!r} has it: set the pipeline to {having[0]!r}, or name none"
+        elif name in SIMILAR_PLANNERS:
+            cure = f"OMPL's {name} is not offered; nearest in kind: {', '.join(SIMILAR_PLANNERS[name])}"
+        else:
+            cure = f"did you mean {' or '.join(map(repr, near))}?" if near else None
+        if pipeline_id:
+            has = ", ".join(self.known)
+        else:
+            has = "; ".join(f"{p}: {', '.join(table)}" for p, table in pipelines.items())
+        InputError.__init__(self, f"unknown {self.kind} {name!r}; known: {has}", cure=cure)
+
+
+def _name_in(pipeline_id: str, name: str) -> str | None:
+    """Return the name under which a pipeline has a planner, or None."""
+    table = pipelines[pipeline_id]
+    return next((n for n in (name, ALIASES.get(name)) if n in table), None)
+
+
+def pipeline_for(pipeline_id: str, planner_id: str) -> str:
+    """Select the pipeline of a request.
+
+    If it names none, the first pipeline that has the planner.
+    """
+    if pipeline_id:
+        return normalized_pipeline_id(pipeline_id)
+    name, default = normalized_planner_id(planner_id), normalized_pipeline_id("")
+    return next((p for p in pipelines if _name_in(p, name) is not None), default)
+
+
+def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
+    """Look up the name and function of the planner that a request names.
+
+    Without a pipeline name, the first pipeline that has the planner is used.
+
+    Raises:
+        UnknownNameError: no such pipeline, or no such planner in it; there is no silent fallback.
+    """
+    asked, pipeline_id = pipeline_id, pipeline_for(pipeline_id, planner_id)
+    if pipeline_id not in pipelines:
+        raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
+    table, name = pipelines[pipeline_id], normalized_planner_id(planner_id)
+    if not planner_id.strip() and len(table) == 1:
+        name = next(iter(table))
+    found = _name_in(pipeline_id, name)
+    if found is None:
+        raise UnknownPlannerError(asked and pipeline_id, name)
+    return found, table[found]
+
+
+def find_planner(pipeline_id: str, planner_id: str) -> Planner:
+    """Look up the planner that a request names, see `named_planner`."""
+    return named_planner(pipeline_id, planner_id)[1]
+
+
+def normalized_planner_id(planner_id: str) -> str:
+    """Normalize MoveIt's planner names.
+
+    `geometric::RRTConnect`, `RRTConnectkConfigDefault`, `arm[RRTConnect]`.
+    """
+    name = planner_id.strip()
+    if name.endswith("]") and "[" in name:
+        name = name[name.index("[") + 1 : -1]
+    return name.removeprefix("geometric::").removesuffix("kConfigDefault") or "RRTConnect"

@@ -1,0 +1,380 @@
+"""RRT-Connect, the default planner, and helpers that all native planners share."""
+
+# pyright: reportCallIssue=false
+# Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel.block import PADDED
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.kernel.simd import L
+from armcell.planning.planners.native.nearest_neighbors import new_leaves
+from armcell.planning.planners.native.rrt_connect import (
+    FOUND,
+    ITERATIONS,
+    NODES_1,
+    UNLIMITED,
+    closest_at,
+    rrt_connect,
+    space_size,
+)
+from armcell.planning.planners.native.simplify import simplify_path
+from armcell.planning.planners.native.tree import FAR, new_trees
+from armcell.planning.planners.problem import PlannerResult, Problem
+from armcell.planning.planners.registry import pipelines, settings_parser, settings_parsers
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NativeSettings:
+    """Settings of RRT-Connect, the default planner."""
+
+    range: float | None = None  # [rad] longest edge of the trees; None or 0: 14 / joints, at most 2
+    step: float = 1 / 32  # [rad] between validity checks while searching
+    max_nodes: int = 60_000  # per tree
+    max_iterations: int = 100_000_000  # normally the time limit ends the search first
+    max_waypoints: int = 512
+    detour: float = 1.45  # a path longer than this many straight lines is searched for once more,
+    detour_iterations: int = 8000  # if it was found within this number of iterations
+    slice: int = 1000  # iterations between streamed goals
+
+
+@dataclass(frozen=True, eq=False)
+class NativeResult:
+    """Waypoints (k, dof) proven free, or None; times in seconds of this thread's CPU."""
+
+    waypoints: Array | None
+    raw: Array | None = None  # before simplification
+    plan_s: float = 0.0
+    simplify_s: float = 0.0
+    certify_s: float = 0.0
+    iterations: int = 0
+    nodes: int = 0
+    streamed: int = 0  # goals added during the search
+    closest: Array | None = None  # (2, dof): ends of the shortest failed connection; only without a path
+
+
+class NativePlanner:
+    """RRT-Connect with simplification for one checker.
+
+    Keeps its trees between calls. Use one per thread.
+    """
+
+    def __init__(self, checker: KernelChecker, settings: NativeSettings = NativeSettings()):
+        self.checker, self.settings = checker, settings
+        dof = len(checker.joint_names)
+        self.reach = settings.range or min(2.0, 14.0 / dof)
+        self.trees = (*new_trees(dof, settings.max_nodes), *new_leaves(dof, settings.max_nodes))
+        self.path = np.zeros((settings.max_waypoints, dof))
+        self.room = np.zeros(4 * L, np.float32)
+        self.space = np.zeros(len(self.path) * (6 * dof + 8))
+        self.index = np.zeros(4 * len(self.path), np.int64)
+        self.ends = np.zeros(space_size(dof))
+        self.found = np.zeros(FOUND, np.int64)
+        self.slack = np.zeros(dof)
+
+    def search(
+        self,
+        start: Array,
+        goals: Array,
+        lower: Array,
+        upper: Array,
+        seed: int,
+        stop: NDArray[np.int64],
+        step: float,
+        iterations: int | None = None,
+        go_on: bool = False,
+    ) -> tuple[int, int, int]:
+        """Run one search, or another `iterations` of the last one; writes the path into `self.path`.
+
+        Returns:
+            Waypoints (0: none yet), iterations and nodes so far.
+        """
+        s = self.settings
+        if not go_on:
+            self.found[ITERATIONS] = 0
+        shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
+        return rrt_connect(
+            self.checker.handle,
+            start,
+            goals,
+            lower,
+            upper,
+            shift,
+            self.reach,
+            step,
+            *self.trees,
+            self.room,
+            self.ends,
+            self.found,
+            stop,
+            s.max_iterations if iterations is None else iterations,
+            self.path,
+        )
+
+    def add_goal(self, q: Array, number: int) -> None:
+        """Add a goal as another tree root to the running search.
+
+        It is row `number` of the goals from now on.
+        """
+        nodes, parents, radii = self.trees[:3]
+        i = len(parents) // 2 + self.found[NODES_1]
+        block = nodes[i // L * L * len(q) :][: L * len(q)].reshape(len(q), L)
+        if i % L == 0:
+            block[:] = FAR
+        block[:, i % L] = q
+        parents[i], radii[i] = -1 - number, UNLIMITED
+        self.found[NODES_1] += 1
+
+    def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
+        """Prove path[:count] and shorten it in place; return the new count, 0 if a proof fails."""
+        c = self.checker
+        return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
+
+    def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
+        """Simplify a path (m, dof) to one (k, dof) with every edge proven.
+
+        None if an edge cannot be proven.
+        """
+        most = len(self.path)
+        pieces = []
+        for first in range(0, max(len(waypoints) - 1, 1), most - 1):  # simplify a long path piece by piece
+            piece = waypoints[first : first + most]
+            self.path[: len(piece)] = piece
+            count = self.shorten(len(piece), stop)
+            if count == 0:
+                return None
+            pieces.append(self.path[(1 if first else 0) : count].copy())
+        return np.vstack(pieces)
+
+    @property
+    def closest(self) -> Array | None:
+        """The closest approach of the two trees in the last search.
+
+        Its ends (2, dof), see `NativeResult`.
+        """
+        dof = len(self.slack)
+        at = closest_at(dof)
+        return self.ends[at + 1 :].reshape(2, dof).copy() if np.isfinite(self.ends[at]) else None
+
+    def plan(
+        self,
+        start: Array,
+        goals: Array,
+        lower: Array,
+        upper: Array,
+        seed: int = 0,
+        stop: NDArray[np.int64] | None = None,
+        rounds: int = 5,
+        more_goals: Iterator[Array] | None = None,
+    ) -> NativeResult:
+        """Plan a path whose every edge is proven free.
+
+        The result has no waypoints if none was found.
+
+        Args:
+            goals: (g, dof). stop: an int64 array (1,); another thread that writes to it ends the search.
+            rounds: how often a path that cannot be proven is replaced by another one.
+            more_goals: yields one more goal (dof,) whenever a slice of the search has not found a path.
+        """
+        stop = np.zeros(1, np.int64) if stop is None else stop
+        best, closest = NativeResult(None), nearest_roots(start, goals)
+        given, straight = len(goals), float(np.min(np.linalg.norm(goals - start, axis=1)))
+        for round_ in range(rounds):
+            detour = best.waypoints is not None  # the path is a long detour: search briefly once more
+            t0 = time.thread_time()
+            ask = (lower, upper, seed + 7919 * round_, stop, self.settings.step / 2**round_)
+            if more_goals is None or detour:
+                most = 2 * best.iterations + 100 if detour else None
+                count, iterations, nodes = self.search(start, goals, *ask, iterations=most)
+            else:
+                count, iterations, nodes, goals = self._in_slices(start, goals, ask, more_goals)
+            t1 = time.thread_time()
+            closest = shorter(closest, self.closest)
+            raw = self.path[:count].copy()
+            if count:
+                count = self.shorten(count, stop)
+            t2 = time.thread_time()
+            best = replace(
+                best,
+                plan_s=best.plan_s + t1 - t0,
+                simplify_s=best.simplify_s + t2 - t1,
+                iterations=best.iterations + iterations,
+                nodes=nodes,
+                streamed=len(goals) - given,
+            )
+            if count and (not detour or _length(self.path[:count]) < _length(best.waypoints)):
+                best = replace(best, waypoints=self.path[:count].copy(), raw=raw)
+            if detour or stop[0] or len(raw) == 0:
+                break
+            if best.waypoints is not None and (
+                best.iterations > self.settings.detour_iterations
+                or _length(best.waypoints) <= self.settings.detour * straight
+            ):
+                break
+        return best if best.waypoints is not None else replace(best, closest=closest)
+
+    def _in_slices(
+        self, start: Array, goals: Array, ask: tuple, more_goals: Iterator[Array]
+    ) -> tuple[int, int, int, Array]:
+        """Search in slices with one more goal after each slice; also return all goals so far."""
+        stop, left, go_on = ask[3], self.settings.max_iterations, False
+        iterations = 0
+        while True:
+            before = iterations
+            count, iterations, nodes = self.search(
+                start, goals, *ask, iterations=min(self.settings.slice, left), go_on=go_on
+            )
+            left -= iterations - before
+            full = iterations - before < self.settings.slice  # stopped, or out of memory
+            if count or stop[0] or left <= 0 or full:
+                return count, iterations, nodes, goals
+            go_on = True
+            if (goal := next(more_goals, None)) is not None:
+                goals = np.vstack([goals, goal])
+                self.add_goal(goal, len(goals) - 1)
+
+
+def nearest_roots(start: Array, goals: Array) -> Array:
+    """Return the start and its nearest goal (2, dof): the closest approach before any search."""
+    return np.stack([start, goals[np.argmin(np.linalg.norm(goals - start, axis=1))]])
+
+
+def shorter(known: Array, other: Array | None) -> Array:
+    """Return the connection (2, dof) with the smaller distance [rad] between its ends."""
+    return known if other is None or _length(known) <= _length(other) else other
+
+
+def _length(path: Array | None) -> float:
+    return np.inf if path is None else float(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).sum())
+
+
+POLL = 0.002  # [s] period of the watcher
+FINE = 0.01  # [rad] between samples of a blocked connection
+
+
+@pipelines["native"].register("RRTConnect")
+def plan_rrt_connect(problem: Problem) -> PlannerResult:
+    """Plan by RRT-Connect: a simplified path, every edge proven free."""
+    planner = planner_of(problem.checker, problem.settings)
+    with stopping(problem) as stop:
+        answer = planner.plan(
+            problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop,
+            more_goals=problem.more_goals,
+        )  # fmt: skip
+    statistics: dict[str, Any] = {
+        "iterations": float(answer.iterations),
+        "nodes": float(answer.nodes),
+        "plan_us": answer.plan_s * 1e6,
+        "simplify_us": answer.simplify_s * 1e6,
+        "certify_us": answer.certify_s * 1e6,
+    }
+    if problem.more_goals is not None:
+        statistics["streamed_goals"] = float(answer.streamed)
+    if answer.waypoints is not None:
+        return PlannerResult(answer.waypoints, "", statistics, simplified=True)
+    return unsolved("RRTConnect", problem, answer.iterations, answer.closest, statistics)
+
+
+settings_parsers[plan_rrt_connect] = settings_parser("RRTConnect", NativeSettings)
+
+
+def unsolved(
+    planner: str, problem: Problem, iterations: int, closest: NDArray[np.float64] | None, statistics: dict
+) -> PlannerResult:
+    """Build the result of a failed search.
+
+    How near the trees came and which contacts blocked them.
+
+    Args:
+        closest: (2, dof) ends of the shortest connection between the trees that failed.
+        statistics: receives `closest_approach_rad`, and `blocked_by` (contacts) if it is known.
+    """
+    seconds, nodes = time.monotonic() - problem.began, statistics.get("nodes")
+    statistics.setdefault("iterations", float(iterations))
+    if problem.cancel.is_set():
+        return PlannerResult(None, f"{planner}: cancelled after {seconds:.2f} s", statistics)
+    text = f"{planner}: no path found in {seconds:.2f} s"
+    if nodes is not None:
+        text += f" ({nodes:.0f} configurations reached)"
+    if closest is not None:
+        gap = float(np.linalg.norm(closest[1] - closest[0]))
+        statistics["closest_approach_rad"] = gap
+        text += f"; the trees from start and goal came within {gap:.2f} rad of each other"
+        if contacts := _in_the_way(problem, closest):
+            statistics["blocked_by"] = contacts
+            text += f", there {contacts[0].describe()}"
+    return PlannerResult(None, text, statistics)
+
+
+def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
+    """Find the contacts at the first blocked configuration of a failed connection."""
+    a, b = closest
+    for t in np.linspace(0.0, 1.0, max(int(np.linalg.norm(b - a) / FINE), 2)):
+        q = a + t * (b - a)
+        if not problem.checker.is_free(q):
+            return problem.checker.exact.contacts(q)
+    return []
+
+
+_of_thread = threading.local()
+
+
+def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
+    """Return this thread's planner for the checker's number of joints.
+
+    Other settings create a new planner.
+
+    Planners are reused because their trees are large.
+    """
+    if settings not in (None, NativeSettings()):
+        return NativePlanner(checker, settings)
+    kept: dict[int, NativePlanner] = _of_thread.__dict__.setdefault("planners", {})
+    dof = len(checker.joint_names)
+    if dof not in kept:
+        kept[dof] = NativePlanner(checker)
+    kept[dof].checker = checker
+    return kept[dof]
+
+
+@contextmanager
+def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
+    """Provide a stop flag for compiled searches; a watcher sets it at the deadline or on cancel."""
+    stop, done = np.zeros(1, np.int64), threading.Event()
+
+    def watch() -> None:
+        while not done.wait(POLL):
+            if problem.cancel.is_set() or time.monotonic() > problem.deadline:
+                stop[0] = 1
+                return
+
+    watcher = threading.Thread(target=watch, name="armcell-planner-watch", daemon=True)
+    watcher.start()
+    try:
+        yield stop
+    finally:
+        done.set()
+        watcher.join()
+
+
+def simplify(problem: Problem, waypoints: Array) -> Array | None:
+    """Simplify a path (m, n) of another planner to (k, n) with the same ends.
+
+    None if an edge cannot be proven.
+
+    Args:
+        waypoints: (m, n); edges checked at samples or not at all.
+    """
+    planner = planner_of(problem.checker)
+    with stopping(problem) as stop:
+        return planner.shortened(waypoints, stop)

@@ -1,0 +1,163 @@
+"""PID gains of the arm joints: individual gains where given, else scaled default gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from armcell.core import InputError, UnknownNameError
+from armcell.core.checks import checked, settings_from
+from armcell.model import Joint, RobotModel
+
+if TYPE_CHECKING:
+    from armcell.sim.settings import PhysicsSettings
+
+INTEGRAL_SHARE = 0.2  # largest integral effort as a fraction of the effort limit; prevents windup
+
+
+@dataclass(frozen=True)
+@checked()
+class JointGains:
+    """PID gains of one joint, used without scaling (`full_gain_effort` does not apply).
+
+    Effort = p e + clamp(i ∫e) + d (target speed - speed) + ff_velocity_scale * target speed, with
+    e = target - position. The control law and the names are those of ros_control's `control_toolbox::Pid`.
+
+    Raises:
+        InputError: a gain is negative or infinite.
+    """
+
+    p: float  # [Nm/rad or N/m]
+    i: float = 0.0  # [Nm/(rad s) or N/(m s)]
+    d: float = 0.0  # [Nm s/rad or N s/m]
+    i_clamp: float = -1.0  # [Nm or N] largest effort of the integral; -1: 1/5 of the joint's effort limit
+    i_clamp_min: float = -1.0  # [Nm or N] largest effort in the negative direction; -1: i_clamp
+    i_clamp_max: float = -1.0  # [Nm or N] largest effort in the positive direction; -1: i_clamp
+    antiwindup: bool = True  # False: only the integral's effort is clamped, the integral itself keeps growing
+    ff_velocity_scale: float = 0.0  # [Nm s/rad or N s/m]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            unset = field.name.startswith("i_clamp") and value == -1.0
+            if not unset and not (np.isfinite(value) and value >= 0):
+                raise InputError(f"{field.name} is {value:g}, it must be a number >= 0")
+
+
+class GainTable(Mapping[str, JointGains]):
+    """Immutable, hashable mapping from joint names to `JointGains`.
+
+    `PhysicsSettings` requires hashable fields.
+    """
+
+    def __init__(self, gains: Mapping[str, JointGains] | None = None):
+        self._gains = dict(gains or {})
+
+    def __getitem__(self, joint: str) -> JointGains:
+        return self._gains[joint]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._gains)
+
+    def __len__(self) -> int:
+        return len(self._gains)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._gains.items()))
+
+    def __repr__(self) -> str:
+        return repr(self._gains)
+
+    @classmethod
+    def from_setting(cls, value: Any, what: str) -> GainTable:
+        """Parse gains from a mapping such as {JOINT: {p: 80, i: 0.5, d: 1.5, i_clamp: 10}}.
+
+        Args:
+            value: mapping from joint names to gains, or a `GainTable`.
+            what: name of the setting for error messages.
+        Raises:
+            InputError: `value` is not a mapping of mappings, `p` is missing, or a gain is not a number >= 0.
+            UnknownNameError: a gain has an unknown name.
+        """
+        if isinstance(value, GainTable):
+            return value
+        if not isinstance(value, Mapping):
+            raise InputError(f"{what} is {value!r}, a mapping of joint names to gains is needed")
+        return cls({str(joint): gains_of(entry, f"{what}/{joint}") for joint, entry in value.items()})
+
+    def plain(self) -> dict[str, dict[str, Any]]:
+        """Return the table as a plain mapping without default values; `from_setting` reads it."""
+        return {
+            joint: {f.name: v for f in fields(g) if (v := getattr(g, f.name)) != f.default}
+            for joint, g in self._gains.items()
+        }
+
+
+def gains_of(entry: Any, what: str) -> JointGains:
+    """Parse the gains of one joint from a mapping of numbers.
+
+    Args:
+        what: name of the setting; error messages begin with it.
+    Raises:
+        InputError: `p` is missing, or a gain is not a number >= 0.
+        UnknownNameError: a gain has an unknown name.
+    """
+    try:
+        return settings_from(JointGains, entry, what)
+    except UnknownNameError as error:
+        raise UnknownNameError("gain", error.name, error.known, element=what) from None
+    except InputError as error:
+        text = error.reason if error.reason.startswith(what) else f"{what}: {error.reason}"
+        raise InputError(text, cure=error.cure) from None
+
+
+class Drive(NamedTuple):
+    """Effective gains of one joint after scaling, with the limits of the integral's effort."""
+
+    kp: float
+    ki: float
+    kv: float
+    low: float  # [Nm or N], negative
+    high: float  # [Nm or N]
+    winds_up: bool
+    feedforward: float
+
+
+def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
+    """Return the effective gains that physics uses for an arm joint."""
+    effort = joint.limits.effort
+    most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
+    own = settings.joint_gains.get(joint.name)
+    if own is not None:
+        clamp = most if own.i_clamp < 0 else own.i_clamp
+        low = clamp if own.i_clamp_min < 0 else own.i_clamp_min
+        high = clamp if own.i_clamp_max < 0 else own.i_clamp_max
+        return Drive(own.p, own.i, own.d, -low, high, not own.antiwindup, own.ff_velocity_scale)
+    # A weak joint with a strong joint's gains would saturate at every small error and chatter.
+    weak = min(1.0, effort / settings.full_gain_effort)
+    slides = joint.type == "prismatic"
+    kp = settings.slide_kp if slides else settings.arm_kp
+    kv = settings.slide_kv if slides else settings.arm_kv
+    return Drive(weak * kp, weak * settings.arm_ki, weak * kv, -most, most, False, 0.0)
+
+
+def arm_joints(model: RobotModel) -> list[str]:
+    """Return the actuated joints that belong to no gripper, in the model's order."""
+    fingers = {gripper.joint_name for gripper in model.grippers.values()}
+    return [name for name in model.joint_names if name not in fingers]
+
+
+def check_joint_gains(settings: PhysicsSettings, model: RobotModel, **where: Any) -> None:
+    """Check that `joint_gains` names arm joints only.
+
+    Raises:
+        UnknownNameError: the robot's arms do not have a joint; the message lists the arm joints and suggests
+            the most similar name.
+    """
+    known = arm_joints(model)
+    for joint in settings.joint_gains:
+        if joint not in known:
+            raise UnknownNameError("arm joint", joint, known, **where)

@@ -1,0 +1,280 @@
+"""Coordination of two arms that work side by side: motions, reserved zones, yielding.
+
+A motion starts only when it is certified, with its timing, against the other arm's motion and final pose, and
+when its own final pose is clear of the other arm's motion. A resting arm is therefore always safe. If both
+arms wait for each other, the one that started to wait later goes home and returns when the other has moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armcell.collision.arms import Arms
+from armcell.control import execute
+from armcell.core import (
+    ErrorCode,
+    InputError,
+    JointGoal,
+    JointState,
+    JointTrajectory,
+    Outcome,
+    PlanRequest,
+    PlanResult,
+)
+from armcell.planning import RunningMotion, plan_around_moving_arm
+from armcell.scene import PlanningScene
+
+if TYPE_CHECKING:
+    from armcell.tasks.arms.context import ArmContext
+    from armcell.tasks.steps import Motion
+
+RETRY = 0.1  # [s] between attempts of an arm that waits to move
+IDLE = 0.02  # [s] between checks of an arm that waits for a zone or the other arm
+AWAY = 0.005  # [rad] an arm further than this from a motion's start returns there first
+HOME = "home"
+MOTION = "motion"
+
+
+class MotionCoordinator:
+    """Shared state of two arms that work side by side.
+
+    Only one of the two programs runs at a time, so the state needs no locks.
+    """
+
+    def __init__(self, groups: tuple[str, str], clearance: float, patience: float):
+        self.groups, self.clearance, self.patience = groups, clearance, patience
+        self.contexts: dict[str, ArmContext] = {}
+        self.running: dict[str, RunningMotion] = {}
+        self.waits: dict[
+            str, tuple[float, str]
+        ] = {}  # start of the wait [s], and its subject: MOTION or a zone
+        self.asked: set[str] = set()  # arms that the other asked to go home
+        self.zones: dict[str, list[str]] = {}  # the holder, then the queue
+        self.waited: dict[str, float] = dict.fromkeys(groups, 0.0)  # [s] in total
+        self.yielded: dict[str, int] = dict.fromkeys(groups, 0)
+        self.searched: dict[str, int] = dict.fromkeys(groups, 0)  # motions found in space and time
+        self._arrived: dict[str, set[str]] = {}
+        self._heading: dict[str, str] = {}  # the zone that an arm approaches
+
+    def other(self, group: str) -> str:
+        return self.groups[1] if group == self.groups[0] else self.groups[0]
+
+    # --- motions ---
+    def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
+        """Wait until a motion, or a detour to the same goal, may start, and return it."""
+        me, straight = ctx.group, motion.planner == "cartesian"
+        began = ctx.driver.now
+        while not ctx.cancel.is_set():
+            found = self._try(ctx, motion.trajectory, straight, motion)
+            if found is not None:
+                self._stop_waiting(me)
+                return found
+            if ctx.driver.now - began > self.patience:
+                self._stop_waiting(me)
+                return self._timed_out(ctx, motion)
+            self.waits.setdefault(me, (ctx.driver.now, MOTION))
+            self._resolve_wait(ctx)
+            ctx.advance(RETRY)
+            self.waited[me] += RETRY
+        self._stop_waiting(me)
+        return Outcome(ErrorCode.PREEMPTED, "cancelled")
+
+    def _stop_waiting(self, group: str) -> None:
+        self.waits.pop(group, None)
+        self.asked.discard(self.other(group))
+
+    def _try(self, ctx: ArmContext, wanted: JointTrajectory, straight: bool, motion: Motion):
+        now, scene, me = ctx.driver.now, ctx.whole_scene(), ctx.group
+        other = self.running[self.other(me)]
+        q = scene.state.reindexed(wanted.joint_names).positions
+        if np.max(np.abs(q - wanted.positions[0])) > AWAY:  # it yielded: return to the motion's start
+            if self._has_lower_priority(me):
+                return None
+            back = self._plan(ctx, scene, wanted.positions[0])
+            if back is None or not self.perform(ctx, back, f"{me} returns"):
+                return None
+            now, scene, other = ctx.driver.now, ctx.whole_scene(), self.running[self.other(me)]
+        arms = Arms(scene, (me, self.other(me)))
+        if self._free(ctx, arms, scene, wanted, other, now):
+            self.running[me] = RunningMotion(wanted, now)
+            return wanted
+        if straight or self._has_lower_priority(me):
+            return None
+        if not ctx.driver.is_simulated and other.trajectory.duration > 0:
+            return None  # a detour in time relies on the other arm's timing
+        found = self._plan(ctx, scene, wanted.positions[-1], motion)
+        if found is not None:
+            self.searched[me] += 1
+            self.running[me] = RunningMotion(found, now)
+        return found
+
+    def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
+        """Return whether a motion may start.
+
+        Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
+        pause and move during this check, so they are certified for any timing.
+        """
+        room = self._clearance_now(arms, scene, wanted)
+        if not ctx.driver.is_simulated:
+            return arms.certify_any_time(wanted, other.trajectory, room)
+        return arms.certify(
+            wanted, other.trajectory, (now, other.start), room, begin=now,
+            until=max(now + wanted.duration, other.end), evidence=False,
+        ).free  # fmt: skip
+
+    def _clearance_now(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
+        """Return the clearance, or slightly less than the present distance if the arms are closer."""
+        q = scene.state.reindexed(arms.joint_names).positions
+        if arms.find_too_close(q[None], None, self.clearance) < 0:
+            return self.clearance
+        near = arms.contact(q)
+        return self.clearance if near is None else max(min(self.clearance, near.distance - 2e-3), 0.0)
+
+    def _plan(self, ctx: ArmContext, scene: PlanningScene, q, motion: Motion | None = None):
+        speed = ctx.settings.carry if ctx.holding else ctx.settings.free
+        names = scene.model.group(ctx.group).joint_names
+        request = PlanRequest(
+            ctx.group, (JointGoal(JointState(names, q)),), planner_id=ctx.settings.planner_id,
+            planning_time=ctx.settings.planning_time, velocity_scaling=speed.velocity,
+            acceleration_scaling=speed.acceleration, seed=ctx.seed,
+        )  # fmt: skip
+        running = self.running[self.other(ctx.group)]
+        result: PlanResult = plan_around_moving_arm(
+            scene, request, self.other(ctx.group), running, ctx.driver.now, self.clearance, ctx.cancel
+        )
+        found = result.trajectory if result.ok else None
+        if found is None or ctx.driver.is_simulated:
+            return found
+        arms = Arms(scene, (ctx.group, self.other(ctx.group)))
+        return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
+
+    def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
+        """Start a motion of the coordinator (yield or return) and wait for its end."""
+        self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
+        ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
+        motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
+        done = execute(ctx.driver, motion, ctx.settings.execution, ctx.progress)
+        self.rest(ctx)
+        return done.ok
+
+    def rest(self, ctx: ArmContext) -> None:
+        """Record that an arm has come to rest."""
+        self.running[ctx.group] = RunningMotion.standing(ctx.whole_scene(), ctx.group, ctx.driver.now)
+
+    # --- waiting for each other ---
+    def _rests(self, ctx: ArmContext, group: str) -> bool:
+        running = self.running[group]
+        if ctx.driver.is_simulated:
+            return running.end <= ctx.driver.now
+        return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
+
+    def _has_lower_priority(self, me: str) -> bool:
+        """Return whether the other arm also waits to move and started to wait earlier."""
+        mine, theirs = self.waits.get(me), self.waits.get(self.other(me))
+        if mine is None or theirs is None or theirs[1] != MOTION:
+            return False
+        return (theirs[0], self.groups.index(self.other(me))) < (mine[0], self.groups.index(me))
+
+    def _resolve_wait(self, ctx: ArmContext) -> None:
+        """Yield to an arm with priority, or ask an idle arm to yield."""
+        me, other = ctx.group, self.other(ctx.group)
+        if self._has_lower_priority(me) or me in self.asked:
+            self.yield_to_other(ctx)
+        elif other in self.waits and self._rests(ctx, other):
+            self.asked.add(other)
+
+    def yield_to_other(self, ctx: ArmContext) -> None:
+        """Move the arm to its home state if possible, unless it is there already."""
+        self.asked.discard(ctx.group)
+        scene = ctx.whole_scene()
+        home = scene.model.named_state(ctx.group, HOME)
+        if np.max(np.abs(scene.state.reindexed(home.joint_names).positions - home.positions)) < AWAY:
+            return
+        names = scene.model.group(ctx.group).joint_names
+        motion = self._plan(ctx, scene, home.reindexed(names).positions)
+        if motion is not None:
+            ctx.emit("note", f"{ctx.group} yields")
+            self.yielded[ctx.group] += 1
+            self.perform(ctx, motion, f"{ctx.group} yields")
+
+    def _timed_out(self, ctx: ArmContext, motion: Motion) -> Outcome:
+        scene = ctx.whole_scene()
+        arms, running = Arms(scene, (ctx.group, self.other(ctx.group))), self.running[self.other(ctx.group)]
+        proof = arms.certify(
+            motion.trajectory, running.trajectory, (ctx.driver.now, running.start), self.clearance,
+            begin=ctx.driver.now,
+        )  # fmt: skip
+        pair = "" if proof.contact is None else f": {proof.contact.body_a} and {proof.contact.body_b}"
+        other = self.other(ctx.group)
+        text = f"{motion.name}: waited {self.patience:.0f} s for {other} to clear the path{pair}"
+        return Outcome(ErrorCode.TIMED_OUT, text, {"contact": proof.contact})
+
+    # --- zones and rendezvous ---
+    def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
+        """Return the first item whose zone the other arm neither holds, requests nor approaches.
+
+        If there is none, return the first item.
+
+        Args:
+            items: the remaining items, not empty.
+            zone: the destination of each item.
+        """
+        other = self.other(group)
+        busy = {name for name, queue in self.zones.items() if other in queue} | {self._heading.get(other)}
+        item = next((i for i in items if zone(i) not in busy), items[0])
+        self._heading[group] = zone(item)
+        return item
+
+    @contextmanager
+    def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
+        """Hold a zone exclusively; arms get it in the order of their requests.
+
+        Raises:
+            InputError: the arm already holds a zone (two arms with a zone each could wait forever).
+        """
+        for name, queue in self.zones.items():
+            if queue and queue[0] == ctx.group:
+                raise InputError(
+                    f"{ctx.group} holds zone {name!r} and asks for {zone!r}", cure="leave it first"
+                )
+        queue = self.zones.setdefault(zone, [])
+        queue.append(ctx.group)
+        try:
+            while queue[0] != ctx.group and not ctx.cancel.is_set():
+                self.waits.setdefault(ctx.group, (ctx.driver.now, zone))
+                self._idle(ctx)
+                self.waited[ctx.group] += IDLE
+            self.waits.pop(ctx.group, None)
+            yield
+        finally:
+            queue.remove(ctx.group)
+            self._heading.pop(ctx.group, None)
+
+    def rendezvous(self, ctx: ArmContext, name: str) -> None:
+        """Wait until the other arm's program reaches the same point or ends."""
+        here = self._arrived.setdefault(name, set())
+        here.add(ctx.group)
+        other = self.other(ctx.group)
+        while other not in here and not self.contexts[other].ended and not ctx.cancel.is_set():
+            self.waits.setdefault(ctx.group, (ctx.driver.now, name))
+            self._idle(ctx)
+        self.waits.pop(ctx.group, None)
+
+    def park(self, ctx: ArmContext) -> None:
+        """Keep an arm at rest after its program, and yield until the other program ends."""
+        ctx.ended = True
+        while not self.contexts[self.other(ctx.group)].ended and not ctx.cancel.is_set():
+            self.waits.setdefault(ctx.group, (ctx.driver.now, "the end"))
+            self._idle(ctx)
+
+    def _idle(self, ctx: ArmContext) -> None:
+        if ctx.group in self.asked:
+            self.yield_to_other(ctx)
+        ctx.advance(IDLE)
+
+
+__all__ = ["MotionCoordinator"]
