@@ -29,11 +29,11 @@ _LAZY = {
         "controllers": ("Controller",),
         "identity": ("code_hash", "content_hashes"),
         "live": ("Arm", "LiveCell"),
-        "loading": ("load",),
+        "loader": ("load",),
         "objects_file": ("load_objects", "save_objects"),
         "run": ("complaints", "result_of", "run_task"),
         "script": ("announce_code",),
-        "seeing": ("CameraWatch", "LiveCamera"),
+        "live_cameras": ("CameraWatch", "LiveCamera"),
         "setup": ("Proposal", "propose", "propose_from_package", "write_cell"),
         "values": ("gains_as_values", "parsed", "with_values"),
     }.items()
