@@ -61,7 +61,7 @@ from armcell.tasks.arms import (
     screw,
     side_by_side,
 )
-from armcell.tasks.clearing import ClearSettings
+from armcell.tasks.bin_clearing import ClearSettings
 from armcell.tasks.sorting import Kind
 from armcell.tasks.steps import Motion, perform_all
 
