@@ -7,7 +7,6 @@ import pytest
 from tests.control.ungated import execute_coupled
 
 import armcell
-from armcell.collision.arms import merged
 from armcell.control import DriverOptions
 from armcell.control.admittance import Admittance, AdmittanceSettings
 from armcell.control.coupled import RAMP
@@ -16,7 +15,7 @@ from armcell.control.following import SentClock
 from armcell.control.twin import Stage
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.scene import CollisionObject
-from armcell.timing import synchronized
+from armcell.timing import merged, synchronized
 
 
 @pytest.fixture(scope="module")

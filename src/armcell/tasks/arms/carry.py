@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision import neighbors
-from armcell.collision.arms import Arms, merged, without_arm
+from armcell.collision.arms import Arms, without_arm
 from armcell.control.admittance import Admittance, AdmittanceSettings
 from armcell.core import (
     SE3,
@@ -35,7 +35,7 @@ from armcell.scene import PlanningScene
 from armcell.tasks.arms.coupled import move_together, play
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import staged
-from armcell.timing import reversed_in_time, synchronized
+from armcell.timing import merged, reversed_in_time, synchronized
 
 Array = NDArray[np.float64]
 GRASPS = 6  # grasps for which detours are searched if no straight path exists
