@@ -139,7 +139,7 @@ def section(trajectory: JointTrajectory, begin: float, end: float, apart: float 
         raise InputError("a part of a trajectory needs velocities and accelerations")
     known = trajectory.times
     inner = np.flatnonzero((known > begin + apart) & (known < end - apart))
-    rows = [_point(trajectory, begin), *(_row(trajectory, i) for i in inner), _point(trajectory, end)]
+    rows = [_point(trajectory, begin), *(_row(trajectory, int(i)) for i in inner), _point(trajectory, end)]
     q, v, a = (np.array(column) for column in zip(*rows, strict=True))
     return JointTrajectory(trajectory.joint_names, np.array([begin, *known[inner], end]), q, v, a)
 
