@@ -24,9 +24,10 @@ import numpy as np
 
 from armcell.cell import Cell, LiveCell, load
 from armcell.cell.twin import bands_file, learn_bands
-from armcell.control import DashboardClient, execute
-from armcell.control.drivers.ur import UrDriver
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
+from armcell.drivers.ur import UrDriver
+from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.execution import execute
 from armcell.planning import plan, warm_up
 from benchmarks.picture import dots
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import armcell
-from armcell.control import Follower
 from armcell.core.protocols import offers
+from armcell.drivers import Follower
 from armcell.ros.nodes.conductor import Conductor
 
 

@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 import pytest
-from tests.control.helpers import make
-from tests.control.ungated import playing
+from tests.execution.helpers import make
+from tests.execution.ungated import playing
 
 from armcell.cell import load
 from armcell.collision.motion_proof import Moving, first_conflict

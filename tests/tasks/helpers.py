@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from tests.control.helpers import Faulty
+from tests.execution.helpers import Faulty
 
 import armcell
 from armcell.cell import LiveCell
-from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, Box
+from armcell.drivers import DriverOptions, drivers
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings
 from armcell.tasks import TaskSettings

@@ -19,13 +19,13 @@ from armcell import _interrupts
 from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
-from armcell.control import execute
-from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.drivers.ur.identity import Identity, check_identity, check_ready, check_swapped, identify
-from armcell.control.drivers.ur.network import measure_network
-from armcell.control.drivers.ur.settings import real_settings
-from armcell.control.ur_wire.kinematics import frames_of
 from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
+from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.drivers.ur.identity import Identity, check_identity, check_ready, check_swapped, identify
+from armcell.drivers.ur.network import measure_network
+from armcell.drivers.ur.settings import real_settings
+from armcell.drivers.ur.wire.kinematics import frames_of
+from armcell.execution import execute
 from armcell.kinematics import kinematic_tree
 from armcell.planning import plan, plan_cartesian
 
@@ -228,7 +228,7 @@ class BringUp:
         )
 
     def _measured(self, name: str) -> np.ndarray:
-        from armcell.control.drivers.ur.rtde_client import RtdeClient
+        from armcell.drivers.ur.rtde_client import RtdeClient
 
         client = RtdeClient(self.settings.arms[name].host, 125.0)
         client.connect()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from armcell.control.drivers.ur.calibration import calibrated
-from armcell.control.drivers.ur.identity import Identity, check_identity, check_swapped, identify
-from armcell.control.drivers.ur.settings import RealSettings, real_settings
+from armcell.drivers.ur.calibration import calibrated
+from armcell.drivers.ur.identity import Identity, check_identity, check_swapped, identify
+from armcell.drivers.ur.settings import RealSettings, real_settings
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 

@@ -20,12 +20,12 @@ from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec
 from armcell.cell.twin import twin_guard
-from armcell.control import DriverOptions, drivers
-from armcell.control.disturbances import Disturbances
-from armcell.control.drivers.disturbed import DisturbedSim
-from armcell.control.drivers.ur import UrDriver
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
+from armcell.drivers import DriverOptions, drivers
+from armcell.drivers.disturbances import Disturbances
+from armcell.drivers.disturbed import DisturbedSim
+from armcell.drivers.ur import UrDriver
 from armcell.model import Part, RobotModel, compose, load_robot
 from armcell.perception import Sensors3d, load_sensors_3d
 from armcell.scene import CollisionObject, Material, PlanningScene

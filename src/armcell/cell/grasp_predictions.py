@@ -14,8 +14,8 @@ import numpy as np
 
 from armcell.cell.live import LiveCell
 from armcell.cell.perceiving import PerceivingDriver, Seen
-from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, Outcome
+from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import Grasp, grasp_quality
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene

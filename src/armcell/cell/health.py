@@ -3,7 +3,7 @@
 Order: description (model, objects), controllers (which control which joints), drivers (connected and
 publishing states), planner, task. A layer starts only if all earlier layers are ok, so a failure is reported
 at its cause and before any motion. For later failures: the supervisor of real arms stops all arms
-(`control.safety`), a gripper reconnects, and the next `resume()` restarts a process of `ur_rtde`.
+(`drivers.safety`), a gripper reconnects, and the next `resume()` restarts a process of `ur_rtde`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
 from armcell.cell.loading import load
 from armcell.cell.script import load_script
-from armcell.control import drivers
-from armcell.control.drivers.ur.settings import real_settings
-from armcell.control.following import Follower
 from armcell.core import ArmcellError, InputError, JointGoal, PlanRequest
 from armcell.core.protocols import offers
+from armcell.drivers import drivers
+from armcell.drivers.following import Follower
+from armcell.drivers.ur.settings import real_settings
 from armcell.planning import plan
 
 LAYERS = ("description", "controllers", "drivers", "planner", "task")

@@ -10,7 +10,6 @@ from armcell import _interrupts
 from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
-from armcell.control import Driver, Follower
 from armcell.core import (
     SE3,
     ArmcellError,
@@ -25,6 +24,7 @@ from armcell.core import (
 )
 from armcell.core.pauses import no_long_pauses
 from armcell.core.protocols import offers
+from armcell.drivers import Driver, Follower
 from armcell.perception import LookSettings, MapSettings, Sensors3d, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from armcell.cell.seeing import LiveCamera
-from armcell.control import Driver, GripperReading
 from armcell.core import SE3
+from armcell.drivers import Driver, GripperReading
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel
 from armcell.perception import LookSettings, Sight, look

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
-from armcell.control import Driver
 from armcell.core import ArmcellError, CameraImage
+from armcell.drivers import Driver
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal, SimWorld
 from armcell.sim.render_process import MeasuredState, Order, PhysicsState, RenderProcess, Setup

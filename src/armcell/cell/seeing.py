@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from armcell.cell.rendering import CellRenderer, Give
-from armcell.control import Driver
 from armcell.core import ArmcellError, CameraImage, ErrorCode, Event, JointTrajectory, StateSample
 from armcell.core.checks import checked, require
+from armcell.drivers import Driver
 from armcell.perception import CameraMap, MapSettings, MapUpdate
 from armcell.scene import OCTOMAP, PlanningScene
 from armcell.sim import Camera, Decal, SimWorld, take_image

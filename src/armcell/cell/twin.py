@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armcell.cell.identity import content_hashes
-from armcell.control import execute
-from armcell.control.drivers.ur import UrDriver
-from armcell.control.twin import UNWATCHED, Stage, TwinBands, TwinGuard, learned
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
+from armcell.drivers.ur import UrDriver
+from armcell.execution import execute
 from armcell.planning import plan
 from armcell.scene import PlanningScene
+from armcell.twin import UNWATCHED, Stage, TwinBands, TwinGuard, learned
 
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from armcell.collision.kernel.world_part import object_part
-from armcell.control import Driver, MotionGate
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
+from armcell.drivers import Driver
+from armcell.execution import MotionGate
 from armcell.model import Gripper
 from armcell.scene import PlanningScene, new_obstacles, scene_changes
 from armcell.tasks.failures import reason_in_short

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.control import execute
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.core.checks import checked, require
+from armcell.execution import execute
 from armcell.grasping import Grasp
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from armcell.collision import neighbors
-from armcell.control import CHANGED
 from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
 from armcell.core.checks import require
+from armcell.execution import CHANGED
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.planning import warm_up

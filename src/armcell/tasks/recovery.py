@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from armcell.control import CHANGED
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.core.checks import checked, require
+from armcell.execution import CHANGED
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from armcell.control import Driver, ReportsModes
 from armcell.core.protocols import offers
+from armcell.drivers import Driver, ReportsModes
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel
 from armcell.ros.bus import Bus

@@ -17,8 +17,8 @@ import numpy as np
 
 from armcell.cell import LiveCell
 from armcell.collision.motion_proof import Moving, first_conflict
-from armcell.control import CHANGED, NOT_STARTED, ExecutionSettings, GuardedMotion, playing
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.execution import CHANGED, NOT_STARTED, ExecutionSettings, GuardedMotion, playing
 from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus

@@ -17,10 +17,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.control import Driver, Follower, Steps
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.core.checks import require
 from armcell.core.protocols import offers
+from armcell.drivers import Driver, Follower
+from armcell.execution import Steps
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from armcell.collision import neighbors
-from armcell.control import CHANGED
 from armcell.core import SE3, ErrorCode, InputError, Outcome, UnknownNameError
+from armcell.execution import CHANGED
 from armcell.grasping import (
     Placement,
     grasp_candidates,

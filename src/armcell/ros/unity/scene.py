@@ -11,8 +11,8 @@ from typing import Any
 
 from armcell.cell import Cell
 from armcell.collision.convex import convex_pieces
-from armcell.control import ExecutionSettings
 from armcell.core import SE3, Format, Mesh, Shape, shape_kind, shape_name
+from armcell.execution import ExecutionSettings
 from armcell.model import Gripper, RobotModel
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.nodes.gripping import TOPIC as GRIPPER

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from armcell.collision import neighbors
 from armcell.collision.arms import Arms, without_arm
-from armcell.control.admittance import Admittance, AdmittanceSettings
 from armcell.core import (
     SE3,
     SO3,
@@ -28,6 +27,7 @@ from armcell.core import (
     PlanResult,
 )
 from armcell.core.checks import checked, require
+from armcell.execution.admittance import Admittance, AdmittanceSettings
 from armcell.grasping import grip_force, pre_opening
 from armcell.kinematics import ik_solver, kinematic_tree
 from armcell.planning import CarriedObject, plan_carry, plan_cartesian

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armcell.control import GripperReading
 from armcell.core import SE3, ErrorCode, Outcome, Shape
+from armcell.drivers import GripperReading
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
