@@ -307,6 +307,7 @@ class StepSpec(Strict):
     hold: float | None = Field(None, ge=0)  # [s]
     move: str | None = None  # named state; several arms move one after the other
     look: str | None = None  # camera
+    stage: dict[str, dict[str, Any]] | None = Field(None, min_length=1, max_length=1)  # name -> its values
 
     @model_validator(mode="after")
     def _one(self):

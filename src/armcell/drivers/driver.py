@@ -289,5 +289,5 @@ class DriverFactory(Protocol):
     def __call__(self, scene: PlanningScene, options: DriverOptions) -> Driver: ...
 
 
-drivers: Registry[DriverFactory] = Registry("mode")
+drivers: Registry[DriverFactory] = Registry("mode", "armcell.drivers")
 """Driver factories by the mode that uses them: sim, fake, real."""

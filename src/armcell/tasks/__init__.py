@@ -18,6 +18,7 @@ from armcell.tasks.recipes import (
     hold,
     let_go,
     move_to,
+    perform_stages,
     pick,
     pick_stages,
     place,
@@ -25,7 +26,16 @@ from armcell.tasks.recipes import (
     release,
 )
 from armcell.tasks.recovery import RecoverySettings, transfer
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, search, solutions
+from armcell.tasks.search import (
+    Lookahead,
+    PartialSolution,
+    Planning,
+    Stage,
+    make_stage,
+    search,
+    solutions,
+    stage_types,
+)
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.sorting import SortSettings, sort
 from armcell.tasks.stages import Connect, MoveGripper, Straight
@@ -78,10 +88,12 @@ __all__ = [
     "hold",
     "holding",
     "let_go",
+    "make_stage",
     "move_to",
     "path_length",
     "perform_all",
     "perform_pipelined",
+    "perform_stages",
     "pick",
     "pick_moving",
     "pick_stages",
@@ -98,6 +110,7 @@ __all__ = [
     "solutions",
     "sort",
     "stage_table",
+    "stage_types",
     "transfer",
     "varied",
     "weighted",

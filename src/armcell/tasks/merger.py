@@ -10,13 +10,14 @@ from armcell.core import InputError, JointState, JointTrajectory, UnknownNameErr
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.interfaces import InterfaceCheck, single
-from armcell.tasks.search import PartialSolution, Planning, Stage
+from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
 from armcell.tasks.stages.fingers import finger_collision
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import Grip, Motion, Step, Together
 from armcell.timing import merged
 
 
+@stage_types.register("merger")
 @dataclass(frozen=True, eq=False)
 @checked()
 class Merger:

@@ -22,7 +22,7 @@ from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.search import PartialSolution, Planning, Stage, search
+from armcell.tasks.search import PartialSolution, Planning, Stage, search, stage_types
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import CheckGrasp, Grip, Motion, Watch, perform_all, staged
@@ -172,6 +172,7 @@ class _Along:
         return Watch(self.item).perform(ctx)
 
 
+@stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
     """Stage that plans the descent to a moving object, the motion along with it, and the lift."""
