@@ -31,7 +31,7 @@ from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import Camera, Decal, PhysicsSettings
 from armcell.sim.gain_files import with_gains_file
 from armcell.sim.joint_gains import check_joint_gains
-from armcell.tasks import TaskSettings
+from armcell.tasks import TaskSettings, make_stage
 
 T = TypeVar("T")
 
@@ -177,6 +177,11 @@ class Cell:
                 if name not in spec.objects:
                     raise UnknownNameError("object", name, spec.objects, file=where, element=f"task/{i}")
             states = {s for group in self.model.named_states.values() for s in group}
+            for name, values in (step.stage or {}).items():
+                try:
+                    make_stage(name, values)
+                except InputError as error:
+                    raise self._fail(f"task/{i}", error.reason, error.cure) from None
             if step.move is not None and step.move not in states:
                 raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 
