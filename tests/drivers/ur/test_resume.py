@@ -156,7 +156,7 @@ def test_a_link_that_is_lost_and_comes_back(cell):
             started = time.monotonic()
             refused(live, "'arm'", f"the link to {host} is lost", "check the cable", "call resume() again")
             assert live.driver.fault().code is ErrorCode.COMMUNICATION_FAILURE
-            assert time.monotonic() - started < 8.0
+            assert time.monotonic() - started < 30.0
             call_everything(live)
             assert live.driver._heart.beats
         with emulator(hosts=[host]):
