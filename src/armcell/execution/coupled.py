@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import ErrorCode, ExecutionResult, Outcome, Playback
-from armcell.core.protocols import offers
-from armcell.drivers.driver import Driver, Rehearsing, Watch
-from armcell.drivers.following import Follower, Paced
+from armcell.drivers import Capability, Driver
+from armcell.drivers.guarding import Watch
 from armcell.execution.executor import ExecutionSettings, Progress
 from armcell.execution.gate import Executable, executable
 
@@ -85,29 +84,28 @@ def _coupled(
         return ended(Outcome(ErrorCode.CONTROL_FAILED, text, {"joint": joint, "error": float(off.max())}))
     if (unproven := motion.begin()) is not None:
         return unproven
-    paced = driver if offers(driver, Paced) else None
-    if scalings is None and paced is not None:
-        scalings = lambda: (paced.speed_fraction,)  # noqa: E731
-    rehearsing = driver if offers(driver, Rehearsing) else None
-    if rehearsing is not None and (refused := rehearsing.rehearse(trajectory)) is not None:
-        return ended(refused)
-    twin = rehearsing and rehearsing.watch(trajectory, correct is not None)
-    follower = driver if offers(driver, Follower) else None
-    sent = _Sent(0.0 if paced is None else paced.latency)
+    paced = Capability.ROBOT_CLOCK in driver.capabilities
+    if scalings is None and paced:
+        scalings = lambda: (driver.speed_fraction,)  # noqa: E731
+    if Capability.DRY_RUN in driver.capabilities:
+        if (refused := driver.rehearse(trajectory)) is not None:
+            return ended(refused)
+        twin = driver.watch(trajectory, correct is not None)
+    sent = _Sent(driver.latency if paced else 0.0)
     playback = Playback(trajectory)
-    clock, scale, last = 0.0, 1.0, 0.0 if paced is None else paced.tick
+    clock, scale, last = 0.0, 1.0, driver.tick if paced else 0.0
     deadline: float | None = None
     while True:
         if motion.is_set():
             return ended(Outcome(ErrorCode.PREEMPTED, f"cancelled at {clock:.2f} s"))
-        if follower is not None and (fault := follower.fault()) is not None:
+        if (fault := driver.fault()) is not None:
             return ended(Outcome(fault.code, f"stopped: {fault}", {"arm": fault.arm, "kind": fault.kind}))
         wanted = 1.0 if scalings is None else min(max(float(min(scalings())), 0.0), 1.0)
         step = RAMP * driver.period
         scale = min(max(wanted, scale - step), scale + step)
         passed = driver.period
-        if paced is not None:  # real time passes on its own: a late program must not cause a jump
-            passed, last = min(paced.tick - last, LATEST * driver.period), paced.tick
+        if paced:  # real time passes on its own: a late program must not cause a jump
+            passed, last = min(driver.tick - last, LATEST * driver.period), driver.tick
         clock = min(clock + scale * passed, trajectory.duration)
         q, v = playback.at(clock)
         v = v * scale

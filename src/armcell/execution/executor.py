@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import cast
 
 import numpy as np
 
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Playback
 from armcell.core.checks import checked, require
-from armcell.core.protocols import offers
-from armcell.drivers.driver import Driver, Player, Rehearsing
-from armcell.drivers.following import Follower
+from armcell.drivers import Capability, Driver
 from armcell.execution.followed import Steps, Tolerances, followed
 from armcell.execution.gate import Executable, executable
 from armcell.planning import explain_start
@@ -52,17 +49,15 @@ def execute(
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops the arm.
-        progress: called after each command with the completed fraction, 0..1. Without it, a driver that
-            implements `Player` plays `AT_ONCE` seconds per call, and the executor checks `motion` in between.
+        progress: called after each command with the completed fraction, 0..1. Without it, a driver with
+            `PLAY_PARTS` plays `AT_ONCE` seconds per call, and the executor checks `motion` in between.
     Returns:
         SUCCESS; CONTROL_FAILED with joint and error if the start differs, the arm leaves the path, or the arm
         misses the goal; MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE or START_STATE_IN_COLLISION with the
         pair, the position and the time if the motion is not collision-free; PREEMPTED. After every result
         except SUCCESS, the driver holds the measured position.
     """
-    # look up the class: a wrapper that forwards attributes and modifies commands must not be bypassed
-    plays = progress is None and hasattr(type(driver), "play")
-    alone = cast(Player, driver) if plays else None
+    alone = progress is None and Capability.PLAY_PARTS in driver.capabilities
     steps = playing(driver, motion, settings, progress, alone)
     while True:
         try:
@@ -77,7 +72,7 @@ def playing(
     motion: Executable,
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
-    alone: Player | None = None,
+    alone: bool = False,
 ) -> Steps:
     """Execute a motion step by step: each `next` commands the driver for its next period.
 
@@ -89,7 +84,8 @@ def playing(
     trajectories themselves.
 
     Args:
-        alone: the driver as a `Player` if it may advance the clock itself; None to command every period.
+        alone: True if the driver may play parts of the trajectory itself, which advances its clock; False to
+            command every period.
     """
     executable(motion)
     try:
@@ -105,7 +101,7 @@ def _played(
     motion: Executable,
     settings: ExecutionSettings,
     progress: Progress | None,
-    alone: Player | None,
+    alone: bool,
 ) -> Steps:
     trajectory, began = motion.trajectory, driver.now
     names = trajectory.joint_names
@@ -126,17 +122,16 @@ def _played(
             code, text, {"joint": joint, "error": worst}, began, began,
             explainer=partial(explain_start, measured, start, tolerance, code, text),
         )  # fmt: skip
-    follows = offers(driver, Follower)
+    follows = Capability.PLAY_TRAJECTORY in driver.capabilities
     fade = None if follows else _fade(measured, trajectory, settings)
     if (unproven := motion.begin(fade)) is not None:
         return unproven
-    refused = driver.rehearse(trajectory) if offers(driver, Rehearsing) else None
+    refused = driver.rehearse(trajectory) if Capability.DRY_RUN in driver.capabilities else None
     if refused is not None:
         return ExecutionResult(refused.code, refused.message, refused.evidence, began, driver.now)
     if follows:
         watched = Tolerances(**{f.name: getattr(settings, f.name) for f in fields(Tolerances)})
-        follower = cast(Follower, driver)
-        return (yield from followed(driver, follower, trajectory, watched, motion, progress))
+        return (yield from followed(driver, trajectory, watched, motion, progress))
     tracking = 0.0
 
     def ended(code: ErrorCode, text: str, **evidence) -> ExecutionResult:
@@ -149,9 +144,9 @@ def _played(
     while (t := driver.now - began) < duration - 1e-9:
         if motion.is_set():
             return ended(ErrorCode.PREEMPTED, f"cancelled at {t:.2f} of {duration:.2f} s")
-        if alone is not None and fade is None:
+        if alone and fade is None:
             until = min(t + AT_ONCE, duration)
-            worst, column = alone.play(names, playback, began, until, settings.path_tolerance)
+            worst, column = driver.play(names, playback, began, until, settings.path_tolerance)
             joint = names[column]
         else:
             q, v = playback.at(min(t + driver.period, duration))

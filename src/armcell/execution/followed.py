@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armcell.core import ErrorCode, ExecutionResult, JointTrajectory
-from armcell.drivers.driver import Driver
-from armcell.drivers.following import Follower, Following
-from armcell.drivers.safety import Fault
+from armcell.drivers import Driver, Fault, Following
 
 Steps = Generator[None, None, ExecutionResult]
 """Generator of a running motion: resume it once per driver period; its return value is the result."""
@@ -33,7 +31,6 @@ class Tolerances:
 
 def followed(
     driver: Driver,
-    follower: Follower,
     trajectory: JointTrajectory,
     settings: Tolerances,
     cancel: threading.Event | None,
@@ -42,7 +39,7 @@ def followed(
     """Run `playing` after its start check, on a robot that plays trajectories itself.
 
     Args:
-        driver, follower: the same driver in both roles.
+        driver: a driver that can play a whole trajectory itself.
         settings: tolerances and timeouts.
         cancel: stops the motion when set.
         progress: called with the completed fraction, 0..1.
@@ -67,15 +64,15 @@ def followed(
     def stopped_by(fault: Fault) -> ExecutionResult:
         return ended(fault.code, f"stopped: {fault}", arm=fault.arm, kind=fault.kind)
 
-    fault = follower.fault()
+    fault = driver.fault()
     if fault is not None:
         return stopped_by(fault)
     if duration <= 0.0:
         return ended(ErrorCode.SUCCESS, "")  # the arm is at the goal: the start check has passed
-    following = follower.follow(trajectory)
+    following = driver.follow(trajectory)
     while True:
         yield
-        fault = follower.fault()
+        fault = driver.fault()
         if fault is not None:
             return stopped_by(fault)
         if cancel is not None and cancel.is_set():
