@@ -41,6 +41,8 @@ class CommandServer:
             self._client.close()
 
     def _begin(self, link: Link) -> None:
+        if self._client is not None and self._client.open:
+            self._client.read()  # notices a client that has just disconnected
         if not self.active or self.connected:
             link.close()
             return

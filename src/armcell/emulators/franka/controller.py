@@ -44,7 +44,7 @@ class ControllerSettings:
 def free_arm() -> PlanningScene:
     """Return the scene of an arm with a hand at its home position, without objects."""
     model = load_robot("panda")
-    home = model.named_states["arm"]["home"] | model.named_states["hand"]["open"]
+    home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
     return PlanningScene.of(model, [home[name] for name in model.joint_names])
 
 

@@ -94,7 +94,7 @@ class Motion:
     started: bool = False
     waited: int = 0
     lost: int = 0
-    finishing: bool = False
+    ending: MoveStatus | None = None  # answer once the arm is at rest
 
 
 class Robot:
@@ -184,8 +184,8 @@ class Robot:
         if self._brake is not None:
             if self._brake.step():
                 self._brake = None
-                if motion is not None and motion.finishing:
-                    self._finish(MoveStatus.SUCCESS)
+                if motion is not None and motion.ending is not None:
+                    self._finish(motion.ending)
                 elif self.mode is RobotMode.REFLEX:
                     self.reference.rest(self.q)  # a reflex presses against nothing
             return
@@ -228,7 +228,7 @@ class Robot:
 
     def _finish_command(self, motion: Motion) -> None:
         """End a motion by the client's word; position and velocity commands must be at rest by then."""
-        motion.finishing = True
+        motion.ending = MoveStatus.SUCCESS
         moving = bool(np.any(np.abs(self.reference.dq) > 1e-4))
         streamed = not motion.generator.patient and not isinstance(motion.generator, Follow)
         if streamed and np.any(np.abs(self.reference.dq) / PERIOD > 1.5 * self.limits.acceleration):
@@ -346,9 +346,11 @@ class Robot:
 
     def stop(self) -> StopStatus:
         """Stop a motion by the client's command."""
-        if self.mode is RobotMode.MOVE:
+        if self.motion is not None:
+            if isinstance(self.motion.generator, Follow):
+                self._follow()
+            self.motion.ending = MoveStatus.PREEMPTED
             self._slow_down()
-            self._finish(MoveStatus.PREEMPTED)
         return StopStatus.SUCCESS
 
     def _slow_down(self) -> None:
