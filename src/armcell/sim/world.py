@@ -300,6 +300,19 @@ class SimWorld:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
+    def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
+        """Apply torques [Nm or N] to arm joints until their next target, on top of gravity compensation.
+
+        Raises:
+            UnknownNameError: a name is not an actuated joint.
+            InputError: a torque is not finite, or the physics' `arm_control` is not "torque".
+        """
+        names = tuple(joint_names)
+        _, controls, fingers, _ = self._split(names)
+        if fingers:
+            raise InputError("torques are for arm joints, not for gripper joints")
+        self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
+
     def arm_target(self) -> JointState:
         """Return the last target positions and velocities of the arm joints, without gripper joints."""
         names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
