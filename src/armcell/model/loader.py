@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,20 @@ from armcell.model.urdf import load_urdf
 
 LIBRARY = Path(__file__).parent / "library"
 ROBOT_FILE = "robot.yaml"
+XacroArgs = Mapping[str, str] | None
 _SOURCES = ("urdf", "mjcf", "parts")
-_KEYS = {"name", "source", *_SOURCES, "root", "srdf", "joint_limits", "grippers", "groups", "states"}
+_KEYS = {
+    "name",
+    "source",
+    *_SOURCES,
+    "root",
+    "srdf",
+    "joint_limits",
+    "grippers",
+    "groups",
+    "states",
+    "xacro_args",
+}
 
 
 def robot_names() -> list[str]:
@@ -31,7 +44,12 @@ def robot_names() -> list[str]:
     return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
 
 
-def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | None = None) -> RobotModel:
+def load_robot(
+    robot: str | Path,
+    base: Path | None = None,
+    allow_env: bool | None = None,
+    xacro_args: XacroArgs = None,
+) -> RobotModel:
     """Load a robot model from the library, a folder, or a URDF, xacro or MJCF file.
 
     Args:
@@ -41,6 +59,7 @@ def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | No
         base: folder that relative paths start from; by default the current folder.
         allow_env: whether xacro files may read environment variables with `$(env)` and `$(optenv)`. None:
             only if ARMCELL_ALLOW_ENV is set, as `armcell --allow-env` does.
+        xacro_args: values for a xacro file's arguments, by name.
     Raises:
         InputError: the robot cannot be loaded; the message contains file, element, reason and remedy.
     """
@@ -50,9 +69,9 @@ def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | No
     if not path.is_absolute() and base is not None:
         path = base / path
     if os.path.isdir(path):  # returns False for invalid names, where Path.is_dir raises
-        return load_folder(path, allow_env)
+        return load_folder(path, allow_env, xacro_args)
     if path.suffix in (".urdf", ".xacro") or os.path.isfile(path):
-        return _load_file(path, allow_env)
+        return _load_file(path, allow_env, xacro_args)
     if isinstance(robot, str) and "/" not in robot and "." not in robot:
         raise UnknownNameError("robot", robot, robot_names())
     raise InputError(
@@ -60,13 +79,13 @@ def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | No
     )
 
 
-def _load_file(path: Path, allow_env: bool | None) -> RobotModel:
+def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> RobotModel:
     srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(path.suffix) + ".srdf")
     if is_mjcf(path):
         model = load_mjcf_file(path)
         return with_srdf(model, srdf) if srdf.is_file() else with_keyframes(with_groups(model))
     srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
-    model = load_urdf(path, allow_env)
+    model = load_urdf(path, allow_env, xacro_args=xacro_args)
     return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
 
 
@@ -103,14 +122,14 @@ def with_keyframes(model: RobotModel) -> RobotModel:
     return replace(model, named_states=named)
 
 
-def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
+def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroArgs = None) -> RobotModel:
     """Load a robot from a folder with robot.yaml, or from a MoveIt configuration package.
 
     robot.yaml contains either a URDF or a list of parts that are mounted on each other.
     """
     file = folder / ROBOT_FILE
     if not file.is_file() and is_moveit_config(folder):
-        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env).model)
+        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args).model)
     data = read_yaml(file)
     for key in data:
         if key not in _KEYS:
@@ -126,7 +145,8 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
         if "mjcf" in data:
             model = load_mjcf_file(_source_path(data, "mjcf", folder, file))
         else:
-            model = load_urdf(_source_path(data, "urdf", folder, file), allow_env, folder)
+            given = {**xacro_texts(data.get("xacro_args"), file), **(xacro_args or {})}
+            model = load_urdf(_source_path(data, "urdf", folder, file), allow_env, folder, given)
         if "root" in data:
             model = rerooted(model, str(data["root"]))
         model = with_adjacent_disabled(model)
@@ -164,6 +184,22 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
     """
     pairs = {frozenset((j.parent, j.child)): "Adjacent" for j in model.joints.values()}
     return replace(model, disabled_collisions={**pairs, **model.disabled_collisions})
+
+
+def xacro_texts(value: Any, file: Path) -> dict[str, str]:
+    """Return xacro arguments from YAML as xacro's texts: booleans are `true` and `false`.
+
+    Raises:
+        InputError: `value` is not a mapping of names to numbers, texts or booleans.
+    """
+    if not isinstance(value or {}, dict):
+        raise InputError("is not a mapping", file=file, element="xacro_args")
+    found = {}
+    for name, entry in (value or {}).items():
+        if not isinstance(entry, str | int | float):
+            raise InputError(f"{entry!r} is not a text or number", file=file, element=f"xacro_args/{name}")
+        found[str(name)] = str(entry).lower() if isinstance(entry, bool) else str(entry)
+    return found
 
 
 def _source_path(data: dict[str, Any], key: str, folder: Path, file: Path) -> Path:
