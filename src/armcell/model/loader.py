@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextvars import ContextVar
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,9 @@ _KEYS = {
     "states",
     "xacro_args",
 }
+
+
+_around: ContextVar[tuple[Path, ...]] = ContextVar("robot files whose parts are being loaded", default=())
 
 
 def robot_names() -> list[str]:
@@ -226,10 +230,14 @@ def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
 
 
 def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) -> RobotModel:
+    around = _around.get()
+    if file.resolve() in around:
+        raise InputError(f"part {robot!r} contains itself", file=file, element="parts")
+    token = _around.set((*around, file.resolve()))
     try:
         return load_robot(robot, folder, allow_env)
-    except RecursionError:
-        raise InputError(f"part {robot!r} contains itself", file=file, element="parts") from None
+    finally:
+        _around.reset(token)
 
 
 def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
