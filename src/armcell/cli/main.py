@@ -21,8 +21,10 @@ from armcell.cli import (
     import_,
     look,
     msg,
+    new,
     plan,
     replay,
+    robots,
     run,
     script,
     serve,
@@ -107,6 +109,8 @@ app.command("fk", rich_help_panel=PLAN)(robot_options(ik.fk))
 app.command("check-state", rich_help_panel=PLAN)(robot_options(check_state.check_state))
 app.command("look", epilog=look.EXAMPLES, rich_help_panel=PLAN)(robot_options(look.look))
 app.command("cells", rich_help_panel=CELLS)(check.cells)
+app.command("robots", epilog=robots.EXAMPLES, rich_help_panel=CELLS)(robot_options(robots.robots))
+app.command("new", epilog=new.EXAMPLES, rich_help_panel=CELLS)(robot_options(new.new))
 app.command("setup", epilog=setup.EXAMPLES, rich_help_panel=CELLS)(robot_options(setup.setup))
 app.command("import", epilog=import_.EXAMPLES, rich_help_panel=CELLS)(robot_options(import_.import_))
 app.command("check", rich_help_panel=CELLS)(robot_options(check.check))

@@ -14,6 +14,7 @@ from armcell.model.assets import resolve_uri
 from armcell.model.compose import Part, compose
 from armcell.model.composite import with_composites
 from armcell.model.files import parse_xml, read_text, read_yaml
+from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_names
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
 from armcell.model.setup.chains import with_groups
@@ -22,8 +23,6 @@ from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
 from armcell.model.urdf import load_urdf
 
-LIBRARY = Path(__file__).parent / "library"
-ROBOT_FILE = "robot.yaml"
 XacroArgs = Mapping[str, str] | None
 _SOURCES = ("urdf", "mjcf", "parts")
 _KEYS = {
@@ -37,15 +36,9 @@ _KEYS = {
     "groups",
     "states",
     "xacro_args",
+    "description",
 }
-
-
 _around: ContextVar[tuple[Path, ...]] = ContextVar("robot files whose parts are being loaded", default=())
-
-
-def robot_names() -> list[str]:
-    """Return the names of the robots in armcell's library."""
-    return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
 
 
 def load_robot(
@@ -68,7 +61,7 @@ def load_robot(
         InputError: the robot cannot be loaded; the message contains file, element, reason and remedy.
     """
     if isinstance(robot, str) and robot in robot_names():
-        return load_folder(LIBRARY / robot)
+        return load_folder(LIBRARY / robot, allow_env, xacro_args)
     path = Path(robot)
     if not path.is_absolute() and base is not None:
         path = base / path
@@ -210,7 +203,8 @@ def _source_path(data: dict[str, Any], key: str, folder: Path, file: Path) -> Pa
     try:
         return resolve_uri(str(data[key]), folder)
     except InputError as error:
-        raise InputError(error.reason, file=file, element=key, cure=error.cure) from None
+        hint = known_robot(folder.name).hint if folder.parent == LIBRARY else ""
+        raise InputError(error.reason, file=file, element=key, cure=hint or error.cure) from None
 
 
 def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
