@@ -78,7 +78,7 @@ def mode_package(
     return package(MODE_DATA, body + (b"\0" if cb3_version >= (3, 5) else b""))
 
 
-ROBOT_TYPES = {"UR5": 1, "UR10": 2, "UR3": 3, "UR16": 4}
+ROBOT_TYPES = {"UR5": 1, "UR10": 2, "UR3": 3, "UR16": 4, "UR20": 7, "UR30": 8}
 
 
 def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_type: int) -> bytes:
