@@ -2,8 +2,8 @@
 
 from armcell.execution.executor import ExecutionSteps, execute, execute_coupled, execution_steps
 from armcell.execution.gate import (
-    CHANGED,
     NOT_STARTED,
+    SCENE_INVALIDATED,
     DriverWorld,
     Executable,
     GuardedMotion,
@@ -13,8 +13,8 @@ from armcell.execution.gate import (
 from armcell.execution.settings import ExecutionSettings
 
 __all__ = [
-    "CHANGED",
     "NOT_STARTED",
+    "SCENE_INVALIDATED",
     "DriverWorld",
     "Executable",
     "ExecutionSettings",

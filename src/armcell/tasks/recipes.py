@@ -11,7 +11,7 @@ import numpy as np
 from armcell.collision import neighbors
 from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
 from armcell.core.checks import require
-from armcell.execution import CHANGED
+from armcell.execution import SCENE_INVALIDATED
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.planning import warm_up
@@ -70,7 +70,7 @@ def pick(
         outcome = replace(outcome, evidence={**outcome.evidence, **chosen})
         if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
             return outcome
-        if outcome.code is CHANGED:  # the scene changed: the grasp is still usable
+        if outcome.code is SCENE_INVALIDATED:  # the scene changed: the grasp is still usable
             if item in ctx.holding:
                 return outcome
             ctx.emit("note", f"pick {item}: {outcome.message}")

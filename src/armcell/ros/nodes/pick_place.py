@@ -13,7 +13,7 @@ import numpy as np
 
 from armcell.collision import neighbors
 from armcell.core import SE3, ErrorCode, InputError, Outcome, UnknownNameError
-from armcell.execution import CHANGED
+from armcell.execution import SCENE_INVALIDATED
 from armcell.grasping import (
     Placement,
     grasp_candidates,
@@ -131,7 +131,7 @@ class PickPlaceNode:
                 outcome = Outcome(ErrorCode.CONTROL_FAILED, f"lost {item} while lifting it")
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 return outcome
-            if outcome.code is CHANGED:  # not the grasp's fault: retry it, and keep a held object
+            if outcome.code is SCENE_INVALIDATED:  # not the grasp's fault: retry it, and keep a held object
                 if self._cell.held(gripper) == item:
                     return outcome
                 logger.warning("pick %s: %s", item, outcome.message)

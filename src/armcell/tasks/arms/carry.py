@@ -380,8 +380,8 @@ class Carrying:
         return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
 
     def _measured(self) -> dict[str, SE3]:
-        full = self.ctx.driver.joint_state().positions
-        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+        poses = self.tree.link_poses(self.ctx.driver.joint_state().positions, tuple(self.tips.values()))
+        return dict(zip(self.tips, poses, strict=True))
 
     def squeeze(self) -> Array:
         """Return the internal force (3,) [N]: half the difference of the hands' forces."""

@@ -81,7 +81,7 @@ def screw(
         motion = ctx.gate.motion(trajectory, planned_in, ctx.cancel)
         result = execute_coupled(
             ctx.driver, motion, turning.correct, turning.watch, settings=ctx.settings.execution,
-            progress=lambda _: ctx.observe(),
+            progress=ctx.progress,
         )  # fmt: skip
         return replace(result, evidence={**result.evidence, **turning.evidence()})
 
