@@ -89,9 +89,8 @@ def test_a_motion_is_proven_again_when_one_beside_it_ends_early(driver, scene):
         driver, [execution_steps(driver, leaving), execution_steps(driver, coming)], during=during
     )
     assert first.code is ErrorCode.PREEMPTED
-    assert second.code is SCENE_INVALIDATED and "left_" in second.message and "stopped" in second.message, (
-        second
-    )
+    assert second.code is SCENE_INVALIDATED, second
+    assert "left_" in second.message and "stopped" in second.message
     assert second.evidence["pair"] and second.evidence["time_s"] > 0
 
 

@@ -248,12 +248,8 @@ class GuardedMotion(Executable):
         self._gate._end(self, early=not result.ok)
         if self.conflict is None or result.code is not ErrorCode.PREEMPTED:
             return result
-        return replace(
-            result,
-            code=SCENE_INVALIDATED,
-            message=self._text,
-            evidence={**result.evidence, **self._evidence()},
-        )
+        evidence = {**result.evidence, **self._evidence()}
+        return replace(result, code=SCENE_INVALIDATED, message=self._text, evidence=evidence)
 
     # --- collision check ---
     def moving(self, scene: PlanningScene) -> Moving:
