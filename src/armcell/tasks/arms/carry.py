@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.arms import merged, without_arm
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode, InputError, JointState, Outcome
-from armcell.execution.admittance import Admittance
+from armcell.execution import Admittance
 from armcell.planning import plan_cartesian
 from armcell.tasks.arms.hand_pair import CarrySettings, HandPair, PairHold
 from armcell.tasks.arms.two_arm_pick import PickWithTwoArms

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armcell.collision import neighbors
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome, PlanResult
 from armcell.core.checks import checked, require
-from armcell.execution.admittance import AdmittanceSettings
+from armcell.execution import AdmittanceSettings
 from armcell.kinematics import kinematic_tree
 from armcell.planning import CarriedObject, plan_carry
 from armcell.scene import PlanningScene
