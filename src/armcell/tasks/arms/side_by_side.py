@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from armcell.collision.arms import check_two, without_arm
 from armcell.core import ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.drivers import Driver
-from armcell.execution.turns import ArmView, run_by_turns
+from armcell.execution import ArmDriver, run_cooperatively
 from armcell.planning import RunningMotion
 from armcell.scene import PlanningScene
 from armcell.tasks.arms.coordinator import MotionCoordinator
@@ -97,10 +97,10 @@ def side_by_side(
     for group in groups:
         coordinator.running[group] = RunningMotion.standing(scene, group, began)
 
-    def program(group: str) -> Callable[[ArmView], None]:
-        def run(view: ArmView) -> None:
+    def program(group: str) -> Callable[[ArmDriver], None]:
+        def run(driver: ArmDriver) -> None:
             mine = contexts[group]
-            mine.driver = view
+            mine.driver = driver
             found = programs[group](mine)
             outcomes[group] = found if isinstance(found, Outcome) else Outcome(ErrorCode.SUCCESS)
             if not outcomes[group].ok:
@@ -113,7 +113,7 @@ def side_by_side(
     ctx.at_work = tuple(contexts.values())
     cancelled = ctx.cancel.is_set()
     try:
-        run_by_turns(
+        run_cooperatively(
             ctx.driver, {g: model.group(g).joint_names for g in groups}, {g: program(g) for g in groups}
         )
     finally:
