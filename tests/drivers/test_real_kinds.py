@@ -190,7 +190,7 @@ def test_the_vendor_s_part_of_the_bring_up(kind):
 # --- the block `real` ---
 def pair():
     """Two Pandas as one model, their groups "left_arm" and "right_arm"."""
-    return compose([Part(load_robot("panda"), "left_"), Part(load_robot("panda"), "right_")])
+    return compose("pair", [Part(load_robot("panda"), f"{side}_") for side in ("left", "right")])
 
 
 def test_the_default_kind_is_ur_and_an_unknown_one_is_named():
