@@ -330,11 +330,12 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """ROS names and sensors of the cell, for all connections (Unity, ROS 1, ROS 2)."""
+    """ROS names, sensors and planners of the cell, for all connections (Unity, ROS 1, ROS 2)."""
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names
     sensors: str | None = None  # MoveIt's sensors_3d.yaml, relative to the cell folder
+    planners: str | None = None  # MoveIt's ompl_planning.yaml, relative to the cell folder
 
 
 class CellSpec(Strict):

@@ -11,12 +11,14 @@ from armcell.core.checks import checked, require
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.recipes import pick_stages, place_stages, planned
+from armcell.tasks.pick import pick_stages
+from armcell.tasks.recipes import place_stages
 from armcell.tasks.regrasp import PlacementGoal, RegraspStep, RestingPose, Vector, regrasp_sequences
 from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, solutions
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import ChoosePlacement
 from armcell.tasks.steps import perform_all
+from armcell.tasks.task import plan_stages
 
 MOST = 2  # intermediate placements in a row
 
@@ -159,7 +161,7 @@ def place_intermediate(
         the evidence; otherwise the reasons per side.
     """
     stages = [IntermediatePlacement(item, on, gripper, at, up, most)]
-    solution, outcome = planned(ctx, stages, f"intermediate placement of {item}")
+    solution, outcome = plan_stages(ctx, stages, f"intermediate placement of {item}")
     if solution is None:
         return outcome
     records: tuple[PlacementRecord, ...] = solution.data["intermediate_placements"]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.core.checks import require
+from armcell.execution import execute_coupled
 from armcell.execution.admittance import Admittance, AdmittanceSettings
-from armcell.execution.coupled import execute_coupled
 from armcell.kinematics import kinematic_tree
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import staged
