@@ -7,7 +7,6 @@ import pytest
 from tests.execution.ungated import execute_coupled
 
 import armcell
-from armcell.collision.arms import merged
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.drivers import Capability, DriverOptions
 from armcell.drivers.following import SentClock
@@ -15,7 +14,7 @@ from armcell.drivers.sim import SimDriver
 from armcell.execution.admittance import Admittance, AdmittanceSettings
 from armcell.execution.setpoints import SCALING_RATE
 from armcell.scene import CollisionObject
-from armcell.timing import synchronized
+from armcell.timing import merged, synchronized
 from armcell.twin import Stage
 
 

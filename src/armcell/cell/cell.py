@@ -26,12 +26,13 @@ from armcell.drivers import DriverOptions, drivers
 from armcell.drivers.disturbances import Disturbances
 from armcell.drivers.disturbed import DisturbedSim
 from armcell.model import Part, RobotModel, compose, load_ompl_planning, load_robot
+from armcell.model.loader import xacro_texts
 from armcell.perception import Sensors3d, load_sensors_3d
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import Camera, Decal, PhysicsSettings
 from armcell.sim.gain_files import with_gains_file
 from armcell.sim.joint_gains import check_joint_gains
-from armcell.tasks import TaskSettings
+from armcell.tasks import TaskSettings, make_stage
 
 T = TypeVar("T")
 
@@ -66,7 +67,8 @@ class Cell:
     def _robot(self) -> RobotModel:
         spec = self.spec.robot
         try:
-            model = load_robot(spec.model, self.file.parent, self.allow_env)
+            given = xacro_texts(self.spec.xacro_args, self.file)
+            model = load_robot(spec.model, self.file.parent, self.allow_env, given)
             if spec.pose is None:
                 return model
             return compose(model.name, [Part(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))])
@@ -177,6 +179,11 @@ class Cell:
                 if name not in spec.objects:
                     raise UnknownNameError("object", name, spec.objects, file=where, element=f"task/{i}")
             states = {s for group in self.model.named_states.values() for s in group}
+            for name, values in (step.stage or {}).items():
+                try:
+                    make_stage(name, values)
+                except InputError as error:
+                    raise self._fail(f"task/{i}", error.reason, error.cure) from None
             if step.move is not None and step.move not in states:
                 raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 

@@ -1,6 +1,6 @@
 """Robot drivers: the Driver base class, drivers by mode (sim, fake, real), and the safety supervisor."""
 
-from armcell.drivers import fake, real, sim, ur
+from armcell.drivers import fake, franka, real, sim, ur
 from armcell.drivers.driver import (
     Capability,
     ContactRecord,
@@ -28,6 +28,7 @@ __all__ = [
     "WeldRecord",
     "drivers",
     "fake",
+    "franka",
     "real",
     "sim",
     "ur",

@@ -109,7 +109,7 @@ def _source(driver: Driver, may_play: bool = False) -> Source:
     """
     if Capability.PLAY_TRAJECTORY in driver.capabilities:
         return RobotPlayback
-    return partial(StreamedSetpoints, in_parts=may_play and Capability.PLAY_PARTS in driver.capabilities)
+    return partial(StreamedSetpoints, plays=may_play and Capability.PLAY_PARTS in driver.capabilities)
 
 
 def _advanced(driver: Driver, steps: ExecutionSteps) -> ExecutionResult:
@@ -188,9 +188,8 @@ class _Execution:
 
     def _dry_run(self) -> ExecutionResult | None:
         """Return the result of a motion that the dry run in simulation refuses, or None."""
-        if Capability.DRY_RUN not in self.driver.capabilities:
-            return None
-        refused = self.driver.rehearse(self.trajectory)
+        dry_runs = Capability.DRY_RUN in self.driver.capabilities
+        refused = self.driver.rehearse(self.trajectory) if dry_runs else None
         return None if refused is None else self._result(refused.code, refused.message, refused.evidence)
 
     # --- the motion ---

@@ -18,7 +18,7 @@ from armcell.execution.settings import ExecutionSettings
 Array = NDArray[np.float64]
 Correction = Callable[[float, Array, Array], tuple[Array, Array]]
 
-PLAYED_AT_ONCE = 0.02  # [s] of trajectory that a driver with `PLAY_PARTS` plays per call
+PLAYED_AT_ONCE = 0.02  # [s] of trajectory that a driver plays per call
 LAG = 0.06  # [s] largest lag of the measured state behind the clock of a trajectory that the robot plays
 CANCEL_TIME = 2.0  # [s] time limit for a canceled robot to come to rest
 AT_REST = 0.005  # [rad/s] speed below which a canceled robot rests
@@ -92,7 +92,7 @@ class StreamedSetpoints(SetpointSource):
     """One setpoint per driver period, by the driver's clock.
 
     Args:
-        in_parts: True if the driver plays parts of the trajectory itself, which advances its clock; False:
+        plays: True if the driver plays parts of the trajectory itself, which advances its clock; False to
             command every period.
     """
 
@@ -103,18 +103,18 @@ class StreamedSetpoints(SetpointSource):
         driver: Driver,
         trajectory: JointTrajectory,
         settings: ExecutionSettings,
-        in_parts: bool = False,
+        plays: bool = False,
     ):
         super().__init__(driver, trajectory, settings)
-        self._in_parts, self._playback = in_parts, Playback(trajectory)
+        self._plays, self._playback = plays, Playback(trajectory)
         self._began, self._blend = driver.now, None
         self._sent: Array | None = None  # last setpoint (n,) on the trajectory
-        self._played = 0.0, 0  # result of the driver's last `play`
+        self._played = 0.0, 0  # result of the last `play`
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
         self._began, self._blend = self.driver.now, blend
         if blend is not None:
-            self._in_parts = False
+            self._plays = False
         self._look_at_clock()
         if self.complete:  # a trajectory of one point
             self._hold_goal()
@@ -126,7 +126,7 @@ class StreamedSetpoints(SetpointSource):
         if self.complete:
             self._hold_goal()
             return True
-        if self._in_parts:
+        if self._plays:
             self.clock, tolerance = min(t + PLAYED_AT_ONCE, self.duration), self.settings.path_tolerance
             self._played = driver.play(self.names, self._playback, self._began, self.clock, tolerance)
             return False
@@ -237,16 +237,16 @@ class CoupledSetpoints(SetpointSource):
     ):
         super().__init__(driver, trajectory, settings)
         self._correct, self._watch, self._scalings = correct, watch, scalings
-        self._by_robot_clock = Capability.ROBOT_CLOCK in driver.capabilities
+        self._has_clock = Capability.ROBOT_CLOCK in driver.capabilities
         self._playback = Playback(trajectory)
         self._scale, self._tick = 1.0, 0.0
-        self._recent = _RecentSetpoints(driver.latency if self._by_robot_clock else 0.0)
+        self._recent = _RecentSetpoints(driver.latency if self._has_clock else 0.0)
         self._monitor: Watch | None = None  # compares the arms with the dry run
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
         if Capability.DRY_RUN in self.driver.capabilities:
             self._monitor = self.driver.watch(self.trajectory, self._correct is not None)
-        if self._by_robot_clock:
+        if self._has_clock:
             self._tick = self.driver.tick
         return None
 
@@ -284,7 +284,7 @@ class CoupledSetpoints(SetpointSource):
             self._scale + SCALING_RATE * period,
         )
         passed = period
-        if self._by_robot_clock:  # real time passes on its own: a late program must not cause a jump
+        if self._has_clock:  # real time passes on its own: a late program must not cause a jump
             tick = self.driver.tick
             passed, self._tick = min(tick - self._tick, CATCH_UP * period), tick
         self.clock, self._scale = min(self.clock + scale * passed, self.duration), scale
@@ -294,7 +294,7 @@ class CoupledSetpoints(SetpointSource):
         """Return the speed fraction, 0..1, that sliders, pauses and the caller allow."""
         if self._scalings is not None:
             fraction = min(self._scalings())
-        elif self._by_robot_clock:
+        elif self._has_clock:
             fraction = self.driver.speed_fraction
         else:
             return 1.0

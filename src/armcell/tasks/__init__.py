@@ -14,9 +14,18 @@ from armcell.tasks.merger import Merger
 from armcell.tasks.pick import Pick, grasp, grasp_stages, pick, pick_stages
 from armcell.tasks.pipelined import PipelinedTask, PipelineSettings, perform_pipelined, picking, placing
 from armcell.tasks.proof import NOISE, Proof, as_it_may_be, prove, varied
-from armcell.tasks.recipes import hold, let_go, move_to, place, place_stages, release
+from armcell.tasks.recipes import hold, let_go, move_to, perform_stages, place, place_stages, release
 from armcell.tasks.recovery import RecoverySettings, transfer
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, search, solutions
+from armcell.tasks.search import (
+    Lookahead,
+    PartialSolution,
+    Planning,
+    Stage,
+    make_stage,
+    search,
+    solutions,
+    stage_types,
+)
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.sorting import SortSettings, sort
 from armcell.tasks.stages import Connect, MoveGripper, Straight
@@ -71,10 +80,12 @@ __all__ = [
     "hold",
     "holding",
     "let_go",
+    "make_stage",
     "move_to",
     "path_length",
     "perform_all",
     "perform_pipelined",
+    "perform_stages",
     "pick",
     "pick_moving",
     "pick_stages",
@@ -91,6 +102,7 @@ __all__ = [
     "solutions",
     "sort",
     "stage_table",
+    "stage_types",
     "transfer",
     "varied",
     "weighted",

@@ -24,7 +24,7 @@ from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.pick import Pick, check_pickable, grasp_stages
-from armcell.tasks.search import PartialSolution, Planning, Stage
+from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
 from armcell.tasks.stages import ChooseGrasp, RunSteps
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import DONE, CheckGrasp, Grip, Motion, Watch, perform_all, staged
@@ -185,6 +185,7 @@ class _Along:
         return Watch(self.item).perform(ctx)
 
 
+@stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
     """Stage that plans the descent to a moving object, the motion along with it, and the lift."""

@@ -14,7 +14,7 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import pick_stages
 from armcell.tasks.recipes import place_stages
 from armcell.tasks.regrasp import PlacementGoal, RegraspStep, RestingPose, Vector, regrasp_sequences
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, solutions
+from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, solutions, stage_types
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import ChoosePlacement
 from armcell.tasks.steps import perform_all
@@ -31,6 +31,7 @@ class PlacementRecord:
     steps: int
 
 
+@stage_types.register("intermediate_placement")
 @dataclass(frozen=True, eq=False)
 @checked()
 class IntermediatePlacement:
@@ -95,6 +96,7 @@ class IntermediatePlacement:
         return place_stages(self.object, step.poses[0].on, self.gripper, s, among=places)
 
 
+@stage_types.register("pick_and_place")
 @dataclass(frozen=True, eq=False)
 @checked()
 class PickAndPlace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -112,7 +113,16 @@ def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> O
     goal = NamedGoal(goal) if isinstance(goal, str) else goal
     label = name or (f"move to {goal.name}" if isinstance(goal, NamedGoal) else "move")
     speed = ctx.settings.carry if ctx.holding else ctx.settings.free
-    solution, outcome = plan_stages(ctx, [Connect(label, group, speed, goal=goal)], label)
+    return perform_stages(ctx, [Connect(label, group, speed, goal=goal)], label)
+
+
+def perform_stages(ctx: TaskContext, stages: Sequence[Stage], name: str) -> Outcome:
+    """Plan stages from the measured state, and execute the cheapest solution.
+
+    Raises:
+        TaskError: the stages do not fit together.
+    """
+    solution, outcome = plan_stages(ctx, stages, name)
     return outcome if solution is None else perform_all(ctx, solution.steps)
 
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import merged, without_arm
+from armcell.collision.arms import without_arm
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode, InputError, JointState, Outcome
 from armcell.execution.admittance import Admittance
 from armcell.planning import plan_cartesian
 from armcell.tasks.arms.hand_pair import CarrySettings, HandPair, PairHold
 from armcell.tasks.arms.two_arm_pick import PickWithTwoArms
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.timing import synchronized
+from armcell.timing import merged, synchronized
 
 Array = NDArray[np.float64]
 SLIP_EVERY = 10  # cycles between two measurements of the slip

@@ -14,7 +14,7 @@ from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.interfaces import holding
 from armcell.tasks.pick import check_hand_is_free, grasp_stages
-from armcell.tasks.search import PartialSolution, Planning, Stage
+from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
 from armcell.tasks.stages import ChooseGrasp, Close, Connect, Straight
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.steps import Expect, Grip, StillHeld, perform_all
@@ -80,6 +80,7 @@ def _half_way(scene: PlanningScene, item: str, giver: Gripper, receiver: Gripper
     )
 
 
+@stage_types.register("choose_meeting_pose")
 @dataclass(frozen=True, eq=False)
 class ChooseMeetingPose:
     """Stage that proposes arm states of the giver with the object at one of several poses."""
@@ -106,6 +107,7 @@ class ChooseMeetingPose:
                 )
 
 
+@stage_types.register("offer_object")
 @dataclass(frozen=True, eq=False)
 class OfferObject:
     """Stage that detaches the object, which then rests in the giver's fingers."""
@@ -123,6 +125,7 @@ class OfferObject:
         yield solution.then(scene=scene.with_allowed(self.object, self.giver.hand_links))
 
 
+@stage_types.register("open_giver")
 @dataclass(frozen=True, eq=False)
 class OpenGiver:
     """Stage that opens the giver wide enough to retreat once the receiver holds the object."""

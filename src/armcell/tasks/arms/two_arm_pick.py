@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from armcell.collision import neighbors
-from armcell.collision.arms import Arms, merged, without_arm
+from armcell.collision.arms import Arms, without_arm
 from armcell.core import (
     SE3,
     SO3,
@@ -31,10 +31,10 @@ from armcell.tasks.arms.coupled import move_together
 from armcell.tasks.arms.hand_pair import HandPair, PairHold
 from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import Pick
-from armcell.tasks.search import PartialSolution, Planning, Stage, search
+from armcell.tasks.search import PartialSolution, Planning, Stage, search, stage_types
 from armcell.tasks.stages import AppendPlannedMotion
 from armcell.tasks.steps import DONE, Expect, perform_all
-from armcell.timing import reversed_in_time, synchronized
+from armcell.timing import merged, reversed_in_time, synchronized
 
 GRASPS = 6  # grasps for which detours are searched if no straight path exists
 OPEN_SETTLE = 0.3  # [s] pause after opening both hands
@@ -81,6 +81,7 @@ class GraspPair:
     Ts_object_tcp: Mapping[str, SE3]  # by arm group
 
 
+@stage_types.register("choose_grasp_pair")
 @dataclass(frozen=True, eq=False)
 class ChooseGraspPair:
     """Stage that proposes grasps of both ends from which the route is feasible.
@@ -184,6 +185,7 @@ class ChooseGraspPair:
                     yield reversed_in_time(result.trajectory), T
 
 
+@stage_types.register("connect_pair")
 @dataclass(frozen=True, eq=False)
 class ConnectPair:
     """Stage that moves both arms to their pre-grasps, with a plan made when the hands have opened."""
@@ -202,6 +204,7 @@ class ConnectPair:
         yield solution.then(_MoveTogether(hands, goals, self.name), *expected)
 
 
+@stage_types.register("close_pair")
 @dataclass(frozen=True, eq=False)
 class ClosePair:
     """Stage that closes both hands and checks that they hold the object."""

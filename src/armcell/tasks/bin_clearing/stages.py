@@ -18,7 +18,7 @@ from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.interfaces import holding
-from armcell.tasks.search import PartialSolution, Planning
+from armcell.tasks.search import PartialSolution, Planning, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import APPROACH, approaches, finger_state
 from armcell.tasks.stages.moves import shifted, straight, with_contacts
@@ -32,6 +32,7 @@ HELD = "held thing"
 WIDEST = 0.06  # [m] largest assumed half length of a held object
 
 
+@stage_types.register("choose_from_heap")
 @dataclass(frozen=True, eq=False)
 class ChooseFromHeap:
     """Stage that proposes reachable heap grasps with straight descents, in the given order."""
@@ -52,6 +53,7 @@ class ChooseFromHeap:
         return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, up, self.speed)
 
 
+@stage_types.register("close_on_heap")
 @dataclass(frozen=True, eq=False)
 class CloseOnHeap:
     """Stage that closes the hand and attaches the assumed object between the fingers."""
@@ -85,6 +87,7 @@ def _below_tcp(grasp: HeapGrasp, z: float) -> float:
     return float(grasp.T_object_tcp.translation[2]) - z
 
 
+@stage_types.register("choose_release_point")
 @dataclass(frozen=True, eq=False)
 class ChooseReleasePoint:
     """Stage that proposes release points (x, y, height below them) in the given order."""
@@ -114,6 +117,7 @@ class ChooseReleasePoint:
         return straight(at_spot, self.gripper.arm_group, self.gripper.tcp_link, above, self.speed)
 
 
+@stage_types.register("open_above")
 @dataclass(frozen=True, eq=False)
 class OpenAbove:
     """Stage that opens the hand above the tray and releases its object."""
