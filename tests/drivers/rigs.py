@@ -57,3 +57,4 @@ def toy() -> Iterator[Rig]:
 
 
 RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {"ur": ur, "toy": toy}
+WITHOUT_RIG = {"franka"}  # TODO: against `armcell franka-controller`
