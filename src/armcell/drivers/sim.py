@@ -40,7 +40,7 @@ class SteppedSim:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        pass
+        self.world.close()
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
