@@ -8,7 +8,7 @@ from tests.execution.ungated import execute_coupled
 
 import armcell
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
-from armcell.drivers import DriverOptions
+from armcell.drivers import Capability, DriverOptions
 from armcell.drivers.following import SentClock
 from armcell.drivers.sim import SimDriver
 from armcell.execution.admittance import Admittance, AdmittanceSettings
@@ -115,6 +115,8 @@ def test_a_start_elsewhere_moves_nothing(cell, motion):
 
 class Rehearsed(SimDriver):
     """In physics, yet with a twin, in whose cell something else may stand."""
+
+    capabilities = SimDriver.capabilities | {Capability.DRY_RUN}
 
     def __init__(self, cell, *things):
         super().__init__(cell.scene(), DriverOptions(physics=cell.physics))

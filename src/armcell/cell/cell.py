@@ -25,7 +25,6 @@ from armcell.core.checks import settings_from
 from armcell.drivers import DriverOptions, drivers
 from armcell.drivers.disturbances import Disturbances
 from armcell.drivers.disturbed import DisturbedSim
-from armcell.drivers.ur import UrDriver
 from armcell.model import Part, RobotModel, compose, load_ompl_planning, load_robot
 from armcell.perception import Sensors3d, load_sensors_3d
 from armcell.scene import CollisionObject, Material, PlanningScene
@@ -261,9 +260,8 @@ class Cell:
         if mode == "sim" and self.disturbances:
             factory = partial(DisturbedSim, disturbances=self.disturbances)
         driver, seen = factory(scene, options), None
-        if isinstance(driver, UrDriver) and driver.settings.twin:
+        if driver.wants_guard:
             driver.guard = twin_guard(self, scene, watch)
-        shown: Any = driver
         look = self.spec.perception
         blind = look.objects if look is not None else []
         moved = self.moved_unseen(mode)
@@ -272,9 +270,9 @@ class Cell:
             known = {n: scene.object(n).at(SE3.identity()) for n in (*blind, *moved)}
             told = {n: scene.object(n).T_world_object for n in moved}
             seen = Seen(known, look.surface if look is not None else None, told=told)
-            shown = PerceivingDriver(driver, scene.model, seen)
+            driver = PerceivingDriver(driver, scene.model, seen)
         live = LiveCell(
-            self.name, scene, shown, settings or self.settings, observers, seed or 0, self.cameras,
+            self.name, scene, driver, settings or self.settings, observers, seed or 0, self.cameras,
             self.decals, seen,
         )  # fmt: skip
         live.sensors, live.planner_configs = self.sensors, self.planner_configs

@@ -24,8 +24,7 @@ from armcell.core import (
     UnknownNameError,
 )
 from armcell.core.pauses import no_long_pauses
-from armcell.core.protocols import offers
-from armcell.drivers import Driver, Follower
+from armcell.drivers import Driver
 from armcell.perception import LookSettings, MapSettings, Sensors3d, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
@@ -363,7 +362,7 @@ class LiveCell:
         try:
             self.driver.resume()
         except ArmcellError as error:
-            fault = self.driver.fault() if offers(self.driver, Follower) else None
+            fault = self.driver.fault()
             return Outcome(ErrorCode.CONTROL_FAILED if fault is None else fault.code, str(error))
         if (
             self.ctx.cancel.is_set()

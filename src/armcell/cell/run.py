@@ -11,7 +11,6 @@ import numpy as np
 
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
-from armcell.cell.perceiving import PerceivingDriver
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
 from armcell.cell.versions import versions
@@ -115,9 +114,9 @@ def result_of(
     """
     live.ctx.report_news()
     poses = live.driver.object_poses()
-    if isinstance(live.driver, PerceivingDriver):  # evaluate the true poses, not the task's estimates
+    if moved := cell.moved_unseen(mode):  # evaluate the true poses, not the task's estimates
         truth = live.driver.true_poses()
-        poses |= {name: truth[name] for name in cell.moved_unseen(mode)}
+        poses |= {name: truth[name] for name in moved}
     errors = [
         float(np.linalg.norm(poses[name].translation - target.T_world_object.translation))
         for name, target in placements

@@ -12,14 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from functools import partial
-from typing import cast
 
 import numpy as np
 
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Outcome
-from armcell.core.protocols import offers
-from armcell.drivers.driver import Driver, Player, Rehearsing
-from armcell.drivers.following import Follower
+from armcell.drivers import Capability, Driver
 from armcell.execution.gate import Executable, executable
 from armcell.execution.setpoints import (
     CANCEL_TIME,
@@ -50,8 +47,8 @@ def execute(
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops the arm.
-        progress: called after each command with the completed fraction, 0..1. Without it, a driver that
-            implements `Player` plays several periods per call, and the executor checks `motion` in between.
+        progress: called after each command with the completed fraction, 0..1. Without it, a driver with
+            `PLAY_PARTS` plays several periods per call, and the executor checks `motion` in between.
     Returns:
         SUCCESS; CONTROL_FAILED with joint and error if the start differs, the arm leaves the path, or the arm
         misses the goal; MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE or START_STATE_IN_COLLISION with the
@@ -110,11 +107,9 @@ def _source(driver: Driver, may_play: bool = False) -> Source:
     Args:
         may_play: True if the driver may advance the clock itself.
     """
-    if offers(driver, Follower):
+    if Capability.PLAY_TRAJECTORY in driver.capabilities:
         return RobotPlayback
-    # look up the class: a wrapper that forwards attributes and modifies commands must not be bypassed
-    plays = may_play and hasattr(type(driver), "play")
-    return partial(StreamedSetpoints, player=cast(Player, driver) if plays else None)
+    return partial(StreamedSetpoints, plays=may_play and Capability.PLAY_PARTS in driver.capabilities)
 
 
 def _advanced(driver: Driver, steps: ExecutionSteps) -> ExecutionResult:
@@ -153,7 +148,6 @@ class _Execution:
         self.trajectory, self.began = motion.trajectory, driver.now
         self.names = self.trajectory.joint_names
         self.tracking = 0.0  # [rad or m] largest tracking error so far
-        self._faults = driver if offers(driver, Follower) else None
 
     def run(self, make_source: Source) -> ExecutionSteps:
         """Execute the motion; see `ExecutionSteps`."""
@@ -194,7 +188,8 @@ class _Execution:
 
     def _dry_run(self) -> ExecutionResult | None:
         """Return the result of a motion that the dry run in simulation refuses, or None."""
-        refused = self.driver.rehearse(self.trajectory) if offers(self.driver, Rehearsing) else None
+        dry_runs = Capability.DRY_RUN in self.driver.capabilities
+        refused = self.driver.rehearse(self.trajectory) if dry_runs else None
         return None if refused is None else self._result(refused.code, refused.message, refused.evidence)
 
     # --- the motion ---
@@ -250,7 +245,7 @@ class _Execution:
     # --- results ---
     def _fault(self) -> Outcome | None:
         """Return the outcome of a motion that a fault of the robot stops, or None."""
-        fault = None if self._faults is None else self._faults.fault()
+        fault = self.driver.fault()
         if fault is None:
             return None
         return Outcome(fault.code, f"stopped: {fault}", {"arm": fault.arm, "kind": fault.kind})

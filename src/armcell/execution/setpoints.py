@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import ErrorCode, JointTrajectory, Outcome, Playback
-from armcell.core.protocols import offers
-from armcell.drivers.driver import Driver, Player, Rehearsing, Watch
-from armcell.drivers.following import Follower, Following, Paced
+from armcell.drivers import Capability, Driver, Following
+from armcell.drivers.guarding import Watch
 from armcell.execution.settings import ExecutionSettings
 
 Array = NDArray[np.float64]
 Correction = Callable[[float, Array, Array], tuple[Array, Array]]
 
-PLAYED_AT_ONCE = 0.02  # [s] of trajectory that a `Player` plays per call
+PLAYED_AT_ONCE = 0.02  # [s] of trajectory that a driver plays per call
 LAG = 0.06  # [s] largest lag of the measured state behind the clock of a trajectory that the robot plays
 CANCEL_TIME = 2.0  # [s] time limit for a canceled robot to come to rest
 AT_REST = 0.005  # [rad/s] speed below which a canceled robot rests
@@ -93,7 +92,8 @@ class StreamedSetpoints(SetpointSource):
     """One setpoint per driver period, by the driver's clock.
 
     Args:
-        player: the driver as a `Player` if it may advance the clock itself; None: command every period.
+        plays: True if the driver plays parts of the trajectory itself, which advances its clock; False to
+            command every period.
     """
 
     blends = True
@@ -103,18 +103,18 @@ class StreamedSetpoints(SetpointSource):
         driver: Driver,
         trajectory: JointTrajectory,
         settings: ExecutionSettings,
-        player: Player | None = None,
+        plays: bool = False,
     ):
         super().__init__(driver, trajectory, settings)
-        self._player, self._playback = player, Playback(trajectory)
+        self._plays, self._playback = plays, Playback(trajectory)
         self._began, self._blend = driver.now, None
         self._sent: Array | None = None  # last setpoint (n,) on the trajectory
-        self._played = 0.0, 0  # result of the player's last call
+        self._played = 0.0, 0  # result of the last `play`
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
         self._began, self._blend = self.driver.now, blend
         if blend is not None:
-            self._player = None
+            self._plays = False
         self._look_at_clock()
         if self.complete:  # a trajectory of one point
             self._hold_goal()
@@ -126,9 +126,9 @@ class StreamedSetpoints(SetpointSource):
         if self.complete:
             self._hold_goal()
             return True
-        if self._player is not None:
+        if self._plays:
             self.clock, tolerance = min(t + PLAYED_AT_ONCE, self.duration), self.settings.path_tolerance
-            self._played = self._player.play(self.names, self._playback, self._began, self.clock, tolerance)
+            self._played = driver.play(self.names, self._playback, self._began, self.clock, tolerance)
             return False
         self.clock = min(t + driver.period, self.duration)
         q, v = self._playback.at(self.clock)
@@ -176,7 +176,7 @@ class RobotPlayback(SetpointSource):
     def send(self) -> bool:
         if self._handle is None:
             self._advanced_at = self.driver.now
-            self._handle = cast(Follower, self.driver).follow(self.trajectory)
+            self._handle = self.driver.follow(self.trajectory)
         return True
 
     def tracking_error(self) -> tuple[float, int] | None:
@@ -237,17 +237,17 @@ class CoupledSetpoints(SetpointSource):
     ):
         super().__init__(driver, trajectory, settings)
         self._correct, self._watch, self._scalings = correct, watch, scalings
-        self._robot_clock = driver if offers(driver, Paced) else None
+        self._has_clock = Capability.ROBOT_CLOCK in driver.capabilities
         self._playback = Playback(trajectory)
         self._scale, self._tick = 1.0, 0.0
-        self._recent = _RecentSetpoints(0.0 if self._robot_clock is None else self._robot_clock.latency)
+        self._recent = _RecentSetpoints(driver.latency if self._has_clock else 0.0)
         self._monitor: Watch | None = None  # compares the arms with the dry run
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
-        if offers(self.driver, Rehearsing):
+        if Capability.DRY_RUN in self.driver.capabilities:
             self._monitor = self.driver.watch(self.trajectory, self._correct is not None)
-        if self._robot_clock is not None:
-            self._tick = self._robot_clock.tick
+        if self._has_clock:
+            self._tick = self.driver.tick
         return None
 
     def send(self) -> bool:
@@ -278,14 +278,14 @@ class CoupledSetpoints(SetpointSource):
 
     def _advance_clock(self) -> float:
         """Advance the common clock by one driver period and return its speed scaling."""
-        period, robot_clock = self.driver.period, self._robot_clock
+        period = self.driver.period
         scale = min(
             max(self._allowed_speed(), self._scale - SCALING_RATE * period),
             self._scale + SCALING_RATE * period,
         )
         passed = period
-        if robot_clock is not None:  # real time passes on its own: a late program must not cause a jump
-            tick = robot_clock.tick
+        if self._has_clock:  # real time passes on its own: a late program must not cause a jump
+            tick = self.driver.tick
             passed, self._tick = min(tick - self._tick, CATCH_UP * period), tick
         self.clock, self._scale = min(self.clock + scale * passed, self.duration), scale
         return scale
@@ -294,8 +294,8 @@ class CoupledSetpoints(SetpointSource):
         """Return the speed fraction, 0..1, that sliders, pauses and the caller allow."""
         if self._scalings is not None:
             fraction = min(self._scalings())
-        elif self._robot_clock is not None:
-            fraction = self._robot_clock.speed_fraction
+        elif self._has_clock:
+            fraction = self.driver.speed_fraction
         else:
             return 1.0
         return min(max(float(fraction), 0.0), 1.0)

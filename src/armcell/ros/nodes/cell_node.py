@@ -79,7 +79,7 @@ class CellNode:
         self._states = StatePublisher(bus, live.scene_at_start, rate)
         self.cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
-        live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks share the driver with clients
+        live.ctx.driver = self.conductor  # tasks share the driver with clients
         live.ctx.gate.shift = SHIFT
         self._stop, self._putting = threading.Event(), threading.Lock()
         self.look_at_hands: Callable[[], None] = lambda: None

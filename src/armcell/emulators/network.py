@@ -104,6 +104,57 @@ class Link:
             self.socket.close()
 
 
+class Datagrams:
+    """A UDP socket of the emulated controller, with the network's faults; it is read by polling.
+
+    Attributes:
+        loss: fraction of the datagrams, in both directions, that the fault "loss" drops.
+    """
+
+    def __init__(self, host: str, network: Network):
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((host, 0))
+        self._socket.setblocking(False)
+        self._network, self.loss = network, 0.0
+        self._out: list[tuple[float, bytes, tuple[str, int]]] = []
+
+    def send(self, data: bytes, to: tuple[str, int]) -> None:
+        faults = self._network.faults
+        if faults.frozen or self._lost():
+            return
+        if faults.garbage > 0:
+            faults.garbage -= 1
+            data = faults.rng.bytes(len(data))
+        if faults.delay:
+            self._out.append((time.monotonic() + faults.delay, data, to))
+        else:
+            self._send(data, to)
+        while self._out and self._out[0][0] <= time.monotonic():
+            _, data, to = self._out.pop(0)
+            self._send(data, to)
+
+    def _send(self, data: bytes, to: tuple[str, int]) -> None:
+        with contextlib.suppress(OSError):  # the client's socket is gone, or its buffer is full
+            self._socket.sendto(data, to)
+
+    def _lost(self) -> bool:
+        return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
+
+    def receive(self, size: int) -> list[bytes]:
+        """Return the datagrams of up to `size` bytes that have arrived since the last call."""
+        found = []
+        while True:
+            try:
+                data = self._socket.recv(size)
+            except OSError:
+                return found
+            if not self._network.faults.frozen and not self._lost():
+                found.append(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
 class Network:
     """Listening ports and connections of one emulated controller.
 
@@ -117,6 +168,7 @@ class Network:
         self._ports: dict[socket.socket, Callable[[], None]] = {}  # port -> accepting function
         self.endpoints: list[Endpoint] = []
         self.links: dict[Link, Callable[[Link], None] | None] = {}
+        self._datagrams: list[Datagrams] = []
 
     def listen(
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
@@ -155,6 +207,11 @@ class Network:
         self._ports[sock] = accept
         self.endpoints.append(Endpoint.of(sock, service))
         return self.endpoints[-1].port
+
+    def datagrams(self, host: str) -> Datagrams:
+        """Open a UDP socket at any free port of an address."""
+        self._datagrams.append(Datagrams(host, self))
+        return self._datagrams[-1]
 
     def open(self) -> None:
         """Start accepting connections on all reserved ports of the controller."""
@@ -205,4 +262,6 @@ class Network:
             with contextlib.suppress(KeyError):  # never opened
                 self._selector.unregister(sock)
             sock.close()
+        for port in self._datagrams:
+            port.close()
         self._ports.clear()

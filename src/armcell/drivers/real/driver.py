@@ -1,4 +1,4 @@
-"""Driver for mode `real`: one or several Universal Robots arms."""
+"""Driver for mode `real`: one or several real arms, of one or several robot kinds."""
 
 from __future__ import annotations
 
@@ -7,25 +7,22 @@ import threading
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell import _interrupts
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
-from armcell.drivers.driver import DriverOptions, GripperReading, MotionGuard, SeesNoContacts, drivers
+from armcell.drivers.driver import Capability, Driver, DriverOptions, GripperReading, drivers
 from armcell.drivers.following import Following, SentClock
+from armcell.drivers.guarding import MotionGuard
+from armcell.drivers.real.arm import RealArm, RealGripper
+from armcell.drivers.real.block import real_settings
+from armcell.drivers.real.heartbeat import Heartbeat
+from armcell.drivers.real.kinds import identify_all, kind_of
+from armcell.drivers.real.motion import Commanded, Streamed
 from armcell.drivers.safety import Fault, SafetyEvent, Supervisor, cannot_resume
-from armcell.drivers.ur.arm import UrArm
-from armcell.drivers.ur.calibration import HALF_TURN
-from armcell.drivers.ur.gripper import SocketGripper, ToolGripper, UrGripper
-from armcell.drivers.ur.heart import Heart
-from armcell.drivers.ur.identity import check_identity, check_ready, check_swapped, identify
-from armcell.drivers.ur.motion import Commanded, Forwarded, Streamed
-from armcell.drivers.ur.pinger import Pinger
-from armcell.drivers.ur.rtde_arm import UrRtdeArm
-from armcell.drivers.ur.rtde_link import require_ur_rtde
-from armcell.drivers.ur.settings import real_settings
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 
@@ -35,10 +32,18 @@ SEEN_LATE = 0.06  # [s] largest delay of a measured state
 GRIPPER_LOST = "gripper lost"
 GRIPPER_SILENCE = 1.5  # [s] without an answer of a gripper before the arms stop
 LONGEST_SKEW = 0.05  # [s] between the arms' states; an older state is used without interpolation
+UNGUARDED = frozenset(
+    {
+        Capability.PLAY_TRAJECTORY,
+        Capability.ROBOT_CLOCK,
+        Capability.MEASURE_FORCE,
+        Capability.REPORT_MODES,
+    }
+)
 
 
-class UrDriver(SeesNoContacts):
-    """Driver of real UR arms; after a stop of any arm, no arm moves until `resume()`.
+class RealDriver(Driver):
+    """Driver of real arms; after a stop of any arm, no arm moves until `resume()`.
 
     Objects stay at their scene poses until a gripper carries them.
     """
@@ -56,53 +61,43 @@ class UrDriver(SeesNoContacts):
         self._scene, self._model = scene, scene.model
         self._tree = kinematic_tree(scene.model)
         self.settings = real_settings(options.extra.get("real", {}), scene.model)
-        self.guard: MotionGuard | None = None  # set it before connecting
-        self._pingers: list[Pinger] = []
         self.period = 1.0 / 125.0
-        self.latency = self.settings.stream_lead + SEEN_LATE
-        self.arms: dict[str, UrArm] = {}
-        self._grippers: dict[str, UrGripper] = {}
+        self.arms: dict[str, RealArm] = {}
+        self._grippers: dict[str, RealGripper] = {}
         self._supervisor: Supervisor | None = None  # while connected
         self._resuming = threading.Lock()
 
-    def __enter__(self) -> UrDriver:
+    def __enter__(self) -> Self:
         """Connect to every arm without moving any.
 
         Raises:
             InputError: wrong address, model or robot, local control, a stop, or a port in use; the message
                 states the remedy.
         """
-        arm_kind = UrArm
-        if self.settings.backend == "ur_rtde":
-            require_ur_rtde()
-            arm_kind = UrRtdeArm
-        self._began = self._advanced = time.monotonic()
         wanted = self.settings.arms
-        found = {name: identify(arm.host) for name, arm in wanted.items()}
-        check_swapped(wanted, found)
+        for arm in wanted.values():
+            kind_of(arm).check_backend(self.settings.backend)
+        self._began = self._advanced = time.monotonic()
+        found = identify_all(self.settings)
         for name, arm in wanted.items():
-            check_identity(name, arm, found[name])
-            check_ready(name, found[name])
+            kind_of(arm).check_identity(name, arm, found[name])
+            kind_of(arm).check_ready(name, found[name])
         with ExitStack() as undo:
-            self._heart = Heart(self._beat)
-            self._heart.start()
-            undo.callback(self._heart.stop)
+            self._heartbeat = Heartbeat(self._beat)
+            self._heartbeat.start()
+            undo.callback(self._heartbeat.stop)
             for name, arm in wanted.items():
                 joints = self._model.group(name).joint_names
-                made = arm_kind(name, joints, arm, self.settings, found[name], self._look)
+                made = kind_of(arm).make_arm(name, joints, arm, self.settings, found[name], self._look)
                 self.arms[name] = made
                 undo.callback(made.close)
                 made.connect()
             for gripper in self._model.grippers.values():
-                if gripper.arm_group in wanted and (how := wanted[gripper.arm_group].gripper):
-                    arm = self.arms[gripper.arm_group]
-                    tool: UrGripper = (
-                        SocketGripper(arm.settings.host, how.port, gripper)
-                        if how.kind == "socket"
-                        else ToolGripper(arm, gripper)
-                    )
-                    self._grippers[gripper.name] = tool
-                    undo.callback(tool.close)
+                if gripper.arm_group in wanted:
+                    tool = self.arms[gripper.arm_group].connect_gripper(gripper)
+                    if tool is not None:
+                        self._grippers[gripper.name] = tool
+                        undo.callback(tool.close)
             undo.pop_all()
         self._column = {
             g.name: self._model.columns((g.joint_name,))[0] for g in self._model.grippers.values()
@@ -111,10 +106,10 @@ class UrDriver(SeesNoContacts):
         self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
         self._held: dict[str, tuple[str, SE3]] = {}
         self._forces: dict[str, float] = {}
-        self._T_world_base = {  # controllers' bases: the model's base_link rotated by 180 degrees
-            name: self._tree.link_pose(self._q, self._model.joints[arm.joint_names[0]].parent) @ HALF_TURN
-            for name, arm in self.arms.items()
-        }
+        self._T_world_base = {}  # frames of the controllers' bases
+        for name, arm in self.arms.items():
+            link = self._model.joints[arm.joint_names[0]].parent
+            self._T_world_base[name] = self._tree.link_pose(self._q, link) @ arm.T_link_base
         self._supervisor = supervisor = Supervisor(self.arms)
         if self.guard is not None:
             with ExitStack() as undo:
@@ -125,12 +120,24 @@ class UrDriver(SeesNoContacts):
 
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
         """Connect the twin guard to each arm's round-trip measurement and to the event log."""
-        guard.check_calibration({name: arm.identity.calibration for name, arm in self.arms.items()})
-        self._pingers = [Pinger(arm.settings.host) for arm in self.arms.values()]
-        for pinger in self._pingers:
-            pinger.start()
-        guard.trips = {name: ping.trip for name, ping in zip(self.arms, self._pingers)}
+        guard.check_calibration(self.calibrations())
+        guard.trips = {name: arm.start_round_trips() for name, arm in self.arms.items()}
         guard.note = supervisor.record
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        return UNGUARDED if self.guard is None else UNGUARDED | {Capability.DRY_RUN}
+
+    @property
+    def wants_guard(self) -> bool:
+        return self.settings.twin
+
+    @property
+    def latency(self) -> float:
+        return self.settings.stream_lead + SEEN_LATE
+
+    def calibrations(self) -> dict[str, str]:
+        return {name: arm.identity.calibration for name, arm in self.arms.items()}
 
     def _connected(self) -> Supervisor:
         """Return the supervisor of the connected arms.
@@ -146,23 +153,17 @@ class UrDriver(SeesNoContacts):
         return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory; return the twin's reason to refuse it, or None.
-
-        Without a twin, the result is always None.
-        """
+        """Dry-run a trajectory; return the twin's reason to refuse it, or None."""
         if self.guard is None:
-            return None
+            raise self._incapable(Capability.DRY_RUN)
         held = {gripper: item for gripper, (item, _) in self._held.items()}
         return self.guard.rehearse(trajectory, self.joint_state(), self._poses, held)
 
     def __exit__(self, *exc: object) -> None:
         self._supervisor = None
-        for pinger in self._pingers:
-            pinger.close()
-        self._pingers.clear()
         for arm in self.arms.values():
             arm.close()
-        self._heart.stop()
+        self._heartbeat.stop()
         for gripper in self._grippers.values():
             gripper.close()
         self.arms.clear()
@@ -183,13 +184,13 @@ class UrDriver(SeesNoContacts):
     def _died(self) -> Fault | None:
         """Return a fault if a thread of this driver has ended or a gripper no longer answers."""
         arm = next(iter(self.arms), "")
-        if not self._heart.beats:
+        if not self._heartbeat.beats:
             return Fault(arm, "heart stopped", "the driver's signs of life ended", "start armcell anew")
         for name, gripper in self._grippers.items():
             if gripper.silent > GRIPPER_SILENCE:
                 text = f"gripper {name!r} has told nothing for {gripper.silent:.1f} s"
                 group = self._model.gripper(name).arm_group
-                return Fault(group, GRIPPER_LOST, text, "look at its URCap and cable")
+                return Fault(group, GRIPPER_LOST, text, gripper.hint)
         return None
 
     # --- state ---
@@ -253,7 +254,7 @@ class UrDriver(SeesNoContacts):
             at = self._due() + self.settings.stream_lead
             for arm in self._arms_of(joint_names):
                 mine = sent.reindexed(arm.joint_names)
-                speed = np.zeros(6) if mine.velocities is None else mine.velocities
+                speed = np.zeros(len(arm.joint_names)) if mine.velocities is None else mine.velocities
                 arm.servo(mine.positions, speed, at)
         return sent
 
@@ -267,12 +268,12 @@ class UrDriver(SeesNoContacts):
             raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
         arms = self._arms_of(trajectory.joint_names)
         if len(arms) == 1:
-            return self._guarded(supervisor, Forwarded(arms[0], trajectory), trajectory, arms)
+            return self._guarded(supervisor, arms[0].follow(trajectory), trajectory, arms)
         streamed = Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
         return self._guarded(supervisor, streamed, trajectory, arms, streamed.sent_for)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
-        """Return a monitor that compares a streamed motion with its dry run; see `Rehearsing.watch`."""
+        """Return a monitor that compares a streamed motion with its dry run; see `Driver.watch`."""
         arms = self._arms_of(trajectory.joint_names)
         moving = Commanded(lambda: self._due() + self.settings.stream_lead)
         supervisor = self._connected()
@@ -280,14 +281,14 @@ class UrDriver(SeesNoContacts):
         return moving
 
     def _guarded(
-        self, supervisor: Supervisor, following: Following, trajectory: JointTrajectory, arms: list[UrArm],
+        self, supervisor: Supervisor, following: Following, trajectory: JointTrajectory, arms: list[RealArm],
         sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
         if self.guard is None:
             return following
         return self.guard.watching(following, trajectory, arms, supervisor.trip, sent_for, forced)
 
-    def _arms_of(self, joint_names: Iterable[str]) -> list[UrArm]:
+    def _arms_of(self, joint_names: Iterable[str]) -> list[RealArm]:
         names = set(joint_names)
         arms = [a for a in self.arms.values() if names & set(a.joint_names)]
         covered = {n for a in arms for n in a.joint_names}
@@ -325,7 +326,7 @@ class UrDriver(SeesNoContacts):
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
-        """Reconnect to arms whose link was lost and restart the program of every arm.
+        """Reconnect to arms whose link was lost and make every arm ready for commands.
 
         Raises:
             InputError: an arm cannot resume; the message states the remedy. All arms stay stopped.
@@ -339,7 +340,7 @@ class UrDriver(SeesNoContacts):
                 for arm in self.arms.values():
                     arm.prepare_resume()
                 for arm in self.arms.values():
-                    arm.start_program()
+                    arm.restart()
             except InputError as error:
                 self._halt()
                 raise cannot_resume(error.reason, error.cure) from None
@@ -376,7 +377,7 @@ class UrDriver(SeesNoContacts):
         if gripper not in self._grippers:
             raise InputError(
                 f"gripper {gripper!r} has no connection",
-                cure="add 'gripper: {kind: socket}' or '{kind: tool_io}' to its arm under 'real: arms:'",
+                cure=self._gripper_hint(gripper),
             )
         if not (np.isfinite(width) and np.isfinite(force)):
             raise InputError(f"gripper target {width} m, {force} N")
@@ -402,9 +403,7 @@ class UrDriver(SeesNoContacts):
     def wrench(self, gripper: str) -> NDArray[np.float64]:
         """Return the external wrench on a gripper, measured by its arm; see `Driver.wrench`.
 
-        The measurement is zeroed whenever the hand begins to close. A UR reports the wrench in its base
-        axes, about the TCP (CB3) or about the flange (e-Series). A CB3 estimates it coarsely from motor
-        currents.
+        The measurement is zeroed whenever the hand begins to close.
 
         Raises:
             InputError: the gripper is not on a real arm.
@@ -422,7 +421,13 @@ class UrDriver(SeesNoContacts):
         """Zero the measured wrench of a gripper; call only while nothing touches the hand."""
         self._arm_of(gripper).zero_force()
 
-    def _arm_of(self, gripper: str) -> UrArm:
+    def _gripper_hint(self, gripper: str) -> str:
+        group = self._model.gripper(gripper).arm_group
+        if group not in self.settings.arms:
+            return f"add {group!r} to 'real: arms:' of the cell file"
+        return kind_of(self.settings.arms[group]).gripper_hint
+
+    def _arm_of(self, gripper: str) -> RealArm:
         group = self._model.gripper(gripper).arm_group
         if group not in self.arms:
             raise InputError(
@@ -454,8 +459,7 @@ class UrDriver(SeesNoContacts):
     def targets(self) -> JointState | None:
         self._connected()
         names = tuple(n for arm in self.arms.values() for n in arm.joint_names)
-        states = [arm.state for arm in self.arms.values()]
-        q, v = (np.concatenate([s.values[key] for s in states]) for key in ("target_q", "target_qd"))
+        q, v = (np.concatenate(rows) for rows in zip(*(arm.setpoint() for arm in self.arms.values())))
         return JointState(names, q, v, time=self.now)
 
     # A real robot detects contacts only by protective stops; the twin's simulation detects all of them.
@@ -472,4 +476,4 @@ class UrDriver(SeesNoContacts):
             self.guard.stage.unwatch_object(name)
 
 
-drivers.register("real")(UrDriver)
+drivers.register("real")(RealDriver)

@@ -1,7 +1,4 @@
-"""Running trajectories on real arms: played by the robot, streamed, or commanded externally.
-
-One robot plays its trajectory itself; several robots receive setpoints on one clock.
-"""
+"""Running trajectories on real arms: streamed by a thread on one clock, or commanded by the caller."""
 
 from __future__ import annotations
 
@@ -10,38 +7,16 @@ import time
 from collections.abc import Callable, Sequence
 
 from armcell.core import JointTrajectory
-from armcell.drivers.driver import Array
-from armcell.drivers.following import Following, SentClock
+from armcell.drivers.following import CANCELLED, DONE, RUNNING, Following, SentClock
+from armcell.drivers.real.arm import Array, RealArm
 from armcell.drivers.safety import Fault
-from armcell.drivers.ur.arm import UrArm
-from armcell.drivers.ur.program import CANCELLED, DONE, RUNNING
-
-
-class Forwarded:
-    """A trajectory that the robot plays itself; speed slider and pauses slow its clock."""
-
-    def __init__(self, arm: UrArm, trajectory: JointTrajectory):
-        self._arm = arm
-        self._number = arm.forward(trajectory)
-
-    def clock(self) -> float:
-        return self._arm.clock(self._number)
-
-    def state(self) -> str:
-        return self._arm.result
-
-    def paused(self) -> bool:
-        return self._arm.scaling <= 0.0
-
-    def cancel(self) -> None:
-        self._arm.cancel()
 
 
 class Streamed:
     """A trajectory streamed to several arms on one clock: if one arm slows or stops, all do."""
 
     def __init__(
-        self, arms: Sequence[UrArm], trajectory: JointTrajectory, lead: float,
+        self, arms: Sequence[RealArm], trajectory: JointTrajectory, lead: float,
         fault: Callable[[], Fault | None],
     ):  # fmt: skip
         self._lead = lead  # [s] from sending a point until its due time
@@ -50,7 +25,7 @@ class Streamed:
         self.sent_for = SentClock()
         self.sent_at: list[float] = []  # send times of the points [s, monotonic]
         self._cancel = threading.Event()
-        threading.Thread(target=self._stream, name="ur stream", daemon=True).start()
+        threading.Thread(target=self._stream, name="arm stream", daemon=True).start()
 
     def _stream(self) -> None:
         period = max(arm.step for arm in self._arms)

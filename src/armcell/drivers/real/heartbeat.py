@@ -1,4 +1,4 @@
-"""Heartbeat of the UR driver: keep-alive signals to the robots and periodic safety checks."""
+"""Heartbeat of real arms: keep-alive signals to the robots and periodic safety checks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 BEAT = 0.01  # [s] between beats
 
 
-class Heart:
+class Heartbeat:
     """Background thread that calls a heartbeat function every `BEAT` seconds."""
 
     def __init__(self, beat: Callable[[], None]):
@@ -18,7 +18,7 @@ class Heart:
 
     def start(self) -> None:
         self._beating = True
-        self._thread = threading.Thread(target=self._run, name="ur heart", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
