@@ -244,6 +244,14 @@ class LiveCell:
         with _interrupts.deferred():
             self._inside.close()
 
+    def release(self) -> None:
+        """Give the simulation's memory back for the next cell, after the `with` block.
+
+        Optional. Afterwards, the state of this cell cannot be read.
+        """
+        if self.driver.world is not None:
+            self.driver.world.close()
+
     @property
     def arms(self) -> dict[str, Arm]:
         """The arms by planning group: the arms that carry a gripper; without grippers, every chain."""

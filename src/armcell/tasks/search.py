@@ -264,6 +264,7 @@ def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) 
     return next(solutions(stages, start, planning), None)
 
 
+@stage_types.register("lookahead")
 @dataclass(frozen=True, eq=False)
 @checked()
 class Lookahead:
