@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.convex import convex_pieces
+from armcell.collision.decompose import object_pieces
 from armcell.collision.kernel import near
 from armcell.collision.kernel.cover import GROUP, Cover, bounding_sphere, cover
 from armcell.collision.kernel.lru_cache import LruCache
@@ -451,10 +453,12 @@ def _link_body(link: Link, scale: float, overshoot: float) -> _Body:
 
 
 def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
-    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes])
+    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], object_pieces)
 
 
-def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
+def _body(
+    shapes: list[tuple[Shape, F64, float]], split: Callable[[Mesh], tuple[Mesh, ...]] = convex_pieces
+) -> _Body:
     """Return the sphere cover and exact pieces of shapes with poses (4, 4) and overshoots [m]."""
     spheres, groups, sizes = [], [], []
     for shape, T, overshoot in shapes:
@@ -466,7 +470,7 @@ def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
         sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
     every = np.vstack(groups)
     centre, radius = bounding_sphere(every[:, :3], every[:, 3])
-    pieces = pieces_of([(s, T) for s, T, _ in shapes])
+    pieces = pieces_of([(s, T) for s, T, _ in shapes], split)
     return _Body(np.append(centre, radius), np.vstack(spheres), every, sizes, pieces)
 
 
