@@ -25,7 +25,7 @@ import numpy as np
 from armcell.cell import Cell, LiveCell, load
 from armcell.cell.twin import bands_file, learn_bands
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
-from armcell.drivers.ur import UrDriver
+from armcell.drivers import Driver
 from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.execution import execute
 from armcell.planning import plan, warm_up
@@ -108,8 +108,7 @@ def motion(live: LiveCell, rng: np.random.Generator, speed: float):
     return best
 
 
-def arms_of(live: LiveCell) -> UrDriver:
-    assert isinstance(live.driver, UrDriver)
+def arms_of(live: LiveCell) -> Driver:
     return live.driver
 
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from armcell.core import SE3, Box, JointState, JointTrajectory
-from armcell.drivers import DriverOptions, drivers
+from armcell.drivers import DriverOptions, DriverProxy, drivers
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
 
@@ -59,17 +59,7 @@ def swing(angle: float = 0.5, duration: float = 1.5) -> JointTrajectory:
     return motion(goal, duration)
 
 
-class Faulty:
-    """A connected driver that passes everything on; subclasses break something."""
-
-    def __init__(self, driver):
-        self._driver = driver
-
-    def __getattr__(self, name: str):
-        return getattr(self._driver, name)
-
-
-class StuckJoint(Faulty):
+class StuckJoint(DriverProxy):
     """One joint follows its commands no farther than to a limit, as if it ran against something."""
 
     def __init__(self, driver, joint: str, upper: float):

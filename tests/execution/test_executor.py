@@ -6,11 +6,11 @@ import threading
 
 import numpy as np
 import pytest
-from tests.execution.helpers import ARM, ROBOT, Faulty, StuckJoint, alone, make, motion, scene, swing
-from tests.execution.ungated import execute, playing
+from tests.execution.helpers import ARM, ROBOT, StuckJoint, alone, make, motion, scene, swing
+from tests.execution.ungated import execute, execution_steps
 
 from armcell.core import ErrorCode, JointTrajectory, UnknownNameError
-from armcell.drivers import drivers
+from armcell.drivers import DriverProxy, drivers
 from armcell.execution import ExecutionSettings
 
 
@@ -139,7 +139,7 @@ def test_goal_not_reached_names_the_joint(fake):
 
 
 def test_an_arm_that_does_not_come_to_rest_is_not_there(fake):
-    class Restless(Faulty):
+    class Restless(DriverProxy):
         def joint_state(self):
             state = self._driver.joint_state()
             state.velocities[0] = 0.1
@@ -184,7 +184,7 @@ def test_cancel_from_another_thread_stops(driver):
     assert_rests(driver, 0.1)
 
 
-class Recorder(Faulty):
+class Recorder(DriverProxy):
     """Notes the speeds it is told."""
 
     def __init__(self, driver):
@@ -202,7 +202,7 @@ def test_a_motion_begins_with_the_speed_that_the_arm_has(shape):
     with make("sim", alone()) as inner:
         driver, first = Recorder(inner), swing(1.0)
         if shape != "at rest":
-            steps = playing(driver, first)
+            steps = execution_steps(driver, first)
             while inner.now < 0.5 * first.duration:
                 next(steps)
                 inner.advance(inner.period)
@@ -237,7 +237,7 @@ def test_cancelled_before_it_began_does_not_move(driver):
 
 
 def test_an_empty_trajectory_means_stop(fake):
-    class Counting(Faulty):
+    class Counting(DriverProxy):
         stops = 0
 
         def stop(self):

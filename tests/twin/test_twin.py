@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.drivers.guarding import ArmSample
 from armcell.drivers.safety import Fault
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
@@ -158,11 +159,9 @@ class Robot:
             self.now = max(self.now - self.ramp, self.sliders[-1])
         return self.now
 
-    @property
-    def state(self):
+    def sample(self):
         s = self.seen
-        values = {"actual_q": s.q, "actual_qd": s.v, "actual_current": s.current}
-        return SimpleNamespace(values=values, output_double_register_24=s.clock, target_speed_fraction=0.8)
+        return ArmSample(s.q, s.v, s.current, s.clock, speed_fraction=0.8)
 
     def set_slider(self, fraction):
         self.sliders.append(fraction)

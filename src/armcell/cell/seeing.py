@@ -128,8 +128,8 @@ class LiveCamera:
         return int(np.floor(time * self.camera.rate + 1e-6))
 
     def _world(self) -> SimWorld:
-        world = getattr(self._driver, "world", None)
-        if isinstance(world, SimWorld):
+        world = self._driver.world
+        if world is not None:
             return world
         if self._mirror is None:
             self._mirror = SimWorld(self._scene, decals=self._decals)

@@ -36,7 +36,9 @@ Examples:
 
 
 def ur_controller(
-    model: str = typer.Option("UR10", help="UR3, UR5, UR10 (CB3, 125 Hz), UR3e, UR5e, UR10e, UR16e, UR20 or UR30 (500 Hz)."),
+    model: str = typer.Option(
+        "UR10", help="UR3, UR5, UR10 (CB3, 125 Hz), UR3e, UR5e, UR10e, UR16e, UR20 or UR30 (500 Hz)."
+    ),
     software: str | None = typer.Option(
         None, metavar="VERSION", help="Software that the controllers report and speak, such as 3.4 or 5.11."
     ),

@@ -1,9 +1,9 @@
 """Convex decomposition of objects along their reflex edges, to a given excess of volume.
 
 The algorithm cuts the piece whose convex hull exceeds its solid most, until the total excess is below
-`EXCESS` of the mesh's volume. Candidate planes contain a reflex edge and halve its dihedral angle, contain
-the face beside it (the floor of a bin, the inner side of a wall), or halve the piece's extent along an axis. The
-union of the pieces contains the mesh, and pieces do not overlap.
+`EXCESS` of the mesh's volume. A candidate plane contains a reflex edge and halves its dihedral angle, or
+contains the face beside it (the floor of a bin, the inner side of a wall), or halves the piece's extent along an
+axis. The union of the pieces contains the mesh, and pieces do not overlap.
 
 The budget counts processed points, not seconds, so a busy machine gives the same pieces.
 """
@@ -196,7 +196,7 @@ def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
     inward = np.linalg.solve(planes[:, :, :3], np.full((len(planes), 3, 1), -_INWARD))[..., 0]
     tested = corners + inward  # decides where a corner is on the surface
     rows = (tested @ cell[:, :3].T + cell[:, 3] < 0).all(1)
-    return np.vstack([old, corners[rows][work.inside(tested[rows])]])
+    return np.asarray(np.vstack([old, corners[rows][work.inside(tested[rows])]]), np.float64)
 
 
 def _candidates(piece: _Piece) -> Array:

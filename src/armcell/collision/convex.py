@@ -8,12 +8,13 @@ outline.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.store import keep, key_of, recall
+from armcell._array_store import keep, key_of, recall
 from armcell.core import InputError, Mesh
 
 Array = NDArray[np.float64]
@@ -35,9 +36,14 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
         InputError: the mesh is flat.
     """
     key = key_of(str(VERSION), mesh.vertices.astype(float), mesh.faces.astype(np.int32))
+    return stored_pieces(key, lambda: _cut(mesh))
+
+
+def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
+    """Return the pieces stored on disk under a key; the first time, make and store them."""
     stored = recall("pieces", key)
     if stored is None:
-        pieces = _cut(mesh)
+        pieces = make()
         counts = np.array([(len(p.vertices), len(p.faces)) for p in pieces])
         vertices, faces = np.vstack([p.vertices for p in pieces]), np.vstack([p.faces for p in pieces])
         keep("pieces", key, counts=counts, vertices=vertices, faces=faces)

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import logging
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armcell._array_store import key_of
 from armcell.collision import concave
-from armcell.collision.convex import convex_hull_mesh, convex_pieces
-from armcell.collision.kernel.store import keep, key_of, recall
+from armcell.collision.convex import convex_hull_mesh, convex_pieces, stored_pieces
 from armcell.core import Mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 log = logging.getLogger(__name__)
 
@@ -39,26 +43,20 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     if not merged.is_watertight or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
         return convex_pieces(mesh)
     key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
-    stored = recall("pieces", key)
-    if stored is None:
-        merged.fix_normals(multibody=True)
-        found = concave.cut(np.array(merged.vertices, float), np.array(merged.faces, np.int32))
-        pieces = [piece for piece in map(convex_hull_mesh, found) if _volume(piece) > SMALLEST]
-        total = sum(map(_volume, pieces))
-        if total > (1 + 2 * concave.EXCESS) * merged.volume:
-            log.warning(
-                "%s: %d convex pieces fill %.1f cm3, the mesh %.1f cm3: its openings are smaller in physics",
-                mesh.file or "mesh", len(pieces), total * 1e6, merged.volume * 1e6,
-            )  # fmt: skip
-        stored = {
-            "counts": np.array([(len(p.vertices), len(p.faces)) for p in pieces]),
-            "vertices": np.vstack([p.vertices for p in pieces]),
-            "faces": np.vstack([p.faces for p in pieces]),
-        }
-        keep("pieces", key, **stored)
-    v, f = np.cumsum(stored["counts"], axis=0)[:-1].T
-    parts = zip(np.split(stored["vertices"], v), np.split(stored["faces"], f), strict=True)
-    return tuple(Mesh(vertices, faces.astype(np.int32)) for vertices, faces in parts)
+    return stored_pieces(key, lambda: _cut(mesh, merged))
+
+
+def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
+    merged.fix_normals(multibody=True)
+    found = concave.cut(np.array(merged.vertices, float), np.array(merged.faces, np.int32))
+    pieces = [piece for piece in map(convex_hull_mesh, found) if _volume(piece) > SMALLEST]
+    total = sum(map(_volume, pieces))
+    if total > (1 + 2 * concave.EXCESS) * merged.volume:
+        log.warning(
+            "%s: %d convex pieces fill %.1f cm3, the mesh %.1f cm3: its openings are smaller in physics",
+            mesh.file or "mesh", len(pieces), total * 1e6, merged.volume * 1e6,
+        )  # fmt: skip
+    return tuple(pieces)
 
 
 def _volume(piece: Mesh) -> float:

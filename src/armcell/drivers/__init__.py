@@ -1,32 +1,35 @@
-"""Robot drivers: the Driver interface, drivers by mode (sim, fake, real), and the safety supervisor."""
+"""Robot drivers: the Driver base class, drivers by mode (sim, fake, real), and the safety supervisor."""
 
-from armcell.drivers import fake, sim, ur
+from armcell.drivers import fake, franka, real, sim, ur
 from armcell.drivers.driver import (
+    Capability,
     ContactRecord,
     Driver,
     DriverOptions,
     GripperReading,
-    ReportsModes,
     WeldRecord,
     drivers,
 )
-from armcell.drivers.following import Follower, Following
+from armcell.drivers.following import Following
+from armcell.drivers.proxy import DriverProxy
 from armcell.drivers.safety import Fault, SafetyEvent, Supervisor
 
 __all__ = [
+    "Capability",
     "ContactRecord",
     "Driver",
     "DriverOptions",
+    "DriverProxy",
     "Fault",
-    "Follower",
     "Following",
     "GripperReading",
-    "ReportsModes",
     "SafetyEvent",
     "Supervisor",
     "WeldRecord",
     "drivers",
     "fake",
+    "franka",
+    "real",
     "sim",
     "ur",
 ]

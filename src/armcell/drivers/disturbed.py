@@ -24,7 +24,7 @@ from armcell.scene import PlanningScene
 class DisturbedSim(SteppedSim):
     """Simulation driver with `Disturbances`, which apply to every command and joint reading.
 
-    The driver does not implement `Player`, so that no command bypasses the disturbances.
+    The driver cannot play parts of a trajectory itself, so that no command bypasses the disturbances.
     """
 
     def __init__(self, scene: PlanningScene, options: DriverOptions, disturbances: Disturbances):

@@ -5,12 +5,14 @@ A gripper that closes around an object holds it; when the gripper opens, the obj
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.core import SE3, JointState
 from armcell.core.checks import require
-from armcell.drivers.driver import Array, DriverOptions, GripperReading, SeesNoContacts, drivers
+from armcell.drivers.driver import Array, Driver, DriverOptions, GripperReading, drivers
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer
@@ -18,8 +20,9 @@ from armcell.sim import Pacer
 FINGER_SPEED = 0.1  # [m/s] rate of the opening width
 
 
-@drivers.register("fake")
-class FakeDriver(SeesNoContacts):
+class FakeDriver(Driver):
+    """Robot without physics that follows every command exactly."""
+
     name = "fake"
     is_simulated = True
 
@@ -29,7 +32,7 @@ class FakeDriver(SeesNoContacts):
         self.period = 0.01
         self._pacer = Pacer(options.time_scale)
 
-    def __enter__(self) -> FakeDriver:
+    def __enter__(self) -> Self:
         self._now = 0.0
         self._q = np.array(self._scene.positions, dtype=float)
         self._v = np.zeros(self._model.dof)
@@ -129,3 +132,6 @@ class FakeDriver(SeesNoContacts):
 
     def targets(self) -> JointState | None:
         return self.joint_state()
+
+
+drivers.register("fake")(FakeDriver)  # not a decorator: type checkers would lose the class

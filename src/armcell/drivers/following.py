@@ -1,4 +1,4 @@
-"""Interfaces of robots that play a whole trajectory themselves, and the history of streamed setpoints."""
+"""Handle of a trajectory that a robot plays itself, and the history of streamed setpoints."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import JointTrajectory
-from armcell.drivers.safety import Fault
+RUNNING, DONE, CANCELLED = "running", "done", "cancelled"  # states of a trajectory
 
 
 class Following(Protocol):
@@ -27,46 +26,6 @@ class Following(Protocol):
     def paused(self) -> bool: ...
 
     def cancel(self) -> None: ...
-
-
-class Follower(Protocol):
-    """A driver whose robot plays a whole trajectory itself, after one call of `follow`."""
-
-    def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory on the robot and return its handle.
-
-        Raises:
-            InputError: the robot may not move, or the trajectory names joints that are not arm joints.
-        """
-        ...
-
-    def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms that own these joints and hold their positions."""
-        ...
-
-    def fault(self) -> Fault | None:
-        """Return the fault that prevents motion of the robot, or None."""
-        ...
-
-
-class Paced(Protocol):
-    """A driver whose robots can be slowed externally and lag behind the streamed setpoints.
-
-    Attributes:
-        latency: largest lag behind the setpoints [s].
-    """
-
-    latency: float
-
-    @property
-    def tick(self) -> float:
-        """Driver time [s] of the next command: the total duration passed to `advance`."""
-        ...
-
-    @property
-    def speed_fraction(self) -> float:
-        """Speed fraction, 0..1, that sliders and pauses allow; the value of the slowest arm."""
-        ...
 
 
 class SentClock:

@@ -10,14 +10,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armcell.core import SE3, ArmcellError, Contact, InputError, JointState, Playback
-from armcell.drivers.driver import Array, ContactRecord, DriverOptions, GripperReading, WeldRecord, drivers
+from armcell.drivers.driver import (
+    Array,
+    Capability,
+    ContactRecord,
+    Driver,
+    DriverOptions,
+    GripperReading,
+    WeldRecord,
+    drivers,
+)
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer, PhysicsSettings, SimWorld, Targets
 
 PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
 
-class SteppedSim:
+class SteppedSim(Driver):
     """Simulation driver that is commanded every period, in lock-step or paced by wall time.
 
     Lock-step runs as fast as the computer allows.
@@ -25,6 +34,7 @@ class SteppedSim:
 
     name = "sim"
     is_simulated = True
+    capabilities = frozenset({Capability.MEASURE_FORCE, Capability.KNOW_CONTACTS})
 
     def __init__(self, scene: PlanningScene, options: DriverOptions):
         self._scene, self._options = scene, options
@@ -125,7 +135,9 @@ class SteppedSim:
 
 
 class SimDriver(SteppedSim):
-    """Simulation driver that can also play trajectories itself (`Player`)."""
+    """Simulation driver that can also play parts of a trajectory itself."""
+
+    capabilities = SteppedSim.capabilities | {Capability.PLAY_PARTS}
 
     def __init__(self, scene: PlanningScene, options: DriverOptions):
         super().__init__(scene, options)
@@ -134,7 +146,7 @@ class SimDriver(SteppedSim):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Play a part of a trajectory in simulation; see `drivers.driver.Player`."""
+        """Play a part of a trajectory in simulation; see `Driver.play`."""
         if self._played is None or self._played[:2] != (playback, began):
             self._played = playback, began, self._targets_of(playback, began)
         found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)

@@ -9,24 +9,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from typing import cast
+from typing import Self
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome
-from armcell.core.protocols import offers
-from armcell.drivers.driver import (
-    Array,
-    ContactRecord,
-    Driver,
-    GripperReading,
-    Rehearsing,
-    Watch,
-    WeldRecord,
-)
-from armcell.drivers.following import Follower, Following
-from armcell.drivers.safety import Fault
+from armcell.drivers import Driver, DriverProxy
 
 EPSILON = 1e-9  # [s]
 
@@ -89,97 +74,24 @@ class Turns:
         self._gates[(ready or sorted(order, key=self._wake.__getitem__))[0]].release()
 
 
-class ArmView:
-    """Driver view for one program: time passes for all programs, `stop` acts on its own joints."""
+class ArmView(DriverProxy):
+    """Driver of one program: time passes for all programs, and `stop` acts on the program's own joints."""
 
     def __init__(self, turns: Turns, name: str, joint_names: tuple[str, ...]):
-        self._turns, self._driver, self._joints = turns, turns.driver, joint_names
-        self.name, self._me = turns.driver.name, name
-        self.period, self.is_simulated = turns.driver.period, turns.driver.is_simulated
-        self.is_paced = turns.driver.is_paced
+        super().__init__(turns.driver)
+        self._turns, self._me, self._joints = turns, name, joint_names
 
-    def __enter__(self) -> ArmView:
-        return self
+    def __enter__(self) -> Self:
+        return self  # the driver is connected
 
     def __exit__(self, *exc: object) -> None:
-        pass
-
-    @property
-    def now(self) -> float:
-        return self._driver.now
+        return None
 
     def advance(self, duration: float) -> None:
         self._turns.sleep(self._me, duration)
 
     def stop(self) -> None:
-        q = self._driver.joint_state().reindexed(self._joints).positions
-        self._driver.command(self._joints, q, np.zeros(len(q)))
-
-    def resume(self) -> None:
-        self._driver.resume()
-
-    def joint_state(self) -> JointState:
-        return self._driver.joint_state()
-
-    def command(
-        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
-    ) -> JointState:
-        return self._driver.command(joint_names, positions, velocities)
-
-    def command_gripper(self, gripper: str, width: float, force: float) -> None:
-        self._driver.command_gripper(gripper, width, force)
-
-    def gripper(self, gripper: str) -> GripperReading:
-        return self._driver.gripper(gripper)
-
-    def wrench(self, gripper: str) -> Array:
-        return self._driver.wrench(gripper)
-
-    def object_poses(self) -> dict[str, SE3]:
-        return self._driver.object_poses()
-
-    def targets(self) -> JointState | None:
-        return self._driver.targets()
-
-    def contacts(self) -> list[Contact]:
-        return self._driver.contacts()
-
-    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        self._driver.expect_contact(body, others, expected)
-
-    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        self._driver.watch_object(name, supports)
-
-    def unwatch_object(self, name: str) -> None:
-        self._driver.unwatch_object(name)
-
-    def unwanted_contacts(self) -> list[ContactRecord]:
-        return self._driver.unwanted_contacts()
-
-    def welds(self) -> list[WeldRecord]:
-        return self._driver.welds()
-
-
-class FollowingView(ArmView):
-    """Driver view for one program on a robot that plays trajectories itself."""
-
-    def stop(self) -> None:
-        cast(Follower, self._driver).hold(self._joints)
-
-    def follow(self, trajectory: JointTrajectory) -> Following:
-        return cast(Follower, self._driver).follow(trajectory)
-
-    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        return self._driver.rehearse(trajectory) if offers(self._driver, Rehearsing) else None
-
-    def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
-        return cast(Rehearsing, self._driver).watch(trajectory, forced)
-
-    def hold(self, joint_names: tuple[str, ...]) -> None:
-        cast(Follower, self._driver).hold(joint_names)
-
-    def fault(self) -> Fault | None:
-        return cast(Follower, self._driver).fault()
+        self.hold(self._joints)
 
 
 def run_by_turns(
@@ -194,13 +106,12 @@ def run_by_turns(
         BaseException: the first exception that a program raised, after the robot has been stopped.
     """
     turns = Turns(driver, programs)
-    view = FollowingView if offers(driver, Follower) else ArmView
 
     def run(name: str) -> None:
         error: BaseException | None = None
         try:
             turns.wait_for_turn(name)
-            programs[name](view(turns, name, joints[name]))
+            programs[name](ArmView(turns, name, joints[name]))
         except BaseException as raised:
             error = raised
         turns.finish(name, error)

@@ -6,7 +6,6 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import mujoco
@@ -18,6 +17,7 @@ from armcell.core.checks import float_array
 from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
+from armcell.model.mjcf.spec import log_mujoco_warnings
 from armcell.scene import PlanningScene
 from armcell.sim.build import same_build, scene_objects
 from armcell.sim.built import BuiltModel
@@ -106,8 +106,7 @@ class SimWorld:
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
-        # by default MuJoCo prints warnings and writes a log file to the current folder
-        mujoco.set_mju_user_warning(partial(log.warning, "MuJoCo: %s"))
+        log_mujoco_warnings()
         self.built, self._data = kept_build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
@@ -309,6 +308,19 @@ class SimWorld:
         for column, gripper in fingers:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
+
+    def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
+        """Apply torques [Nm or N] to arm joints until their next target, on top of gravity compensation.
+
+        Raises:
+            UnknownNameError: a name is not an actuated joint.
+            InputError: a torque is not finite, or the physics' `arm_control` is not "torque".
+        """
+        names = tuple(joint_names)
+        _, controls, fingers, _ = self._split(names)
+        if fingers:
+            raise InputError("torques are for arm joints, not for gripper joints")
+        self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
         """Return the last target positions and velocities of the arm joints, without gripper joints."""

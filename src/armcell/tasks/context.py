@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from armcell.collision.kernel.world_part import object_part
+from armcell.collision.kernel.world_arrays import world_of
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.drivers import Driver
 from armcell.execution import MotionGate
@@ -106,7 +106,7 @@ class TaskContext:
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
         model, driver = scene.model, self.driver
-        with getattr(driver, "lock", nullcontext()):  # joints and objects at the same time
+        with driver.lock:  # joints and objects at the same time
             q, poses = driver.joint_state().positions, driver.object_poses()
         scene = replace(scene, positions=np.clip(q, model.lower, model.upper))
         for name, pose in poses.items():
@@ -145,9 +145,9 @@ class TaskContext:
         with self.world.editing:
             before, now = self.base, self.whole_scene()
             after = without_measured(before, now, make(now), [held.object for held in self.hands()])
-            for name in new_obstacles(before, after):
-                # build its collision geometry here, not in the thread that moves the arm
-                object_part(after.objects[name])
+            if new_obstacles(before, after):
+                # build their collision geometry here, not in the thread that moves the arm
+                world_of(after.objects)
             self.world.scene = after
             if self.observers and (changes := scene_changes(before, after)):
                 self.world.news.append(changes)
@@ -273,8 +273,7 @@ class TaskContext:
         for contact in contacts[self._told[1] :]:
             self.emit("contact", f"{contact.body_a} touches {contact.body_b}", depth_m=contact.depth)
         self._told = (len(welds), len(contacts))
-        safety = getattr(self.driver, "safety_events", ())  # real arms only
-        for event in safety[self._stops_told :]:
+        for event in self.driver.safety_events[self._stops_told :]:
             self._stops_told += 1
             kind = "note" if event.kind == "twin" else "stop"
             self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)

@@ -9,13 +9,13 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 from armcell.drivers.following import Following, SentClock
+from armcell.drivers.guarding import GuardedArm
 from armcell.drivers.safety import Fault
 from armcell.twin.bands import LASTING, SMOOTHED, ArmBands, Seen, TwinBands
 from armcell.twin.rehearsal import Rehearsal, Stage
@@ -29,24 +29,6 @@ FAR = 3.0  # residual, in bands, at which the guard stops the arms instead of sl
 SLOW = 0.25  # speed fraction of slowed arms
 LATE = 0.02  # [s] largest clock error of a streamed motion
 STEADY = 0.002  # largest change of the speed scaling between two samples of constant speed
-
-
-class GuardedArm(Protocol):
-    """Interface of a real arm, as the twin guard needs it."""
-
-    name: str
-    joint_names: tuple[str, ...]
-
-    @property
-    def state(self) -> Any: ...
-
-    @property
-    def time_of_state(self) -> float: ...  # [s, monotonic] time of the measurement
-
-    @property
-    def scaling(self) -> float: ...
-
-    def set_slider(self, fraction: float) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +62,10 @@ class TwinGuard:
         self._twin: Rehearsal | None = None
         self._rehearsed: JointTrajectory | None = None
         self._said = learning  # whether the UNWATCHED note was issued
+
+    @property
+    def compares(self) -> bool:
+        return self.bands is not None
 
     def check_calibration(self, found: Mapping[str, str]) -> None:
         """Check that the residual thresholds belong to the calibration of the connected robots.
@@ -191,10 +177,10 @@ class Watched:
 
     # --- comparison with the twin ---
     def _look(self, arm: GuardedArm, t: float) -> None:
-        state, scaling = arm.state, arm.scaling
-        q, v, current = (np.array(state.values[k]) for k in ("actual_q", "actual_qd", "actual_current"))
-        if self._sent_for is None:  # the robot plays the trajectory: its state contains its clock
-            clock = float(state.output_double_register_24)
+        sample, scaling = arm.sample(), arm.scaling
+        q, v, current = sample.positions, sample.velocities, sample.efforts
+        if self._sent_for is None:  # the robot plays the trajectory: its measurement contains its clock
+            clock = sample.clock
         else:
             clock, off = self._sent_for.at(arm.time_of_state)
             q = q if off is None else q - off[list(self._columns[arm.name])]
@@ -262,7 +248,7 @@ class Watched:
 
     def _slow(self, cause: GuardedArm, text: str, clock: float) -> None:
         for arm in self._arms:
-            now = float(arm.state.target_speed_fraction)
+            now = arm.sample().speed_fraction
             self._before[arm.name] = now
             arm.set_slider(min(SLOW, now))
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")

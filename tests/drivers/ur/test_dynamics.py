@@ -1,13 +1,19 @@
 """Dynamics and motions of the emulated arm against physics' own identities."""
 
+import selectors
+
 import numpy as np
 import pytest
 
 from armcell.core import InputError
 from armcell.drivers.ur.wire.dynamics import ArmDynamics, jacobian_rate, tool_jacobian
-from armcell.drivers.ur.wire.kinematics import forward, frames_of
+from armcell.drivers.ur.wire.kinematics import forward, frames_of, inverse, pose_of
 from armcell.drivers.ur.wire.models import MODELS, ur_model
-from armcell.emulators.ur.motion import MotionFault, MoveC, Setpoint, TrackL
+from armcell.emulators.network import Network
+from armcell.emulators.ur.motion import Blended, MotionFault, MoveC, MoveJ, MoveL, Setpoint, TrackL
+from armcell.emulators.ur.plant import KinematicPlant
+from armcell.emulators.ur.programs import run_script
+from armcell.emulators.ur.robot import Robot
 
 Q = np.array([0.3, -1.4, 1.6, -1.7, -1.5, 0.2])
 
@@ -103,6 +109,64 @@ def test_a_tracked_pose_is_met_at_rest_and_a_blend_goes_on_at_speed():
     motion.settle()
     play(s, motion)
     np.testing.assert_allclose(forward(s.dh, s.q, s.tcp), beside, atol=1e-4)
+
+
+def joints(s: Setpoint, T) -> np.ndarray:
+    q = inverse(s.dh, T, s.q, s.tcp, iterations=100)
+    assert q is not None
+    return q
+
+
+@pytest.mark.parametrize("kind", ["line", "joints"])
+def test_a_blend_passes_the_corner_at_speed_and_without_a_jump(kind):
+    s, (corner, beside) = poses((0, 0, 0.1), (0, 0.15, 0.1))
+    ends = [joints(s, T) for T in (corner, beside)]
+    if kind == "line":
+        first, second = MoveL(s, corner, 1.0, 0.2), lambda at: MoveL(at, beside, 1.0, 0.2)
+    else:
+        first, second = MoveJ(s, ends[0], 3.0, 0.5), lambda at: MoveJ(at, ends[1], 3.0, 0.5)
+    tool, speeds = [], [s.v]
+    motion, radius = first, 0.03
+    while not motion.done:
+        s.q, s.v = motion.step(s, 0.002)
+        tool.append(forward(s.dh, s.q, s.tcp)[:3, 3])
+        speeds.append(s.v)
+        if motion is first and np.linalg.norm(tool[-1] - corner[:3, 3]) < radius:
+            motion = Blended(s, first, second)
+    np.testing.assert_allclose(tool[-1], beside[:3, 3], atol=1e-5)
+    from_corner = np.linalg.norm(np.array(tool) - corner[:3, 3], axis=1)
+    nearest = int(np.argmin(from_corner))
+    assert 1e-4 < from_corner[nearest] < radius
+    assert np.linalg.norm(tool[nearest + 1] - tool[nearest]) / 0.002 > 0.05  # [m/s]
+    jumps = np.abs(np.diff(speeds, axis=0)).max() / 0.002
+    assert jumps < 10.0  # [rad/s^2]: continuous speeds
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.03])
+def test_a_program_s_points_are_blended_within_their_radius(radius):
+    _, (corner, beside) = poses((0, 0, 0.1), (0, 0.15, 0.1))
+    robot = Robot(ur_model("UR10e"), KinematicPlant(Q), "1")
+    text = "".join(
+        f"movel(p{np.array(pose_of(T)).tolist()}, a=1.0, v=0.2, r={r})\n"
+        for T, r in ((corner, radius), (beside, 0.0))
+    )
+    tool, started = [], False
+    for _ in range(10_000):
+        robot.before_step()
+        robot.plant.step(robot.period)
+        robot.after_step()
+        if not started:
+            started = run_script(robot, Network(selectors.DefaultSelector()), text)
+        elif started:
+            tool.append(forward(robot.dh, robot.setpoint.q, robot.setpoint.tcp)[:3, 3])
+            if robot.machine is None:
+                break
+    np.testing.assert_allclose(tool[-1], beside[:3, 3], atol=1e-4)
+    from_corner = np.linalg.norm(np.array(tool) - corner[:3, 3], axis=1)
+    nearest = int(np.argmin(from_corner))
+    speed = np.linalg.norm(tool[nearest + 1] - tool[nearest]) / robot.period
+    assert from_corner[nearest] < max(radius, 1e-4)
+    assert speed > 0.05 if radius else speed < 0.01
 
 
 def test_software_versions():

@@ -13,6 +13,7 @@ from armcell.cell import cell_names, load
 from armcell.cell.built_in import LIBRARY
 from armcell.cli.main import main
 from armcell.core import ErrorCode
+from armcell.drivers import Capability
 from armcell.records import RunRecorder
 from armcell.ros import Bus, schema
 from armcell.ros.nodes import ServedCell
@@ -153,3 +154,35 @@ def test_real_needs_addresses(capsys):
     assert main(["run", "six_axis_pick", "--mode", "real", "--headless"]) == 1
     assert "the cell has no real arms" in capsys.readouterr().err
     assert not Path("bringup.json").exists()
+
+
+@pytest.fixture
+def seeing(cell):
+    """The cell of `cell`, whose cube only a camera finds."""
+    file, host = cell
+    file.write_text(
+        file.read_text() + "perception: {camera: overview, objects: [cube], surface: work_table}\n"
+    )
+    return file, host
+
+
+def test_real_arms_behind_a_camera_learn_their_twin(seeing, capsys):
+    file, host = seeing
+    with emulator("--cell", "six_axis_pick", hosts=[host]):
+        assert main(["twin", str(file), "--yes", "--motions", "3"]) == 0, capsys.readouterr().err
+        bands = json.loads(file.with_name("cell.twin.json").read_text())
+        assert list(bands["arms"]) == ["arm"] and "calibration.arm" in bands["identity"]
+        with load(file).connect("real") as live:  # compared with the bands that were just learned
+            assert "cube" not in live.scene().objects
+            assert live.driver.guard is not None and live.driver.guard.compares
+            assert Capability.DRY_RUN in live.driver.capabilities
+
+
+def test_real_arms_behind_a_camera_are_brought_up(seeing, tmp_path):
+    file, host = seeing
+    record = tmp_path / "bringup.json"
+    with emulator("--cell", "six_axis_pick", "--off", hosts=[host]):
+        status = main(["bringup", str(file), "--yes", "--record", str(record)])
+    steps = json.loads(record.read_text())["steps"]
+    assert status == 0, steps
+    assert [s["name"] for s in steps] == ["network", "identity", "power", "geometry", "joints", "line"]

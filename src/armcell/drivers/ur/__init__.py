@@ -1,5 +1,5 @@
-"""Driver for Universal Robots arms in pure Python: state by RTDE, motion by a robot program."""
+"""Universal Robots arms in pure Python: state by RTDE, motion by a robot program; kind `ur`."""
 
-from armcell.drivers.ur.driver import UrDriver
+from armcell.drivers.ur.kind import UrKind
 
-__all__ = ["UrDriver"]
+__all__ = ["UrKind"]

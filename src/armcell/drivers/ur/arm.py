@@ -13,15 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell import _interrupts
 from armcell.core import ArmcellError, InputError, JointTrajectory
+from armcell.drivers.following import RUNNING, Following
+from armcell.drivers.guarding import ArmSample
+from armcell.drivers.real import RealArm, RealGripper, RealSettings
 from armcell.drivers.safety import Fault
 from armcell.drivers.ur import program as commands
+from armcell.drivers.ur.calibration import HALF_TURN
 from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.drivers.ur.gripper import SocketGripper, ToolGripper
 from armcell.drivers.ur.identity import Identity, check_ready, identify
+from armcell.drivers.ur.pinger import Pinger
 from armcell.drivers.ur.program import ProgramLink, ProgramSettings
 from armcell.drivers.ur.rtde_client import RobotState, RtdeClient
-from armcell.drivers.ur.settings import ArmSettings, RealSettings
+from armcell.drivers.ur.settings import UrArmSettings
 from armcell.drivers.ur.wire.kinematics import forward
 from armcell.drivers.ur.wire.modes import MAY_MOVE, RobotMode, RuntimeState, SafetyMode
+from armcell.model import Gripper
 
 Array = NDArray[np.float64]
 
@@ -54,13 +61,15 @@ class MotionLink(Protocol):
     def close(self) -> None: ...
 
 
-class UrArm:
+class UrArm(RealArm):
     """One real UR arm: connects, forwards trajectories, streams setpoints, and stops."""
 
+    T_link_base = HALF_TURN
+    identity: Identity
     inputs: tuple[tuple[str, ...], ...] = INPUTS  # names of the RTDE inputs, by recipe
 
     def __init__(
-        self, name: str, joint_names: Sequence[str], settings: ArmSettings, limits: RealSettings,
+        self, name: str, joint_names: Sequence[str], settings: UrArmSettings, limits: RealSettings,
         identity: Identity, on_state: Callable[[], None],
     ):  # fmt: skip
         self.name, self.joint_names = name, tuple(joint_names)
@@ -76,6 +85,7 @@ class UrArm:
         self._no_force = np.zeros(6)
         self._halting: threading.Thread | None = None
         self._unsent_slider: float | None = None  # requested while the link was lost
+        self._pinger: Pinger | None = None
 
     def _made_link(self, settings: ProgramSettings) -> MotionLink:
         own = self.settings
@@ -89,9 +99,9 @@ class UrArm:
             InputError: the connection failed; the message states the cause and the remedy.
         """
         self._rtde.connect()
-        self.start_program()
+        self.restart()
 
-    def start_program(self) -> None:
+    def restart(self) -> None:
         """Start or restart the robot program, and reconnect to the arm's state if the link is lost.
 
         Raises:
@@ -119,8 +129,23 @@ class UrArm:
         if settings.tcp is not None:
             self._link.send(commands.TCP, settings.tcp)
 
+    def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
+        how = self.settings.gripper
+        if how is None:
+            return None
+        if how.kind == "socket":
+            return SocketGripper(self.settings.host, how.port, gripper)
+        return ToolGripper(self, gripper)
+
+    def start_round_trips(self) -> Callable[[], float]:
+        self._pinger = Pinger(self.settings.host)
+        self._pinger.start()
+        return self._pinger.trip
+
     def close(self) -> None:
         """End the arm's robot program and close the connections to the robot."""
+        if self._pinger is not None:
+            self._pinger.close()
         self.armed = False
         self._link.send(commands.END)
         end = time.monotonic() + 1.0
@@ -161,6 +186,16 @@ class UrArm:
         """Speed fraction of the arm, 0 to 1, that speed slider and pause allow."""
         return 0.0 if self.paused else float(self.state.speed_scaling)
 
+    def setpoint(self) -> tuple[Array, Array]:
+        state = self.state
+        return np.array(state.target_q), np.array(state.target_qd)
+
+    def sample(self) -> ArmSample:
+        state = self.state
+        q, v, current = (np.array(state.values[k]) for k in ("actual_q", "actual_qd", "actual_current"))
+        clock, fraction = float(state.output_double_register_24), float(state.target_speed_fraction)
+        return ArmSample(q, v, current, clock, fraction)
+
     @property
     def paused(self) -> bool:
         return self.state.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED)
@@ -169,7 +204,7 @@ class UrArm:
     def moving(self) -> bool:
         """Whether the arm executes a motion, receives setpoints, or has joint speed."""
         streaming = time.monotonic() - self._streamed < 0.2
-        return self._link.result == commands.RUNNING or streaming or bool(np.abs(self.qd).max() > 0.01)
+        return self._link.result == RUNNING or streaming or bool(np.abs(self.qd).max() > 0.01)
 
     @property
     def modes(self) -> tuple[int, int]:
@@ -236,6 +271,9 @@ class UrArm:
         return Fault(self.name, kind, text, cure)
 
     # --- motion ---
+    def follow(self, trajectory: JointTrajectory) -> Following:
+        return Forwarded(self, trajectory)
+
     def forward(self, trajectory: JointTrajectory) -> int:
         """Send a trajectory of the arm's joints for the robot to play; return its number."""
         return self._link.forward(trajectory.reindexed(self.joint_names), self.step)
@@ -304,7 +342,11 @@ class UrArm:
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
     def force(self) -> tuple[Array, Array, Array]:
-        """Return force [N] and torque [Nm] on the tool, and the reference point [m]; base frame."""
+        """Return force [N] and torque [Nm] on the tool, and the reference point [m]; base frame.
+
+        A CB3 controller reports the wrench about the TCP and estimates it coarsely from motor currents; an
+        e-Series reports it about the flange.
+        """
         state = self.state
         felt = np.array(state.actual_TCP_force) - self._no_force
         tool = [0.0] * 6 if self.identity.model.e_series else state.tcp_offset
@@ -380,3 +422,23 @@ class UrArm:
     def digital_input(self, bit: int) -> bool:
         """Return a digital input: bits 0-7 standard, 8-15 configurable, 16-17 tool."""
         return bool(self.state.actual_digital_input_bits >> bit & 1)
+
+
+class Forwarded:
+    """A trajectory that the robot plays itself; speed slider and pauses slow its clock."""
+
+    def __init__(self, arm: UrArm, trajectory: JointTrajectory):
+        self._arm = arm
+        self._number = arm.forward(trajectory)
+
+    def clock(self) -> float:
+        return self._arm.clock(self._number)
+
+    def state(self) -> str:
+        return self._arm.result
+
+    def paused(self) -> bool:
+        return self._arm.scaling <= 0.0
+
+    def cancel(self) -> None:
+        self._arm.cancel()

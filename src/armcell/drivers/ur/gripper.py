@@ -9,33 +9,18 @@ import time
 from typing import Protocol
 
 from armcell.core import ArmcellError, InputError
-from armcell.drivers.ur.arm import UrArm
 from armcell.model import Gripper
 
 TOOL_INPUTS = 16  # bit number of the tool's first digital input
 POLL = 0.05  # [s] between position requests
 RECONNECT = 0.5  # [s] timeout of an attempt to reconnect
-
-
-class UrGripper(Protocol):
-    def drive(self, width: float, force: float) -> None:
-        """Move the gripper toward a width [m] with a limited force per finger [N]; width 0 grasps."""
-        ...
-
-    def read(self) -> tuple[float, bool]:
-        """Return the gripper's width [m] and whether it holds an object."""
-        ...
-
-    @property
-    def silent(self) -> float:
-        """Time since the gripper's last answer [s]."""
-        ...
-
-    def close(self) -> None: ...
+LOOK = "look at its URCap and cable"
 
 
 class SocketGripper:
     """A gripper with Robotiq's socket protocol on a URCap's port; a thread polls its state."""
+
+    hint = LOOK
 
     def __init__(self, host: str, port: int, gripper: Gripper):
         self._gripper, self._lock = gripper, threading.Lock()
@@ -105,10 +90,20 @@ class SocketGripper:
         self._socket.close()
 
 
+class ToolPins(Protocol):
+    """Digital outputs and inputs of the arm that carries a `ToolGripper`."""
+
+    def set_tool_output(self, pin: int, on: bool) -> None: ...
+
+    def digital_input(self, bit: int) -> bool: ...
+
+
 class ToolGripper:
     """A gripper that opens and closes fully: tool output 0 closes, tool input 0 reports a grasp."""
 
-    def __init__(self, arm: UrArm, gripper: Gripper):
+    hint = LOOK
+
+    def __init__(self, arm: ToolPins, gripper: Gripper):
         self._arm, self._gripper, self._closed = arm, gripper, False
 
     def drive(self, width: float, force: float) -> None:

@@ -9,8 +9,9 @@ import time
 from dataclasses import dataclass
 
 from armcell.core import InputError
+from armcell.drivers.real import check_numbers
 from armcell.drivers.ur.dashboard import DashboardClient
-from armcell.drivers.ur.settings import ArmSettings
+from armcell.drivers.ur.settings import UrArmSettings
 from armcell.drivers.ur.wire import primary
 from armcell.drivers.ur.wire.models import MODELS, UrModel, ur_model
 
@@ -30,6 +31,10 @@ class Identity:
     remote: bool | None  # None: CB3 controllers have no remote control mode
     robot_mode: str
     safety: str
+
+    def __str__(self) -> str:
+        version = ".".join(map(str, self.version))
+        return f"{self.model.name}, serial {self.serial}, calibration {self.calibration}, software {version}"
 
     @property
     def calibration(self) -> str:
@@ -90,7 +95,7 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
     raise InputError(f"{host}:{PRIMARY_PORT} did not tell its geometry within {timeout:g} s")
 
 
-def check_identity(arm: str, wanted: ArmSettings, found: Identity) -> None:
+def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
     """Check that a robot has the model, serial number and calibration of the cell file.
 
     Raises:
@@ -102,34 +107,7 @@ def check_identity(arm: str, wanted: ArmSettings, found: Identity) -> None:
             f"the cell file says {wanted.model}",
             cure="correct 'model' (and the robot model of the cell), or the address",
         )
-    for what, want, have in (
-        ("serial number", wanted.serial, found.serial),
-        ("calibration", wanted.calibration, found.calibration),
-    ):
-        if want is not None and want != have:
-            raise InputError(
-                f"arm {arm!r}: the robot at {wanted.host} has {what} {have}, the cell file says {want}",
-                cure="the address leads to another robot: check cables and addresses (are the arms swapped?)",
-            )
-
-
-def check_swapped(wanted: dict[str, ArmSettings], found: dict[str, Identity]) -> None:
-    """Check that no arm answers with the serial number or calibration of another arm.
-
-    Raises:
-        InputError: the arms' addresses are swapped.
-    """
-    for arm, identity in found.items():
-        for other, settings in wanted.items():
-            if other != arm and (
-                (settings.serial is not None and settings.serial == identity.serial)
-                or (settings.calibration is not None and settings.calibration == identity.calibration)
-            ):
-                raise InputError(
-                    f"the arms are swapped: {wanted[arm].host}, the address of {arm!r}, is answered by "
-                    f"{other!r} (serial {identity.serial})",
-                    cure=f"exchange the addresses of {arm!r} and {other!r} in the cell file, or the cables",
-                )
+    check_numbers(arm, wanted, found)
 
 
 def check_ready(arm: str, found: Identity) -> None:

@@ -3,30 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 from armcell import _interrupts
+from armcell.drivers.real import NetworkReport
 from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.drivers.ur.rtde_client import RobotState, RtdeClient
-
-
-@dataclass(frozen=True)
-class NetworkReport:
-    """Statistics of one network measurement; times in [s]."""
-
-    round_trip: float  # median of a dashboard request
-    worst_round_trip: float
-    period: float  # median interval between states
-    worst_gap: float  # longest interval between two states
-    frequency: float  # requested [Hz]
-
-    def __str__(self) -> str:
-        return (
-            f"round trip {self.round_trip * 1000:.1f} ms (worst {self.worst_round_trip * 1000:.1f}), "
-            f"state every {self.period * 1000:.1f} ms (worst gap {self.worst_gap * 1000:.1f})"
-        )
 
 
 def measure_network(host: str, frequency: float, seconds: float = 2.0) -> NetworkReport:

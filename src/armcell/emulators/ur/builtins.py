@@ -14,10 +14,12 @@ from armcell.emulators.ur.builtins_force import force_functions, torque_function
 from armcell.emulators.ur.builtins_io import io_functions
 from armcell.emulators.ur.builtins_math import math_functions
 from armcell.emulators.ur.motion import (
+    Blended,
     MoveC,
     MoveJ,
     MoveL,
     ServoJ,
+    Setpoint,
     SpeedJ,
     SpeedL,
     StopJ,
@@ -56,12 +58,33 @@ def motion_functions(robot: Robot) -> Functions:
             robot.keep()
         yield
 
+    def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
+        """Run a motion to a goal pose (4, 4); it takes over from a motion that has come near its own goal.
+
+        Blend radii [m] are limited to half the way, so that two blends do not overlap.
+        """
+        running = robot.motion
+        if isinstance(running, (MoveJ, MoveL, Blended)) and running.near and not s.compliant:
+            motion = Blended(s, running, make)
+        else:
+            motion = make(s)
+        target = goal[:3, 3]
+
+        def left() -> float:
+            return float(np.linalg.norm(target - forward(robot.dh, s.q, s.tcp)[:3, 3]))
+
+        radius = min(radius, 0.5 * left())
+        for _ in _until_done(motion, goal):
+            yield
+            motion.near = radius > 0 and left() <= radius
+
     def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Wait:
         joints = _joints(q)
-        yield from _until_done(MoveJ(s, joints, a, v, t), forward(robot.dh, joints, s.tcp))
+        yield from _along(lambda at: MoveJ(at, joints, a, v, t), forward(robot.dh, joints, s.tcp), r)
 
     def movel(pose: Any, a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Wait:
-        yield from _until_done(MoveL(s, _pose(pose), a, v, t), _pose(pose))
+        goal = _pose(pose)
+        yield from _along(lambda at: MoveL(at, goal, a, v, t), goal, r)
 
     def movep(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Wait:
         yield from _until_done(TrackL(s, _pose(pose), a, v, r), _pose(pose))
@@ -69,15 +92,15 @@ def motion_functions(robot: Robot) -> Functions:
     def movec(
         pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
     ) -> Wait:
-        arc = MoveC(s, _pose(pose_via), _pose(pose_to), a, v, fixed=int(mode) == 1)
-        yield from _until_done(arc, _pose(pose_to))
+        via, goal, fixed = _pose(pose_via), _pose(pose_to), int(mode) == 1
+        yield from _along(lambda at: MoveC(at, via, goal, a, v, fixed), goal, r)
 
     def optimovej(q: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
         """Move the joints; `a` and `v` are fractions (0..1) of the arm's limits."""
-        yield from movej(q, max(a, 0.01) * FULL_ACCELERATION, max(v, 0.01) * float(s.v_max.min()))
+        yield from movej(q, max(a, 0.01) * FULL_ACCELERATION, max(v, 0.01) * float(s.v_max.min()), t, r)
 
     def optimovel(pose: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
-        yield from movel(pose, max(a, 0.01) * FULL_TOOL_ACCELERATION, max(v, 0.01) * FULL_TOOL_SPEED)
+        yield from movel(pose, max(a, 0.01) * FULL_TOOL_ACCELERATION, max(v, 0.01) * FULL_TOOL_SPEED, t, r)
 
     def _for(seconds: float) -> Wait:
         """Wait for program time [s], which the speed slider slows; an overrun shortens the next one."""

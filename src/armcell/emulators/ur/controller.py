@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 import selectors
 import struct
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,29 +12,25 @@ from zlib import crc32
 
 import numpy as np
 
-from armcell import _interrupts
 from armcell.core import InputError
 from armcell.core.checks import checked
 from armcell.drivers.ur.wire.models import UrModel, ur_model
 from armcell.drivers.ur.wire.primary import Kinematics
 from armcell.drivers.ur.wire.rtde import PORT as RTDE
+from armcell.emulators import rack as emulators
+from armcell.emulators.network import Network
 from armcell.emulators.ur.dashboard_server import PORT as DASHBOARD
 from armcell.emulators.ur.dashboard_server import DashboardServer
 from armcell.emulators.ur.external_control import ExternalControl, RemoteHost
 from armcell.emulators.ur.gripper_server import GripperServer
-from armcell.emulators.ur.network import Network
 from armcell.emulators.ur.plant import KinematicPlant, Plant
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_server import RtdeServer
 from armcell.emulators.ur.script_server import ScriptServer
 
-log = logging.getLogger(__name__)
-
-TRACE = struct.Struct("<B14d")
+TRACE, _TRACE_RECORD = struct.Struct("<B14d"), struct.Struct("<14d")
 """Trace record: arm index, monotonic time and robot time [s], actual and target positions (6,) [rad]."""
 
-IDLE = 1.0  # [s] without an RTDE client before a run counts as ended
-MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
 
@@ -90,6 +84,7 @@ class UrController:
             model, plant or KinematicPlant(settings.start), settings.serial,
             factory_calibration(model, settings.calibration_seed, settings.serial),
         )  # fmt: skip
+        self.period, self.answer_time = self.robot.period, 0.0
         self.robot.remote = settings.remote
         if not settings.powered:
             self.robot.power_off()
@@ -120,14 +115,19 @@ class UrController:
         self._script.send_state()
         self.network.flush()
 
+    def reset(self) -> None:
+        self.robot.plant.reset()
+
+    def trace(self) -> bytes:
+        values = (*self.robot.plant.read()[0], *self.robot.setpoint.q)
+        return _TRACE_RECORD.pack(time.monotonic(), self.robot.time, *values)
+
     def close(self) -> None:
         self.network.close()
 
 
-class Rack:
-    """Several emulated controllers that run in one thread, paced by wall time.
-
-    All controllers have the same control period; controllers with physics share one world.
+class Rack(emulators.Rack[UrController]):
+    """Several emulated UR controllers in one thread; controllers with physics share one world.
 
     Args:
         trace: file for records in the format `TRACE`.
@@ -143,10 +143,7 @@ class Rack:
         trace: BinaryIO | None = None,
         reset_between_runs: bool = False,
     ):
-        self._trace, self._reset_between_runs = trace, reset_between_runs
-        self._used_at: float | None = None  # [s] time of the last client; None: no client since a reset
-        self._selector = selectors.DefaultSelector()
-        self.controllers: list[UrController] = []
+        super().__init__([], selectors.DefaultSelector(), trace, reset_between_runs)
         try:
             for i, each in enumerate(settings):
                 plant = plants[i] if plants else None
@@ -154,80 +151,6 @@ class Rack:
         except BaseException:
             self.close()
             raise
-        if len({c.robot.period for c in self.controllers}) != 1:
+        if len({c.period for c in self.controllers}) != 1:
             self.close()
             raise InputError("controllers of one rack have the same control period")
-        self.lost = 0.0  # [s] of wall time that the emulation skipped
-        self._stop = threading.Event()
-        self._opened = False
-
-    def open(self) -> None:
-        """Open the ports; `run` serves clients that connect. `run` also calls this method."""
-        if not self._opened:
-            self._opened = True
-            for controller in self.controllers:
-                controller.step()  # triggers compilation on a machine's first run, before clients wait
-            for controller in self.controllers:
-                controller.network.open()
-
-    def run(self) -> None:
-        """Serve clients until `stop`.
-
-        The controllers' cycles are evenly offset within a period, because real controllers are not
-        synchronized either.
-        """
-        self.open()
-        turn, due = 0, time.monotonic()
-        part = self.controllers[0].robot.period / len(self.controllers)
-        while not self._stop.is_set():
-            _interrupts.check()
-            now = time.monotonic()
-            if now >= due:
-                controller = self.controllers[turn]
-                controller.step()
-                if self._trace is not None:
-                    self._write(controller)
-                if self._reset_between_runs:
-                    self._reset_when_idle(now)
-                turn, due = (turn + 1) % len(self.controllers), due + part
-                if now - due > MAX_LAG:
-                    self.lost += now - due
-                    due = now
-            wait = max(due - time.monotonic(), 0.0)
-            frozen = any(c.network.faults.frozen for c in self.controllers)
-            if frozen:  # unread data would wake the selector immediately
-                time.sleep(min(wait, 0.002))
-            for key, _ in self._selector.select(0.0 if frozen else wait):
-                key.data()
-
-    def _reset_when_idle(self, now: float) -> None:
-        if any(c.in_use for c in self.controllers):
-            self._used_at = now
-        elif self._used_at is not None and now - self._used_at > IDLE:
-            self._used_at = None
-            for controller in self.controllers:
-                controller.robot.plant.reset()
-
-    def _write(self, controller: UrController) -> None:
-        index, robot = self.controllers.index(controller), controller.robot
-        values = (*robot.plant.read()[0], *robot.setpoint.q)
-        self._trace.write(TRACE.pack(index, time.monotonic(), robot.time, *values))  # type: ignore[union-attr]
-
-    def stop(self) -> None:
-        self._stop.set()
-
-    def close(self) -> None:
-        for controller in self.controllers:
-            controller.close()
-        self._selector.close()
-
-    def __enter__(self) -> Rack:
-        self.open()
-        self._thread = threading.Thread(target=self.run, name="ur-controller", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.stop()
-        self._thread.join(timeout=5.0)
-        self.close()

@@ -12,8 +12,8 @@ import numpy as np
 
 from armcell.drivers.ur.wire.models import JOINTS
 from armcell.drivers.ur.wire.modes import RuntimeState
+from armcell.emulators.network import Link, Network
 from armcell.emulators.ur.external_control import NAME, ExternalControl
-from armcell.emulators.ur.network import Link, Network
 from armcell.emulators.ur.plant_faults import WORDS, set_fault
 from armcell.emulators.ur.robot import Robot
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.core import InputError
-from armcell.emulators.ur.network import Link, Network
+from armcell.emulators.network import Link, Network
 from armcell.emulators.ur.programs import run_script
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.parser import MAX_SCRIPT

@@ -7,7 +7,7 @@ and public clients of this port.
 
 from __future__ import annotations
 
-from armcell.emulators.ur.network import Link, Network
+from armcell.emulators.network import Link, Network
 from armcell.emulators.ur.robot import Robot
 
 PORT = 63352

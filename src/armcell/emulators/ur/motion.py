@@ -6,6 +6,8 @@ by speed slider and pause. `done` is True when the motion has reached its end.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -31,6 +33,12 @@ class Setpoint:
         self.tcp: list[float] = [0.0] * 6
         self.compliant = False  # forces, not the program, move the tool along some axes
         self.v_max = np.array(model.velocity)
+
+    def resting_at(self, q: ArrayLike) -> Setpoint:
+        """Return a setpoint of the same arm at rest at joint positions (6,) [rad]."""
+        other = Setpoint(self.model, self.dh, q)
+        other.tcp, other.v_max = self.tcp, self.v_max
+        return other
 
     def towards(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
         """Return the joint target after one step toward a velocity within the arm's limits.
@@ -70,7 +78,13 @@ class StopL(StopJ):
 
 
 class _Along:
-    """Motion along a path with a trapezoidal speed profile; a moving arm first comes to rest."""
+    """Motion along a path with a trapezoidal speed profile; a moving arm first comes to rest.
+
+    Attributes:
+        near: True once the tool is within the blend radius of the goal; the next motion may take over.
+    """
+
+    near = False
 
     def __init__(self, length: float, v: float, a: float, seconds: float):
         if not (v > 0 and a > 0):
@@ -119,6 +133,10 @@ class MoveJ(_Along):
     def begin(self, s: Setpoint) -> None:
         self._start = s.q.copy()
 
+    def end(self, s: Setpoint) -> Array:
+        """Return the joint positions (6,) [rad] at the goal."""
+        return self.goal
+
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         reached = self.advance(s, dt)
         if isinstance(reached, tuple):
@@ -146,6 +164,13 @@ class MoveL(_Along):
     def begin(self, s: Setpoint) -> None:
         self._from = SE3.from_matrix(forward(s.dh, s.q, s.tcp))
         self._last = s.q
+
+    def end(self, s: Setpoint) -> Array:
+        """Return the joint positions (6,) [rad] at the goal, nearest to those reached so far."""
+        q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
+        if q is None:
+            raise MotionFault(f"the {self.name} leaves the arm's reach")
+        return q
 
     def pose(self, reached: float) -> SE3:
         """Return T_base_tcp at a fraction (0..1) of the path."""
@@ -213,6 +238,38 @@ def _turn(a: Array, b: Array, axis: Array) -> float:
     """Return the angle (0..2 pi) [rad] from vector a to vector b about an axis."""
     angle = float(np.arctan2(np.cross(a, b) @ axis, a @ b))
     return angle if angle > 0 else angle + 2.0 * np.pi
+
+
+class Blended:
+    """Two motions superposed: the first one ends while the next one has already begun.
+
+    The offset of the first motion from its goal decays as that motion ends, so speeds stay continuous and
+    the tool passes the goal within about the blend radius.
+
+    Args:
+        s: setpoint of the arm.
+        first: running motion.
+        follow: makes the next motion for an arm at rest at the first one's goal.
+    """
+
+    def __init__(self, s: Setpoint, first: Path, follow: Callable[[Setpoint], MoveJ | MoveL]):
+        self._first, self._corner = first, first.end(s)
+        self._behind, self._ahead = s.resting_at(s.q), s.resting_at(self._corner)
+        self._behind.v = s.v
+        self._next = follow(self._ahead)
+        self.near, self.done = False, False
+
+    def end(self, s: Setpoint) -> Array:
+        """Return the joint positions (6,) [rad] at the second motion's goal."""
+        return self._next.end(s)
+
+    def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
+        for motion, place in ((self._first, self._behind), (self._next, self._ahead)):
+            if not motion.done:
+                place.q, place.v = motion.step(place, dt)
+        self.done = self._first.done and self._next.done
+        q = self._ahead.q + self._behind.q - self._corner
+        return q, self._ahead.v + self._behind.v
 
 
 class TrackL:
@@ -323,6 +380,9 @@ class SpeedL(SpeedJ):
         return s.towards(joints, s.model.acceleration, dt)
 
 
-Motion = StopJ | MoveJ | MoveL | TrackL | ServoJ | SpeedJ | Torque
+Path = MoveJ | MoveL | Blended
+"""Motions that end at a goal, from which the next one may take over."""
+
+Motion = StopJ | Path | TrackL | ServoJ | SpeedJ | Torque
 KEPT = (ServoJ, SpeedJ, Torque)
 """Motions that end when the program stops renewing them."""

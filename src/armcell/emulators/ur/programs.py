@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from armcell.emulators.network import Network
 from armcell.emulators.ur.builtins import motion_functions, value_functions
 from armcell.emulators.ur.builtins_io import DigitalOutputs
-from armcell.emulators.ur.network import Network
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.sockets import socket_functions
 from armcell.emulators.ur.urscript import Machine, ScriptError

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 from armcell.drivers.ur.wire import rtde
-from armcell.emulators.ur.network import Link, Network
+from armcell.emulators.network import Link, Network
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_outputs import Getter, outputs_of
 

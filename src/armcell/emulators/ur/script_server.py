@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from armcell.drivers.ur.wire import robot_messages
+from armcell.emulators.network import Link, Network
 from armcell.emulators.ur.client_state import ClientState
-from armcell.emulators.ur.network import Link, Network
 from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, Text
 from armcell.emulators.ur.programs import run_command, run_script
 from armcell.emulators.ur.robot import Robot

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Generator
 from typing import Any
 
-from armcell.emulators.ur.network import Link, Network
+from armcell.emulators.network import Link, Network
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.values import Vec
 
