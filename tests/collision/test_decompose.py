@@ -83,7 +83,7 @@ def test_pieces_hold_the_mesh_and_little_more(name):
     assert solid.is_watertight
     pieces = decompose.object_pieces(mesh_of(solid))
     assert abs(solid.volume) * 0.9999 < volume(pieces) < abs(solid.volume) * 1.1
-    points = np.random.default_rng(1).uniform(*solid.bounds, (3000, 3))
+    points = np.random.default_rng(1).uniform(solid.bounds[0], solid.bounds[1], (3000, 3))
     inside = np.abs(winding_numbers(points, np.array(solid.vertices), np.array(solid.faces))) > 0.5
     count = covered(pieces, points)
     assert inside.sum() > 100 and (count[inside] > 0).all() and (count <= 1).all()

@@ -2,8 +2,8 @@
 
 The algorithm cuts the piece whose convex hull exceeds its solid most, until the total excess is below
 `EXCESS` of the mesh's volume. A candidate plane contains a reflex edge and halves its dihedral angle, or
-contains the face beside it (the floor of a bin, the inner side of a wall), or halves the piece's extent along an
-axis. The union of the pieces contains the mesh, and pieces do not overlap.
+contains the face beside it (the floor of a bin, the inner side of a wall), or halves the piece's extent
+along an axis. The union of the pieces contains the mesh, and pieces do not overlap.
 
 The budget counts processed points, not seconds, so a busy machine gives the same pieces.
 """

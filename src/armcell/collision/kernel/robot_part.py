@@ -480,7 +480,9 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
         )  # fmt: skip
         return body
     corners = Corners(stored["corner_count"], stored["corners"])
-    pieces = Pieces(*(stored[f"piece_{name}"] for name in ("kind", "size", "pose", "ball")), corners)
+    pieces = Pieces(
+        stored["piece_kind"], stored["piece_size"], stored["piece_pose"], stored["piece_ball"], corners
+    )
     return _Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)
 
 
