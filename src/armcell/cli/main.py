@@ -16,6 +16,7 @@ from armcell.cli import (
     doctor,
     explain,
     export,
+    franka_controller,
     gate,
     ik,
     import_,
@@ -124,6 +125,10 @@ app.command("bringup", rich_help_panel=REAL)(bringup.bringup)
 app.command("twin", rich_help_panel=REAL)(twin.twin)
 app.command("ur-dashboard", rich_help_panel=REAL)(ur_controller.ur_dashboard)
 app.command("ur-controller", epilog=ur_controller.EXAMPLES, rich_help_panel=REAL)(ur_controller.ur_controller)
+app.command("franka-operator", rich_help_panel=REAL)(franka_controller.franka_operator)
+app.command("franka-controller", epilog=franka_controller.EXAMPLES, rich_help_panel=REAL)(
+    franka_controller.franka_controller
+)
 app.add_typer(bench.app, name="bench", rich_help_panel=MEASURE)
 
 

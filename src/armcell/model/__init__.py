@@ -20,7 +20,7 @@ from armcell.model.robot import (
     RobotModel,
     Visual,
 )
-from armcell.model.setup import MoveItConfig, UrdfPart
+from armcell.model.setup import MoveItConfig, UrdfPart, load_ompl_planning
 from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
@@ -41,6 +41,7 @@ __all__ = [
     "compose",
     "find_file",
     "hand_alone",
+    "load_ompl_planning",
     "load_robot",
     "load_urdf",
     "parse_urdf",
