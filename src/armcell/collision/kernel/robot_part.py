@@ -477,7 +477,8 @@ def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
         )  # fmt: skip
         return body
     corners = Corners(stored["corner_count"], stored["corners"])
-    pieces = Pieces(*(stored[f"piece_{name}"] for name in ("kind", "size", "pose", "ball")), corners)
+    kind, size = stored["piece_kind"], stored["piece_size"]
+    pieces = Pieces(kind, size, stored["piece_pose"], stored["piece_ball"], corners)
     return _Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)
 
 
