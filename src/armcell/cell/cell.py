@@ -26,6 +26,7 @@ from armcell.drivers import DriverOptions, drivers
 from armcell.drivers.disturbances import Disturbances
 from armcell.drivers.disturbed import DisturbedSim
 from armcell.model import Part, RobotModel, compose, load_ompl_planning, load_robot
+from armcell.model.loader import xacro_texts
 from armcell.perception import Sensors3d, load_sensors_3d
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import Camera, Decal, PhysicsSettings
@@ -66,7 +67,8 @@ class Cell:
     def _robot(self) -> RobotModel:
         spec = self.spec.robot
         try:
-            model = load_robot(spec.model, self.file.parent, self.allow_env)
+            given = xacro_texts(self.spec.xacro_args, self.file)
+            model = load_robot(spec.model, self.file.parent, self.allow_env, given)
             if spec.pose is None:
                 return model
             return compose(model.name, [Part(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))])

@@ -378,6 +378,7 @@ class CellSpec(Strict):
 
     description: str = ""
     robot: RobotSpec
+    xacro_args: dict[str, str | bool | int | float] = {}  # of the robot's xacro file
     start: dict[str, str] = {}  # group -> named state
     padding: float = Field(0.005, ge=0, le=0.2)  # [m]
     objects: dict[str, ObjectSpec] = {}

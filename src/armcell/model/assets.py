@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell._array_store import keep, key_of, recall
 from armcell.core import InputError, Mesh
 from armcell.model.files import read_text
+from armcell.model.options import package_folder
 
 if TYPE_CHECKING:
     import trimesh
@@ -91,9 +92,10 @@ def find_package(package: str, base: Path) -> FoundPackage:
             roots.append(file.resolve().parent)
         return FoundPackage(folder, tuple(dict.fromkeys(roots)))
     raise InputError(
-        f"package {package!r} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
-        cure=f"put package {package!r} (with its package.xml) beside the robot's package, or add its parent "
-        "folder to ROS_PACKAGE_PATH",
+        f"package {package!r} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the "
+        "installed packages",
+        cure=f"pass its folder with --package {package}=FOLDER, put it (with its package.xml) beside the "
+        "robot's package, or add its parent folder to ROS_PACKAGE_PATH",
     )
 
 
@@ -104,6 +106,8 @@ def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
     """
     if package in ("", ".", "..") or "/" in package or "\0" in package:
         return
+    if (named := package_folder(package)) is not None:
+        yield named, True
     above = [base, *base.parents]
     yield from ((folder, False) for folder in above if _package_name(folder) == package)
     yield from ((folder / package, False) for folder in above)
@@ -154,8 +158,10 @@ def resolve_uri(uri: str, base: Path) -> Path:
             if rest and os.path.isfile(path):
                 return path
         raise InputError(
-            f"{uri} not found above {base}, in ROS_PACKAGE_PATH or among the installed packages",
-            cure=f"put package {package!r} beside the URDF or add its parent folder to ROS_PACKAGE_PATH",
+            f"{uri} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the installed "
+            "packages",
+            cure=f"pass the folder with --package {package}=FOLDER, put package {package!r} beside the URDF, "
+            "or add its parent folder to ROS_PACKAGE_PATH",
         )
     if "://" in uri and not uri.startswith("file://"):
         raise InputError(f"{uri}: only package:// and file:// URIs are read", cure="use a local file")

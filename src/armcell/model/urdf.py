@@ -6,6 +6,7 @@ Every error message names the file, line, element and remedy.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,22 +24,34 @@ logger = logging.getLogger(__name__)
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
 
-def load_urdf(path: Path, allow_env: bool | None = None, home: Path | None = None) -> RobotModel:
+def load_urdf(
+    path: Path,
+    allow_env: bool | None = None,
+    home: Path | None = None,
+    xacro_args: Mapping[str, str] | None = None,
+) -> RobotModel:
     """Load a robot from a URDF or xacro file (`*.xacro`); the result has no planning groups.
 
     Args:
         path: the URDF or xacro file.
-        allow_env, home: options for xacro files, see `expand_xacro`.
+        allow_env, home, xacro_args: options for xacro files, see `expand_xacro`.
     Raises:
         InputError: the file is not readable or not a valid URDF.
     """
-    return parse_urdf(urdf_text(path, allow_env, home), path)
+    return parse_urdf(urdf_text(path, allow_env, home, xacro_args), path)
 
 
-def urdf_text(path: Path, allow_env: bool | None = None, home: Path | None = None) -> str:
+def urdf_text(
+    path: Path,
+    allow_env: bool | None = None,
+    home: Path | None = None,
+    xacro_args: Mapping[str, str] | None = None,
+) -> str:
     """Return the text of a URDF or SRDF file; expand the file first if it is a xacro file."""
     path = Path(path)
-    return expand_xacro(path, None, allow_env, home) if path.suffix == ".xacro" else read_text(path)
+    if path.suffix == ".xacro":
+        return expand_xacro(path, xacro_args, allow_env, home)
+    return read_text(path)
 
 
 def parse_urdf(text: str, file: Path) -> RobotModel:

@@ -6,7 +6,6 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import mujoco
@@ -18,6 +17,7 @@ from armcell.core.checks import float_array
 from armcell.core.joints import all_finite
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
+from armcell.model.mjcf.spec import log_mujoco_warnings
 from armcell.scene import PlanningScene
 from armcell.sim.build import same_build, scene_objects
 from armcell.sim.built import BuiltModel
@@ -106,8 +106,7 @@ class SimWorld:
         self.reset()
 
     def _build(self, scene: PlanningScene) -> None:
-        # by default MuJoCo prints warnings and writes a log file to the current folder
-        mujoco.set_mju_user_warning(partial(log.warning, "MuJoCo: %s"))
+        log_mujoco_warnings()
         self.built, self._data = kept_build(scene, self.settings)
         self.robot: RobotModel = scene.model
         self.mj_model = self.built.mj
