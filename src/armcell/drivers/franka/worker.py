@@ -10,7 +10,6 @@ import json
 import os
 import select
 import socket
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -253,4 +252,3 @@ def main(descriptor: str, host: str, watchdog: str) -> None:
         return
     link.sendall(frames.pack_json(frames.EVENT, {"ready": True}))
     Worker(link, client, float(watchdog)).run()
-
