@@ -82,7 +82,8 @@ MOTIONS = {
         control = robot.start_torque_control()
         K = 50.0
         def answer(first, state, t):
-            goal = np.array(first.q_d) + 0.1 * (1 - np.cos(np.pi * min(t, 2.0))) * np.array([0, 0, 0, 0, 1, 0, 1])
+            swing = 0.1 * (1 - np.cos(np.pi * min(t, 2.0)))
+            goal = np.array(first.q_d) + swing * np.array([0, 0, 0, 0, 1, 0, 1])
             q, dq = np.array(state.q), np.array(state.dq)
             tau = K * (goal - q) - 2 * np.sqrt(K) * dq + np.array(model.coriolis(state))
             return Torques(tau.tolist())
