@@ -9,14 +9,14 @@ import pytest
 from tests.model.helpers import random_positions
 
 from armcell.collision import ExactChecker, disabled_collision_pairs
-from armcell.model import load_robot, robot_names
+from armcell.model import installed_robots, load_robot
 from armcell.scene import PlanningScene
 
 SAMPLES = 5000
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("name", installed_robots())
 def test_pairs_that_never_touch_do_not(name):
     model = load_robot(name)
     never = {pair for pair, reason in model.disabled_collisions.items() if reason == "Never"}
@@ -30,14 +30,14 @@ def test_pairs_that_never_touch_do_not(name):
         assert checker.is_free(q), checker.contacts(q)
 
 
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("name", installed_robots())
 def test_the_default_state_is_free(name):
     model = load_robot(name)
     scene = PlanningScene.of(model)
     assert ExactChecker(scene).contacts(scene.positions) == []
 
 
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("name", installed_robots())
 def test_named_states_are_free(name):
     model = load_robot(name)
     for group, states in model.named_states.items():
@@ -47,7 +47,7 @@ def test_named_states_are_free(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("name", installed_robots())
 def test_sampling_anew_finds_the_srdf_s_pairs(name):
     """With few samples more pairs look like "Never" than are; those of the SRDF must be among them."""
     model = load_robot(name)

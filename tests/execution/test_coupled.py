@@ -7,15 +7,14 @@ import pytest
 from tests.execution.ungated import execute_coupled
 
 import armcell
-from armcell.collision.arms import merged
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.drivers import Capability, DriverOptions
 from armcell.drivers.following import SentClock
 from armcell.drivers.sim import SimDriver
 from armcell.execution.admittance import Admittance, AdmittanceSettings
-from armcell.execution.coupled import RAMP
+from armcell.execution.setpoints import SCALING_RATE
 from armcell.scene import CollisionObject
-from armcell.timing import synchronized
+from armcell.timing import merged, synchronized
 from armcell.twin import Stage
 
 
@@ -70,7 +69,7 @@ def test_both_arrive_within_5_ms(cell):
 def test_the_slower_arm_slows_both(cell, motion):
     with cell.connect("fake") as live:
         result = execute_coupled(live.driver, motion, scalings=lambda: (1.0, 0.5))
-        expected = motion.duration / 0.5 - (0.5 / RAMP) * 0.5 / 2 / 0.5  # less what was quicker while braking
+        expected = motion.duration / 0.5 - (0.5 / SCALING_RATE) * 0.5 / 2 / 0.5  # the braking is quicker
         assert result.ok and result.duration == pytest.approx(expected, abs=0.05)
 
 

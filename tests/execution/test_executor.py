@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from tests.execution.helpers import ARM, ROBOT, StuckJoint, alone, make, motion, scene, swing
-from tests.execution.ungated import execute, playing
+from tests.execution.ungated import execute, execution_steps
 
 from armcell.core import ErrorCode, JointTrajectory, UnknownNameError
 from armcell.drivers import DriverProxy, drivers
@@ -202,7 +202,7 @@ def test_a_motion_begins_with_the_speed_that_the_arm_has(shape):
     with make("sim", alone()) as inner:
         driver, first = Recorder(inner), swing(1.0)
         if shape != "at rest":
-            steps = playing(driver, first)
+            steps = execution_steps(driver, first)
             while inner.now < 0.5 * first.duration:
                 next(steps)
                 inner.advance(inner.period)

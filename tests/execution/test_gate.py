@@ -13,7 +13,7 @@ import armcell
 from armcell.cell import load
 from armcell.collision import ExactChecker
 from armcell.core import ErrorCode, InputError, JointTrajectory
-from armcell.execution import CHANGED, DriverWorld, MotionGate, execute, playing
+from armcell.execution import CHANGED, DriverWorld, MotionGate, execute, execution_steps
 
 SOURCE = Path(armcell.__file__).parent
 MOVERS = {  # what may give a driver commands, and why
@@ -67,7 +67,7 @@ def test_an_arm_waits_for_no_one_who_is_leaving(driver, scene):
     gate = MotionGate(DriverWorld(driver, scene))
     assert execute(driver, gate.motion(plans()["left_arm"])).ok
     leaving, coming = back("left_arm"), slowed(plans()["right_arm"], 6.0)
-    works = [playing(driver, gate.motion(leaving)), playing(driver, gate.motion(coming))]
+    works = [execution_steps(driver, gate.motion(leaving)), execution_steps(driver, gate.motion(coming))]
     first, second = run(driver, works)
     assert first.ok and second.ok, (first, second)
     assert ExactChecker(scene.with_state(driver.joint_state())).is_free(driver.joint_state().positions)
@@ -85,7 +85,9 @@ def test_a_motion_is_proven_again_when_one_beside_it_ends_early(driver, scene):
             leaving.set()
         assert exact.is_free(driver.joint_state().positions), "the arms touch"
 
-    first, second = run(driver, [playing(driver, leaving), playing(driver, coming)], during=during)
+    first, second = run(
+        driver, [execution_steps(driver, leaving), execution_steps(driver, coming)], during=during
+    )
     assert first.code is ErrorCode.PREEMPTED
     assert second.code is CHANGED and "left_" in second.message and "stopped" in second.message, second
     assert second.evidence["pair"] and second.evidence["time_s"] > 0

@@ -7,8 +7,7 @@ from typing import Any
 
 from armcell import execution
 from armcell.core import ExecutionResult, JointTrajectory
-from armcell.execution import ExecutionSettings, Steps, UngatedMotion
-from armcell.execution import coupled as _coupled
+from armcell.execution import ExecutionSettings, ExecutionSteps, UngatedMotion
 
 
 def execute(
@@ -21,16 +20,16 @@ def execute(
     return execution.execute(driver, UngatedMotion(trajectory, cancel), settings, progress)
 
 
-def playing(
+def execution_steps(
     driver: Any,
     trajectory: JointTrajectory,
     settings: ExecutionSettings = ExecutionSettings(),
     cancel: threading.Event | None = None,
-) -> Steps:
-    return execution.playing(driver, UngatedMotion(trajectory, cancel), settings)
+) -> ExecutionSteps:
+    return execution.execution_steps(driver, UngatedMotion(trajectory, cancel), settings)
 
 
 def execute_coupled(
     driver: Any, trajectory: JointTrajectory, *args: Any, cancel: threading.Event | None = None, **kwargs: Any
 ) -> ExecutionResult:
-    return _coupled.execute_coupled(driver, UngatedMotion(trajectory, cancel), *args, **kwargs)
+    return execution.execute_coupled(driver, UngatedMotion(trajectory, cancel), *args, **kwargs)

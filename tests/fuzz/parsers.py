@@ -377,10 +377,10 @@ def _controller(frozen: bool = False) -> Any:
     import selectors
 
     from armcell.drivers.ur.wire.models import ur_model
+    from armcell.emulators.network import Link, Network
     from armcell.emulators.ur.dashboard_server import DashboardServer
     from armcell.emulators.ur.external_control import ExternalControl
     from armcell.emulators.ur.gripper_server import GripperServer
-    from armcell.emulators.network import Link, Network
     from armcell.emulators.ur.plant import KinematicPlant
     from armcell.emulators.ur.robot import Robot
     from armcell.emulators.ur.rtde_server import RtdeServer

@@ -10,7 +10,7 @@ import pinocchio as pin
 import yaml
 
 from armcell.core import SE3
-from armcell.model import Part, RobotModel, compose, load_robot, load_urdf, parse_urdf, robot_names
+from armcell.model import Part, RobotModel, compose, installed_robots, load_robot, load_urdf, parse_urdf
 from armcell.model.assets import installed_share, resolve_uri
 from armcell.model.loader import LIBRARY
 
@@ -169,7 +169,7 @@ class PinRobot:
 
 def references() -> dict[str, tuple]:
     """Name -> function that gives (our model, pinocchio's): the library, MotionBenchMaker, other makes."""
-    found = {name: lambda n=name: (load_robot(n), pin_library(n)) for name in robot_names()}
+    found = {name: lambda n=name: (load_robot(n), pin_library(n)) for name in installed_robots()}
     for name in ("panda", "ur5", "baxter"):
         if mbm_file(name).exists():
             found[f"mbm_{name}"] = lambda n=name: (mbm_robot(n), pin.buildModelFromUrdf(str(mbm_file(n))))

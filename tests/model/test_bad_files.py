@@ -128,8 +128,8 @@ def test_only_true_and_false_are_booleans(tmp_path):
 
 URDF = robot(link("a"), link("b"), joint("j", "a", "b"))
 ROBOT_YAML = [
-    ("name: x\n", "needs either 'urdf' or 'parts'"),
-    ("urdf: r.urdf\nparts: []\n", "needs either 'urdf' or 'parts'"),
+    ("name: x\n", "needs one of 'urdf', 'mjcf' and 'parts'"),
+    ("urdf: r.urdf\nparts: []\n", "needs one of 'urdf', 'mjcf' and 'parts'"),
     ("urdf: r.urdf\nsrfd: r.srdf\n", r"unknown key 'srfd'.*did you mean 'srdf'"),
     ("urdf: no.urdf\n", "urdf: .*no.urdf not found"),
     ("urdf: r.urdf\nroot: x\n", "unknown link 'x'"),

@@ -6,7 +6,7 @@ import pytest
 from tests.model.helpers import dual, joint, link, model_of
 
 from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model import Part, compose, load_robot, prefixed, robot_names
+from armcell.model import Part, compose, installed_robots, load_robot, prefixed
 
 
 def test_two_arms_have_prefixed_names_throughout():
@@ -31,7 +31,7 @@ def test_two_arms_have_prefixed_names_throughout():
         both.gripper()
 
 
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("name", installed_robots())
 def test_a_prefix_changes_nothing_but_names(name):
     model = load_robot(name)
     other = prefixed(model, "x_")

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armcell.model import load_robot, robot_names
+from armcell.model import installed_robots, load_robot
 
 
-@pytest.fixture(scope="module", params=robot_names())
+@pytest.fixture(scope="module", params=installed_robots())
 def model(request):
     return load_robot(request.param)
 
 
 def test_the_library_has_the_promised_robots():
-    assert {"panda", "ur10", "ur10_gripper"} <= set(robot_names())
+    assert {"panda", "ur10", "ur10_gripper"} <= set(installed_robots())
 
 
 def test_limits_are_complete(model):

@@ -31,7 +31,7 @@ from armcell.core import (
 )  # fmt: skip
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
-from armcell.model import load_robot, robot_names
+from armcell.model import installed_robots, load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.viewer import CellViewer
 from armcell.viewer import geometry as g
@@ -242,7 +242,7 @@ def test_decimation_keeps_the_size_and_its_budget():
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.2, atol=0.01)
 
 
-@pytest.mark.parametrize("robot", robot_names())
+@pytest.mark.parametrize("robot", installed_robots())
 def test_every_link_with_a_body_is_drawn(robot):
     for link in load_robot(robot).links.values():
         parts = [p for v in link.visuals for p in g.visual_parts(v)]

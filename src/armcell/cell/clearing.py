@@ -13,7 +13,7 @@ from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 from armcell.tasks import TaskContext
-from armcell.tasks.clearing import ClearSettings, clear_bin
+from armcell.tasks.bin_clearing import ClearSettings, clear_bin
 
 LOST = -1.0  # [m] height; an object below has fallen off the floor
 

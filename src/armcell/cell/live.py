@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from typing import Any
 
 from armcell import _interrupts
 from armcell.cell.clearing import clear_with
@@ -59,7 +60,7 @@ from armcell.tasks.arms import (
     screw,
     side_by_side,
 )
-from armcell.tasks.clearing import ClearSettings
+from armcell.tasks.bin_clearing import ClearSettings
 from armcell.tasks.sorting import Kind
 from armcell.tasks.steps import Motion, perform_all
 
@@ -197,6 +198,7 @@ class LiveCell:
         cameras: the cameras by name.
         seen: the objects whose poses only cameras measure; None if there are none.
         sensors: sensors whose point clouds and depth images build the octomap; None if there are none.
+        planner_configs: content of an ompl_planning.yaml for the requests of MoveIt clients, or empty.
     """
 
     def __init__(
@@ -214,6 +216,7 @@ class LiveCell:
         self.name, self.driver, self.scene_at_start = name, driver, scene
         self.seen = seen
         self.sensors: Sensors3d | None = None
+        self.planner_configs: Mapping[str, Any] = {}
         self.cameras = live_cameras(cameras, driver, scene, decals)
         known = scene if seen is None else seen.taken_from(scene)
         self.ctx = TaskContext(driver, known, settings, observers, seed)

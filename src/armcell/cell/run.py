@@ -16,7 +16,7 @@ from armcell.cell.script import load_script
 from armcell.cell.versions import versions
 from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
-from armcell.tasks import TaskFailed
+from armcell.tasks import TaskFailed, make_stage, perform_stages
 
 PLACEMENT_TOLERANCE = 0.005  # [m]
 
@@ -82,6 +82,9 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
         return (next(iter(live.arms.values()), None) or live.arm).hold(step.hold)
     if step.look is not None:
         return live.look(step.look)
+    if step.stage is not None:
+        ((name, values),) = step.stage.items()
+        return perform_stages(live.ctx, [make_stage(name, values)], name)
     return _move(live, step.move or "home")
 
 

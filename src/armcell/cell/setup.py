@@ -9,7 +9,9 @@ from typing import Any
 
 from armcell.cell.setup_poses import with_poses
 from armcell.collision.self_collision import LinkPair, link_pairs
+from armcell.core import InputError
 from armcell.model import RobotModel
+from armcell.model.loader import is_mjcf, load_mjcf_file, with_keyframes
 from armcell.model.setup import (
     MoveItConfig,
     UrdfPart,
@@ -25,6 +27,7 @@ from armcell.model.setup import (
 )
 from armcell.model.setup.gripper import find_grippers
 from armcell.model.urdf import parse_urdf
+from armcell.model.urdf_writer import urdf_of
 
 LIMITS_NOTE = (
     "Velocities are the URDF's. A URDF has no accelerations: those below are what MoveIt assumes where none",
@@ -43,6 +46,7 @@ class Proposal:
     pairs: tuple[LinkPair, ...]
     urdf_text: str
     package: MoveItConfig | None = None  # the source package; its files are copied unchanged
+    mjcf: Path | None = None  # the source if it is MJCF; armcell loads it, and MoveIt the URDF
 
     @property
     def loose_joints(self) -> tuple[str, ...]:
@@ -80,14 +84,37 @@ def propose(
     """
     tell = progress or (lambda what, done: None)
     tell("reading", 0)
-    name, text = merged_urdf(parts, name)
-    model = parse_urdf(text, parts[0].file)
+    mjcf = _mjcf_file(parts)
+    if mjcf is not None:
+        model = load_mjcf_file(mjcf)
+        model = replace(model, name=name or model.name)
+        text = urdf_of(model)
+    else:
+        name, text = merged_urdf(parts, name)
+        model = parse_urdf(text, parts[0].file)
     tell("groups and poses", 0)
-    model = with_poses(with_groups(model, [p.prefix for p in parts]), seed)
+    model = with_keyframes(with_poses(with_groups(model, [p.prefix for p in parts]), seed))
     tell("pairs of links", 0)
     pairs = link_pairs(model, samples, seed, lambda done: tell("pairs of links", done))
     model = replace(model, disabled_collisions={p.links: p.reason for p in pairs if p.reason})
-    return Proposal(find_grippers(model), tuple(pairs), text)
+    return Proposal(find_grippers(model), tuple(pairs), text, mjcf=mjcf)
+
+
+def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
+    """Return the MJCF file of the only part, or None if all parts are URDF or xacro files.
+
+    Raises:
+        InputError: an MJCF file has a prefix or pose, or is one of several parts.
+    """
+    found = next((part for part in parts if is_mjcf(part.file)), None)
+    if found is None:
+        return None
+    if len(parts) > 1 or found.prefix or found.xyz is not None:
+        raise InputError(
+            "an MJCF robot is set up alone, without a prefix or pose", file=found.file,
+            cure="set up each robot by itself and combine the folders under 'parts' in a robot.yaml",
+        )  # fmt: skip
+    return found.file.resolve()
 
 
 def propose_from_package(folder: Path) -> Proposal:
@@ -134,16 +161,18 @@ def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
         **{f"config/{name}": text for name, text in config.items()},
         **package_files(package, urdf, srdf),
         **launch_files(package, model.name, names, listed),
-        "robot.yaml": _robot_yaml(model, urdf, srdf),
+        "robot.yaml": _robot_yaml(model, {"urdf": f"config/{urdf}"}, srdf)
+        if proposal.mjcf is None
+        else _robot_yaml(model, {"mjcf": str(proposal.mjcf)}, srdf),
         "cell.yaml": _cell_yaml(model),
     }
 
 
-def _robot_yaml(model: RobotModel, urdf: str, srdf: str) -> str:
+def _robot_yaml(model: RobotModel, source: dict[str, str], srdf: str) -> str:
     data: dict[str, Any] = {
         "name": model.name,
         "source": "armcell setup",
-        "urdf": f"config/{urdf}",
+        **source,
         "srdf": f"config/{srdf}",
         "joint_limits": "config/joint_limits.yaml",
     }

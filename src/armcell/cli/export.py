@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from armcell.cli.console import console, err
+from armcell.cli.robot_options import robot_options
 
 app = typer.Typer(
     help="Write a cell for other programs: Unity, or anything that reads URDF.", no_args_is_help=True
@@ -49,6 +50,7 @@ CONNECTOR = (
 
 
 @app.command("unity", epilog=UNITY)
+@robot_options
 def unity(
     cell: str = CELL,
     output: Path = typer.Option(
@@ -74,6 +76,7 @@ def unity(
 
 
 @app.command("urdf")
+@robot_options
 def urdf(
     cell: str = CELL,
     output: Path = typer.Option(

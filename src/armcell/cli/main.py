@@ -22,8 +22,10 @@ from armcell.cli import (
     import_,
     look,
     msg,
+    new,
     plan,
     replay,
+    robots,
     run,
     script,
     serve,
@@ -38,6 +40,7 @@ from armcell.cli import (
 )
 from armcell.cli.console import err
 from armcell.cli.grouped import Grouped
+from armcell.cli.robot_options import robot_options
 from armcell.cli.script_wires import UnityCommand
 from armcell.core import ArmcellError
 
@@ -93,41 +96,45 @@ app = typer.Typer(
 )
 RUN, PLAN, CELLS = "Run a task, and prove it", "Plan and explain", "Cells and robots"
 WIRES, REAL, MEASURE = "Unity, ROS 1 and ROS 2", "Real arms", "Measure"
-app.command("run", cls=UnityCommand, rich_help_panel=RUN)(run.run)
-app.command("campaign", epilog=campaign.EXAMPLES, rich_help_panel=RUN)(campaign.campaign)
+app.command("run", cls=UnityCommand, rich_help_panel=RUN)(robot_options(run.run))
+app.command("campaign", epilog=campaign.EXAMPLES, rich_help_panel=RUN)(robot_options(campaign.campaign))
 app.command("gate", epilog=gate.EXAMPLES, rich_help_panel=RUN)(gate.gate)
 app.command("replay", epilog=replay.REPLAY_EXAMPLES, rich_help_panel=RUN)(replay.replay)
 app.command("diff", epilog=replay.DIFF_EXAMPLES, rich_help_panel=RUN)(replay.diff)
 app.command("lint", rich_help_panel=RUN)(script.lint)
-app.command("plan", rich_help_panel=PLAN)(plan.plan)
-app.command("view", epilog=view.EXAMPLES, rich_help_panel=PLAN)(view.view)
-app.command("explain", rich_help_panel=PLAN)(explain.explain)
-app.command("ik", rich_help_panel=PLAN)(ik.ik)
-app.command("fk", rich_help_panel=PLAN)(ik.fk)
-app.command("check-state", rich_help_panel=PLAN)(check_state.check_state)
-app.command("look", epilog=look.EXAMPLES, rich_help_panel=PLAN)(look.look)
+app.command("plan", rich_help_panel=PLAN)(robot_options(plan.plan))
+app.command("view", epilog=view.EXAMPLES, rich_help_panel=PLAN)(robot_options(view.view))
+app.command("explain", rich_help_panel=PLAN)(robot_options(explain.explain))
+app.command("ik", rich_help_panel=PLAN)(robot_options(ik.ik))
+app.command("fk", rich_help_panel=PLAN)(robot_options(ik.fk))
+app.command("check-state", rich_help_panel=PLAN)(robot_options(check_state.check_state))
+app.command("look", epilog=look.EXAMPLES, rich_help_panel=PLAN)(robot_options(look.look))
 app.command("cells", rich_help_panel=CELLS)(check.cells)
-app.command("setup", epilog=setup.EXAMPLES, rich_help_panel=CELLS)(setup.setup)
-app.command("import", epilog=import_.EXAMPLES, rich_help_panel=CELLS)(import_.import_)
-app.command("check", rich_help_panel=CELLS)(check.check)
-app.command("doctor", rich_help_panel=CELLS)(doctor.doctor)
+app.command("robots", epilog=robots.EXAMPLES, rich_help_panel=CELLS)(robot_options(robots.robots))
+app.command("new", epilog=new.EXAMPLES, rich_help_panel=CELLS)(robot_options(new.new))
+app.command("setup", epilog=setup.EXAMPLES, rich_help_panel=CELLS)(robot_options(setup.setup))
+app.command("import", epilog=import_.EXAMPLES, rich_help_panel=CELLS)(robot_options(import_.import_))
+app.command("check", rich_help_panel=CELLS)(robot_options(check.check))
+app.command("doctor", rich_help_panel=CELLS)(robot_options(doctor.doctor))
 app.command("step-response", epilog=step_response.EXAMPLES, rich_help_panel=CELLS)(
-    step_response.step_response
+    robot_options(step_response.step_response)
 )
-app.command("serve", rich_help_panel=WIRES)(serve.serve)
-app.command("sim", rich_help_panel=WIRES)(serve.sim)
-app.command("tf", epilog=tf.EXAMPLES, rich_help_panel=WIRES)(tf.tf)
+app.command("serve", rich_help_panel=WIRES)(robot_options(serve.serve))
+app.command("sim", rich_help_panel=WIRES)(robot_options(serve.sim))
+app.command("tf", epilog=tf.EXAMPLES, rich_help_panel=WIRES)(robot_options(tf.tf))
 app.add_typer(topic.app, name="topic", rich_help_panel=WIRES)
 app.add_typer(service.app, name="service", rich_help_panel=WIRES)
 app.add_typer(msg.app, name="msg", rich_help_panel=WIRES)
 app.add_typer(export.app, name="export", rich_help_panel=WIRES)
-app.command("bringup", rich_help_panel=REAL)(bringup.bringup)
-app.command("twin", rich_help_panel=REAL)(twin.twin)
+app.command("bringup", rich_help_panel=REAL)(robot_options(bringup.bringup))
+app.command("twin", rich_help_panel=REAL)(robot_options(twin.twin))
 app.command("ur-dashboard", rich_help_panel=REAL)(ur_controller.ur_dashboard)
-app.command("ur-controller", epilog=ur_controller.EXAMPLES, rich_help_panel=REAL)(ur_controller.ur_controller)
+app.command("ur-controller", epilog=ur_controller.EXAMPLES, rich_help_panel=REAL)(
+    robot_options(ur_controller.ur_controller)
+)
 app.command("franka-operator", rich_help_panel=REAL)(franka_controller.franka_operator)
 app.command("franka-controller", epilog=franka_controller.EXAMPLES, rich_help_panel=REAL)(
-    franka_controller.franka_controller
+    robot_options(franka_controller.franka_controller)
 )
 app.add_typer(bench.app, name="bench", rich_help_panel=MEASURE)
 

@@ -46,7 +46,9 @@ always touch or never do, by sampled states and proofs on the meshes. Then:
 
 def setup(
     robots: list[Path] = typer.Argument(
-        ..., metavar="ROBOT...", help="URDF or xacro files (several: one robot each), or a MoveIt package."
+        ...,
+        metavar="ROBOT...",
+        help="URDF, xacro or MJCF files (several: one robot each), or a MoveIt package.",
     ),
     output: Path = typer.Option(..., "--output", "-o", metavar="FOLDER", help="Folder to write."),
     prefix: list[str] = typer.Option(

@@ -16,11 +16,12 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from armcell.core.errors import UnknownNameError
 
 T = TypeVar("T")
+V = TypeVar("V")
 
 log = logging.getLogger(__name__)
 
@@ -65,11 +66,11 @@ class Registry(Generic[T]):
         self.kind, self.group = kind, group
         self._items: dict[str, T] = {}
 
-    def register(self, name: str) -> Callable[[T], T]:
-        def add(item: T) -> T:
+    def register(self, name: str) -> Callable[[V], V]:
+        def add(item: V) -> V:
             if name in self._items:
                 raise ValueError(f"{self.kind} {name!r} is registered twice")
-            self._items[name] = item
+            self._items[name] = cast(T, item)
             return item
 
         return add

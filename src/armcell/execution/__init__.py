@@ -1,7 +1,6 @@
 """Execution of trajectories: the motion gate, the executor, coupled arms, several programs on one clock."""
 
-from armcell.execution.executor import ExecutionSettings, execute, playing
-from armcell.execution.followed import Steps
+from armcell.execution.executor import ExecutionSteps, execute, execute_coupled, execution_steps
 from armcell.execution.gate import (
     CHANGED,
     NOT_STARTED,
@@ -11,6 +10,7 @@ from armcell.execution.gate import (
     MotionGate,
     UngatedMotion,
 )
+from armcell.execution.settings import ExecutionSettings
 
 __all__ = [
     "CHANGED",
@@ -18,10 +18,11 @@ __all__ = [
     "DriverWorld",
     "Executable",
     "ExecutionSettings",
+    "ExecutionSteps",
     "GuardedMotion",
     "MotionGate",
-    "Steps",
     "UngatedMotion",
     "execute",
-    "playing",
+    "execute_coupled",
+    "execution_steps",
 ]

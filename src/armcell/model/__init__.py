@@ -6,7 +6,8 @@ The package also contains the library of robots that `load_robot` finds by name.
 from armcell.model.assets import find_file
 from armcell.model.compose import Part, compose, prefixed
 from armcell.model.hand import hand_alone
-from armcell.model.loader import load_robot, robot_names
+from armcell.model.known_robots import KnownRobot, installed_robots, known_robot, robot_names
+from armcell.model.loader import load_robot
 from armcell.model.robot import (
     Collision,
     EndEffector,
@@ -20,7 +21,7 @@ from armcell.model.robot import (
     RobotModel,
     Visual,
 )
-from armcell.model.setup import MoveItConfig, UrdfPart
+from armcell.model.setup import MoveItConfig, UrdfPart, load_ompl_planning
 from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Inertial",
     "Joint",
     "JointLimits",
+    "KnownRobot",
     "Link",
     "Mimic",
     "MoveItConfig",
@@ -41,6 +43,9 @@ __all__ = [
     "compose",
     "find_file",
     "hand_alone",
+    "installed_robots",
+    "known_robot",
+    "load_ompl_planning",
     "load_robot",
     "load_urdf",
     "parse_urdf",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model.robot import EndEffector, Group, Joint, Link, Mimic, RobotModel
+from armcell.model.robot import EndEffector, Group, Joint, Link, Mimic, MjcfPart, RobotModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,12 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
         },
         groups={
             prefix + n: Group(
-                prefix + n, tuple_p(g.joint_names), tuple_p(g.link_names), p(g.base_link), p(g.tip_link)
+                prefix + n,
+                tuple_p(g.joint_names),
+                tuple_p(g.link_names),
+                p(g.base_link),
+                p(g.tip_link),
+                g.ik_solver,
             )
             for n, g in model.groups.items()
         },
@@ -73,6 +78,7 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
         disabled_collisions={
             frozenset(prefix + n for n in pair): reason for pair, reason in model.disabled_collisions.items()
         },
+        mjcf=tuple(part.prefixed(prefix) for part in model.mjcf),
     )
 
 
@@ -96,6 +102,7 @@ def compose(name: str, parts: Sequence[Part]) -> RobotModel:
         root = "world"
     merged: dict[str, dict] = {k: {} for k in ("groups", "end_effectors", "grippers", "named_states")}
     disabled: dict[frozenset[str], str] = {}
+    mjcf: list[MjcfPart] = []
     for part in parts:
         model = prefixed(part.model, part.prefix)
         taken = sorted((set(links) & set(model.links)) | (set(joints) & set(model.joints)))
@@ -122,6 +129,7 @@ def compose(name: str, parts: Sequence[Part]) -> RobotModel:
                     )
                 into[item] = value
         disabled.update(model.disabled_collisions)
+        mjcf.extend(model.mjcf)
     return RobotModel(
         name=name,
         root_link=root,
@@ -129,5 +137,6 @@ def compose(name: str, parts: Sequence[Part]) -> RobotModel:
         joints=joints,
         disabled_collisions=disabled,
         source=", ".join(p.model.source for p in parts),
+        mjcf=tuple(mjcf),
         **merged,
     )

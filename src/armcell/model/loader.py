@@ -1,8 +1,10 @@
-"""The `load_robot` function: loads a robot by library name, folder, URDF file or xacro file."""
+"""The `load_robot` function: loads a robot by library name, folder, or URDF, xacro or MJCF file."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from contextvars import ContextVar
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,47 +13,63 @@ from armcell.core import SE3, InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
 from armcell.model.compose import Part, compose
 from armcell.model.composite import with_composites
-from armcell.model.files import read_yaml
+from armcell.model.files import parse_xml, read_text, read_yaml
+from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_names
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
+from armcell.model.setup.chains import with_groups
 from armcell.model.setup.gripper import find_grippers
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
 from armcell.model.urdf import load_urdf
 
-LIBRARY = Path(__file__).parent / "library"
-ROBOT_FILE = "robot.yaml"
-_KEYS = {"name", "source", "urdf", "root", "srdf", "joint_limits", "grippers", "parts", "groups", "states"}
+XacroArgs = Mapping[str, str] | None
+_SOURCES = ("urdf", "mjcf", "parts")
+_KEYS = {
+    "name",
+    "source",
+    *_SOURCES,
+    "root",
+    "srdf",
+    "joint_limits",
+    "ik_solvers",
+    "grippers",
+    "groups",
+    "states",
+    "xacro_args",
+    "description",
+}
+_around: ContextVar[tuple[Path, ...]] = ContextVar("robot files whose parts are being loaded", default=())
 
 
-def robot_names() -> list[str]:
-    """Return the names of the robots in armcell's library."""
-    return sorted(p.parent.name for p in LIBRARY.glob(f"*/{ROBOT_FILE}"))
-
-
-def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | None = None) -> RobotModel:
-    """Load a robot model from the library, a folder, a URDF file or a xacro file.
+def load_robot(
+    robot: str | Path,
+    base: Path | None = None,
+    allow_env: bool | None = None,
+    xacro_args: XacroArgs = None,
+) -> RobotModel:
+    """Load a robot model from the library, a folder, or a URDF, xacro or MJCF file.
 
     Args:
         robot: a library name (see `robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
-            or a URDF or xacro file. An SRDF file of the same name in the same folder is applied, too.
+            or a URDF, xacro or MJCF (`*.xml`, `*.mjcf`) file. An SRDF file of the same name in the same
+            folder is applied, too. An MJCF file without an SRDF gets groups for its arms and grippers.
         base: folder that relative paths start from; by default the current folder.
         allow_env: whether xacro files may read environment variables with `$(env)` and `$(optenv)`. None:
             only if ARMCELL_ALLOW_ENV is set, as `armcell --allow-env` does.
+        xacro_args: values for a xacro file's arguments, by name.
     Raises:
         InputError: the robot cannot be loaded; the message contains file, element, reason and remedy.
     """
     if isinstance(robot, str) and robot in robot_names():
-        return load_folder(LIBRARY / robot)
+        return load_folder(LIBRARY / robot, allow_env, xacro_args)
     path = Path(robot)
     if not path.is_absolute() and base is not None:
         path = base / path
     if os.path.isdir(path):  # returns False for invalid names, where Path.is_dir raises
-        return load_folder(path, allow_env)
+        return load_folder(path, allow_env, xacro_args)
     if path.suffix in (".urdf", ".xacro") or os.path.isfile(path):
-        model = load_urdf(path, allow_env)
-        srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
-        return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
+        return _load_file(path, allow_env, xacro_args)
     if isinstance(robot, str) and "/" not in robot and "." not in robot:
         raise UnknownNameError("robot", robot, robot_names())
     raise InputError(
@@ -59,14 +77,57 @@ def load_robot(robot: str | Path, base: Path | None = None, allow_env: bool | No
     )
 
 
-def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
+def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> RobotModel:
+    srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(path.suffix) + ".srdf")
+    if is_mjcf(path):
+        model = load_mjcf_file(path)
+        return with_srdf(model, srdf) if srdf.is_file() else with_keyframes(with_groups(model))
+    srdf = path.with_name(path.name.removesuffix(".xacro").removesuffix(".urdf") + ".srdf")
+    model = load_urdf(path, allow_env, xacro_args=xacro_args)
+    return with_srdf(model, srdf) if srdf.is_file() else with_adjacent_disabled(model)
+
+
+def is_mjcf(path: Path) -> bool:
+    """Return whether a file is MJCF: its suffix is .mjcf, or .xml with the root element <mujoco>."""
+    if path.suffix.lower() != ".xml":
+        return path.suffix.lower() == ".mjcf"
+    return parse_xml(read_text(path), path).tag == "mujoco"
+
+
+def load_mjcf_file(path: Path) -> RobotModel:
+    """Load an MJCF file, see `load_mjcf`; links that share a joint need no collision check."""
+    from armcell.model.mjcf import load_mjcf  # imported late: imports MuJoCo, which URDF robots do not need
+
+    return with_adjacent_disabled(load_mjcf(path))
+
+
+def with_keyframes(model: RobotModel) -> RobotModel:
+    """Return the robot with MJCF's keyframes as named states of its groups, clipped to the joint limits.
+
+    If no keyframe has the name "home", the first keyframe is also the state "home".
+    """
+    named = {group: dict(states) for group, states in model.named_states.items()}
+    for part in model.mjcf:
+        states = dict(part.states)
+        if states and "home" not in states:
+            states["home"] = next(iter(states.values()))
+        for state, positions in states.items():
+            for group in model.groups.values():
+                values = {j: positions[j] for j in group.joint_names if j in positions}
+                if len(values) == len(group.joint_names) > 0:
+                    q = model.enforce_bounds(list(values.values()), values)
+                    named.setdefault(group.name, {})[state] = dict(zip(values, map(float, q), strict=True))
+    return replace(model, named_states=named)
+
+
+def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroArgs = None) -> RobotModel:
     """Load a robot from a folder with robot.yaml, or from a MoveIt configuration package.
 
     robot.yaml contains either a URDF or a list of parts that are mounted on each other.
     """
     file = folder / ROBOT_FILE
     if not file.is_file() and is_moveit_config(folder):
-        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env).model)
+        return find_grippers(MoveItConfig.load(folder, allow_env=allow_env, xacro_args=xacro_args).model)
     data = read_yaml(file)
     for key in data:
         if key not in _KEYS:
@@ -75,11 +136,15 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
         raise InputError("is not a list", file=file, element="parts")
     if not isinstance(data.get("grippers") or {}, dict):
         raise InputError("is not a mapping", file=file, element="grippers")
-    if ("urdf" in data) == ("parts" in data):
-        raise InputError("needs either 'urdf' or 'parts'", file=file)
+    if sum(key in data for key in _SOURCES) != 1:
+        raise InputError("needs one of 'urdf', 'mjcf' and 'parts'", file=file)
     name = str(data.get("name", folder.resolve().name))  # resolved: independent of the working folder
-    if "urdf" in data:
-        model = load_urdf(_urdf_path(str(data["urdf"]), folder, file), allow_env, folder)
+    if "parts" not in data:
+        if "mjcf" in data:
+            model = load_mjcf_file(_source_path(data, "mjcf", folder, file))
+        else:
+            given = {**xacro_texts(data.get("xacro_args"), file), **(xacro_args or {})}
+            model = load_urdf(_source_path(data, "urdf", folder, file), allow_env, folder, given)
         if "root" in data:
             model = rerooted(model, str(data["root"]))
         model = with_adjacent_disabled(model)
@@ -93,10 +158,22 @@ def load_folder(folder: Path, allow_env: bool | None = None) -> RobotModel:
     if "joint_limits" in data:
         model = with_joint_limits(model, folder / str(data["joint_limits"]))
     model = with_composites(model, data.get("groups"), data.get("states"), file)
+    model = _with_ik_solvers(model, data.get("ik_solvers") or {}, file)
     grippers = dict(model.grippers)
     for name, entry in (data.get("grippers") or {}).items():
         grippers[name] = _gripper(model, name, entry, file)
     return replace(model, grippers=grippers)
+
+
+def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
+    """Return the robot with IK solvers named by planning group."""
+    if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
+        raise InputError("is not a mapping of groups to solver names", file=file, element="ik_solvers")
+    for group in names:
+        if group not in model.groups:
+            raise UnknownNameError("planning group", group, model.groups, file=file, element="ik_solvers")
+    groups = {n: replace(g, ik_solver=names.get(n, g.ik_solver)) for n, g in model.groups.items()}
+    return replace(model, groups=groups)
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
@@ -119,11 +196,28 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
     return replace(model, disabled_collisions={**pairs, **model.disabled_collisions})
 
 
-def _urdf_path(uri: str, folder: Path, file: Path) -> Path:
+def xacro_texts(value: Any, file: Path) -> dict[str, str]:
+    """Return xacro arguments from YAML as xacro's texts: booleans are `true` and `false`.
+
+    Raises:
+        InputError: `value` is not a mapping of names to numbers, texts or booleans.
+    """
+    if not isinstance(value or {}, dict):
+        raise InputError("is not a mapping", file=file, element="xacro_args")
+    found = {}
+    for name, entry in (value or {}).items():
+        if not isinstance(entry, str | int | float):
+            raise InputError(f"{entry!r} is not a text or number", file=file, element=f"xacro_args/{name}")
+        found[str(name)] = str(entry).lower() if isinstance(entry, bool) else str(entry)
+    return found
+
+
+def _source_path(data: dict[str, Any], key: str, folder: Path, file: Path) -> Path:
     try:
-        return resolve_uri(uri, folder)
+        return resolve_uri(str(data[key]), folder)
     except InputError as error:
-        raise InputError(error.reason, file=file, element="urdf", cure=error.cure) from None
+        hint = known_robot(folder.name).hint if folder.parent == LIBRARY else ""
+        raise InputError(error.reason, file=file, element=key, cure=hint or error.cure) from None
 
 
 def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
@@ -143,10 +237,14 @@ def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
 
 
 def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) -> RobotModel:
+    around = _around.get()
+    if file.resolve() in around:
+        raise InputError(f"part {robot!r} contains itself", file=file, element="parts")
+    token = _around.set((*around, file.resolve()))
     try:
         return load_robot(robot, folder, allow_env)
-    except RecursionError:
-        raise InputError(f"part {robot!r} contains itself", file=file, element="parts") from None
+    finally:
+        _around.reset(token)
 
 
 def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:

@@ -6,7 +6,7 @@ The model contains no joint positions; robot states are separate objects.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -75,6 +75,46 @@ class Mimic:
     offset: float = 0.0
 
 
+@dataclass(frozen=True)
+@checked()
+class Servo:
+    """Gains of a joint's own position servo: force = kp (target - q) + kv (target speed - speed)."""
+
+    kp: float  # [Nm/rad or N/m]
+    kv: float = 0.0  # [Nm s/rad or N s/m]
+
+
+@dataclass(frozen=True)
+class MjcfPart:
+    """The part of a robot that an MJCF file describes.
+
+    Physics attaches the file's bodies with their own inertias, contact parameters, springs and equalities.
+
+    Attributes:
+        text: the MJCF, without includes and relative paths.
+        root: link of the MJCF's world frame or of its only base body, with the prefix.
+        links: the part's links, with the prefix.
+        prefix: before each name of the text.
+        states: joint positions [rad or m] of each named keyframe, by joint name with the prefix.
+    """
+
+    text: str = field(repr=False)
+    root: str
+    links: frozenset[str] = field(repr=False)
+    prefix: str = ""
+    states: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False, compare=False)
+
+    def prefixed(self, prefix: str) -> MjcfPart:
+        """Return a copy of the part with `prefix` before every name."""
+        return replace(
+            self,
+            root=prefix + self.root,
+            links=frozenset(prefix + name for name in self.links),
+            prefix=prefix + self.prefix,
+            states={s: {prefix + j: q for j, q in of.items()} for s, of in self.states.items()},
+        )
+
+
 @dataclass(frozen=True, eq=False)
 @checked()
 class Joint:
@@ -93,6 +133,7 @@ class Joint:
     mimic: Mimic | None = None
     damping: float = 0.0
     friction: float = 0.0
+    servo: Servo | None = None  # of the model's own actuator, if that is a position servo
 
     @property
     def movable(self) -> bool:
@@ -105,13 +146,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class Group:
-    """A planning group: actuated joints in model order, links, and the two ends of a chain."""
+    """A planning group: actuated joints in model order, links, and the two ends of a chain.
+
+    Attributes:
+        ik_solver: name of the inverse kinematics solver; empty: armcell chooses one.
+    """
 
     name: str
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
     base_link: str | None = None
     tip_link: str | None = None
+    ik_solver: str = ""
 
 
 @dataclass(frozen=True)
@@ -178,6 +224,7 @@ class RobotModel:
     named_states: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     disabled_collisions: Mapping[frozenset[str], str] = field(default_factory=dict)
     source: str = ""
+    mjcf: tuple[MjcfPart, ...] = ()  # parts that physics takes from MJCF text
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

@@ -6,13 +6,14 @@ Every error message names the file, line, element and remedy.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from lxml import etree
 
-from armcell.core import SE3, Box, Capsule, Cylinder, InputError, Shape, Sphere
+from armcell.core import SE3, Format, InputError, Shape, named_shapes
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
@@ -23,22 +24,34 @@ logger = logging.getLogger(__name__)
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
 
-def load_urdf(path: Path, allow_env: bool | None = None, home: Path | None = None) -> RobotModel:
+def load_urdf(
+    path: Path,
+    allow_env: bool | None = None,
+    home: Path | None = None,
+    xacro_args: Mapping[str, str] | None = None,
+) -> RobotModel:
     """Load a robot from a URDF or xacro file (`*.xacro`); the result has no planning groups.
 
     Args:
         path: the URDF or xacro file.
-        allow_env, home: options for xacro files, see `expand_xacro`.
+        allow_env, home, xacro_args: options for xacro files, see `expand_xacro`.
     Raises:
         InputError: the file is not readable or not a valid URDF.
     """
-    return parse_urdf(urdf_text(path, allow_env, home), path)
+    return parse_urdf(urdf_text(path, allow_env, home, xacro_args), path)
 
 
-def urdf_text(path: Path, allow_env: bool | None = None, home: Path | None = None) -> str:
+def urdf_text(
+    path: Path,
+    allow_env: bool | None = None,
+    home: Path | None = None,
+    xacro_args: Mapping[str, str] | None = None,
+) -> str:
     """Return the text of a URDF or SRDF file; expand the file first if it is a xacro file."""
     path = Path(path)
-    return expand_xacro(path, None, allow_env, home) if path.suffix == ".xacro" else read_text(path)
+    if path.suffix == ".xacro":
+        return expand_xacro(path, xacro_args, allow_env, home)
+    return read_text(path)
 
 
 def parse_urdf(text: str, file: Path) -> RobotModel:
@@ -236,23 +249,19 @@ class _Reader:
 
     def shape(self, element: etree._Element) -> Shape:
         geometry = self.geometry(element)
+        sized = named_shapes(Format.URDF_READ)
         try:
-            match geometry.tag:
-                case "box":
-                    return Box(*self.numbers(geometry, "size", 3))
-                case "sphere":
-                    return Sphere(self.number(geometry, "radius"))
-                case "cylinder":
-                    return Cylinder(self.number(geometry, "radius"), self.number(geometry, "length"))
-                case "capsule":
-                    return Capsule(self.number(geometry, "radius"), self.number(geometry, "length"))
-                case "mesh":
-                    return load_mesh(*self.mesh_file(geometry))
+            if geometry.tag in sized:
+                return sized[geometry.tag].from_named(
+                    lambda key: self.number(geometry, key), lambda key, n: self.numbers(geometry, key, n)
+                )
+            if geometry.tag == "mesh":
+                return load_mesh(*self.mesh_file(geometry))
         except InputError as error:
             if error.line is not None:
                 raise
             raise self.fail(geometry, str(error)) from None
-        raise self.fail(geometry, "unknown geometry", cure="box, sphere, cylinder, capsule and mesh exist")
+        raise self.fail(geometry, "unknown geometry", cure=f"{', '.join(sized)} and mesh exist")
 
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
         """Return the visual geometry of a URDF element, or None if its mesh file is missing.

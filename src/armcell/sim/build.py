@@ -7,11 +7,13 @@ have names.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 
 import mujoco
 
 from armcell.core import InputError
+from armcell.model.mjcf.spec import UNSAVED, log_mujoco_warnings
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.built import BuiltModel, indexed
 from armcell.sim.decals import Decal, add_decals
@@ -76,6 +78,7 @@ def build(
         InputError: MuJoCo rejects the model.
     """
     settings = settings or PhysicsSettings()
+    log_mujoco_warnings()
     spec = mujoco.MjSpec()
     set_options(spec, settings)
     adder = GeomAdder(spec)
@@ -104,7 +107,9 @@ def build(
                 )
     _add_look(spec)
     try:
-        mj = spec.compile()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", UNSAVED)
+            mj = spec.compile()
     except ValueError as error:
         raise InputError(f"physics cannot be built for {scene.model.name!r}: {error}") from None
     return indexed(scene, settings, spec, mj, objects)

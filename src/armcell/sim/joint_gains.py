@@ -136,6 +136,8 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
         low = clamp if own.i_clamp_min < 0 else own.i_clamp_min
         high = clamp if own.i_clamp_max < 0 else own.i_clamp_max
         return Drive(own.p, own.i, own.d, -low, high, not own.antiwindup, own.ff_velocity_scale)
+    if joint.servo is not None:
+        return Drive(joint.servo.kp, 0.0, joint.servo.kv, -most, most, False, 0.0)
     # A weak joint with a strong joint's gains would saturate at every small error and chatter.
     weak = min(1.0, effort / settings.full_gain_effort)
     slides = joint.type == "prismatic"

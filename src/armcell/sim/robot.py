@@ -8,9 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from armcell.core import SE3, Mesh
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
 from armcell.scene import WORLD, PlanningScene
+from armcell.sim.attaching import attach_part, mjcf_links
 from armcell.sim.joint_gains import arm_joints, check_joint_gains, joint_drive
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP, GeomAdder, full_inertia
@@ -22,11 +24,22 @@ _TINY_MASS, _TINY_INERTIA = 1e-4, 1e-7
 def add_robot(
     spec: mujoco.MjSpec, adder: GeomAdder, model: RobotModel, settings: PhysicsSettings, visuals: bool
 ) -> dict[str, Any]:
+    bodies: dict[str, Any] = {}
+    from_mjcf = mjcf_links(model)
     # a composed model of several robots has the root link "world", which is MuJoCo's world body
-    root = spec.worldbody if model.root_link == WORLD else spec.worldbody.add_body(name=model.root_link)
-    bodies = {model.root_link: root}
+    if model.root_link == WORLD:
+        bodies[WORLD] = spec.worldbody
+    elif model.root_link not in from_mjcf:
+        bodies[model.root_link] = spec.worldbody.add_body(name=model.root_link)
+    else:
+        bodies |= attach_part(spec, spec.worldbody, model, model.root_link, SE3.identity())
     for joint in model.joints.values():
         T = joint.T_parent_joint
+        if joint.child in bodies:
+            continue  # attached with its MJCF part
+        if joint.child in from_mjcf:
+            bodies |= attach_part(spec, bodies[joint.parent], model, joint.child, T)
+            continue
         body = bodies[joint.parent].add_body(name=joint.child, pos=T.translation, quat=T.quat_wxyz)
         bodies[joint.child] = body
         if joint.movable:
@@ -36,10 +49,16 @@ def add_robot(
         link = model.links[name]
         if name != WORLD:
             body.gravcomp = settings.gravity_compensation  # real arms compensate their own weight
-            _set_inertia(body, link, name in massless)
-        _add_link_geoms(adder, body, link, visuals)
+        if name in from_mjcf:
+            _group_geoms(body, link)
+        else:
+            if name != WORLD:
+                _set_inertia(body, link, name in massless)
+            _add_solids(adder, body, link)
+        if visuals:
+            _add_visuals(adder, body, link)
     for joint in model.joints.values():
-        if joint.mimic is not None:
+        if joint.mimic is not None and joint.child not in from_mjcf:  # MJCF parts keep their own equalities
             spec.add_equality(
                 name=f"{joint.name}:mimic",
                 type=mujoco.mjtEq.mjEQ_JOINT,
@@ -101,20 +120,29 @@ def _set_inertia(body: Any, link: Link, carrier: bool) -> None:
     body.fullinertia = full_inertia(inertia)
 
 
-def _add_link_geoms(adder: GeomAdder, body: Any, link: Link, visuals: bool) -> None:
+def _group_geoms(body: Any, link: Link) -> None:
+    """Put the geoms of an MJCF body into the group of armcell's collision geoms."""
+    for geom in body.geoms:
+        geom.group = COLLISION_GROUP if link.visuals else OBJECT_GROUP
+
+
+def _add_solids(adder: GeomAdder, body: Any, link: Link) -> None:
     color = next((v.color for v in link.visuals if v.color is not None), DEFAULT_COLOR)
     group = COLLISION_GROUP if link.visuals else OBJECT_GROUP
     for i, solid in enumerate(link.collisions):
         adder.add_solid(
             body, solid.shape, solid.T_link_shape, f"{link.name}:{i}", group=group, rgba=color, density=0.0
         )
-    if not visuals:
-        return
+
+
+def _add_visuals(adder: GeomAdder, body: Any, link: Link) -> None:
     looks = {"contype": 0, "conaffinity": 0, "group": VISUAL_GROUP, "density": 0.0}
     for i, visual in enumerate(link.visuals):
         name = f"{link.name}:visual{i}"
-        if visual.shape is not None:
-            rgba = visual.color or DEFAULT_COLOR
+        rgba = visual.color or DEFAULT_COLOR
+        if isinstance(visual.shape, Mesh):
+            adder.add_mesh(body, visual.shape, visual.T_link_visual, name, rgba=rgba, **looks)
+        elif visual.shape is not None:
             adder.add_solid(body, visual.shape, visual.T_link_visual, name, rgba=rgba, **looks)
         for k, (mesh, rgba) in enumerate(visual_parts(visual)):
             adder.add_mesh(body, mesh, visual.T_link_visual, f"{name}.{k}", rgba=rgba, **looks)

@@ -14,8 +14,9 @@ from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
 from armcell.tasks.intermediate_placement import place_intermediate
+from armcell.tasks.pick import AHEAD, back_off, pick
 from armcell.tasks.pipelined import scene_difference
-from armcell.tasks.recipes import AHEAD, Vector, back_off, pick, place
+from armcell.tasks.recipes import Vector, place
 from armcell.tasks.stages import ChoosePlacement
 
 GIVEN_UP = "given up"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory, Outcome
 from armcell.drivers.driver import DriverOptions
 from armcell.drivers.sim import SimDriver
+from armcell.execution import UngatedMotion, execute
 from armcell.scene import PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 from armcell.twin.load import Demand, demand
@@ -105,9 +106,6 @@ class Stage:
             poses: T_world_object of the movable objects.
             held: gripper name to the held object, which is fixed to the hand.
         """
-        from armcell.execution.executor import execute
-        from armcell.execution.gate import UngatedMotion
-
         world = self._placed(state, poses, held)
         driver = SimDriver(self._scene, DriverOptions(physics=self._settings))
         driver.world = world

@@ -9,8 +9,8 @@ from armcell.core import InputError
 from armcell.drivers.ur.wire.dynamics import ArmDynamics, jacobian_rate, tool_jacobian
 from armcell.drivers.ur.wire.kinematics import forward, frames_of, inverse, pose_of
 from armcell.drivers.ur.wire.models import MODELS, ur_model
-from armcell.emulators.ur.motion import Blended, MotionFault, MoveC, MoveJ, MoveL, Setpoint, TrackL
 from armcell.emulators.network import Network
+from armcell.emulators.ur.motion import Blended, MotionFault, MoveC, MoveJ, MoveL, Setpoint, TrackL
 from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.programs import run_script
 from armcell.emulators.ur.robot import Robot

@@ -10,7 +10,7 @@ from armcell.core import InputError
 from armcell.model.robot import EndEffector, Group, Joint, RobotModel
 
 JAW = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pincer", re.IGNORECASE)
-TOOL = re.compile(r"tcp|tool|grasp|ee_link|end_effector|gripper$", re.IGNORECASE)
+TOOL = re.compile(r"tcp|tool|grasp|pinch|ee_link|ee_site|end_effector|attachment|gripper$", re.IGNORECASE)
 HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fingers
 
 

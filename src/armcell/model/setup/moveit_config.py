@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 from armcell.core import InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
 from armcell.model.files import parse_xml, read_yaml
+from armcell.model.options import assignments
 from armcell.model.robot import RobotModel
 from armcell.model.setup.defaults import ACCELERATION, VELOCITY
 from armcell.model.setup.folder import write_folder, yaml_text
@@ -88,7 +90,10 @@ class MoveItConfig:
 
     @staticmethod
     def load(
-        folder: str | Path, urdf: str | Path | None = None, allow_env: bool | None = None
+        folder: str | Path,
+        urdf: str | Path | None = None,
+        allow_env: bool | None = None,
+        xacro_args: Mapping[str, str] | None = None,
     ) -> MoveItConfig:
         """Read a MoveIt configuration package from its folder.
 
@@ -97,11 +102,13 @@ class MoveItConfig:
             urdf: the URDF or xacro file; by default the file that `.setup_assistant` names, or else the first
                 one in config/ or urdf/.
             allow_env: whether xacro files may read environment variables, see `expand_xacro`.
+            xacro_args: values for the URDF's xacro arguments; they replace those of `.setup_assistant`.
         Raises:
             InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type;
                 the message names the file and key.
         """
-        return _Reader(Path(folder), allow_env).read(None if urdf is None else Path(urdf))
+        reader = _Reader(Path(folder), allow_env, dict(xacro_args or {}))
+        return reader.read(None if urdf is None else Path(urdf))
 
     # --- settings for planners and controllers ---
     @property
@@ -228,11 +235,23 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
     return {name: manager[name] for name in manager.get("controller_names") or []}
 
 
+def load_ompl_planning(file: Path, model: RobotModel) -> Data:
+    """Read an ompl_planning.yaml of ROS 1 or ROS 2 for `PlanRequest.planner_configs`.
+
+    Raises:
+        InputError: a group's planner configuration does not exist or a value has the wrong type; the message
+            names the file and key.
+    """
+    data = read_yaml(file)
+    _Reader(file.parent.parent).check_ompl_planning(data, file, model)
+    return _unwrapped(data, "ompl")
+
+
 class _Reader:
     """A reader for one MoveIt configuration package; error messages contain the file and key."""
 
-    def __init__(self, folder: Path, allow_env: bool | None = None):
-        self.folder, self.allow_env = folder, allow_env
+    def __init__(self, folder: Path, allow_env: bool | None, xacro_args: dict[str, str]):
+        self.folder, self.allow_env, self.xacro_args = folder, allow_env, xacro_args
         self.config = folder / "config"
 
     def read(self, urdf: Path | None) -> MoveItConfig:
@@ -242,7 +261,7 @@ class _Reader:
             raise InputError("has no folder config/", file=self.folder, cure="is this a MoveIt package?")
         setup = self.setup()
         urdf_file = urdf or self.urdf(setup)
-        urdf_text = self.text(urdf_file)
+        urdf_text = self.text(urdf_file, {**self.own_xacro_args(setup), **self.xacro_args})
         model = parse_urdf(urdf_text, urdf_file)
         srdf_file = self.srdf(setup)
         srdf = self.text(srdf_file)
@@ -318,8 +337,20 @@ class _Reader:
             )
         return found[0]
 
-    def text(self, file: Path) -> str:
-        return urdf_text(file, self.allow_env, self.folder)
+    def text(self, file: Path, xacro_args: dict[str, str] | None = None) -> str:
+        return urdf_text(file, self.allow_env, self.folder, xacro_args)
+
+    def own_xacro_args(self, setup: Data) -> dict[str, str]:
+        """Return the URDF's xacro arguments that MoveIt's setup assistant has stored, as `a:=1 b:=2`."""
+        entry = setup.get("urdf", setup.get("URDF"))
+        words = entry.get("xacro_args") if isinstance(entry, dict) else None
+        if not words:
+            return {}
+        file = self.folder / SETUP_FILE
+        try:
+            return assignments(shlex.split(str(words)), ":=", "xacro argument")
+        except (InputError, ValueError) as error:
+            raise InputError(str(error), file=file, element="urdf/xacro_args") from None
 
     # --- type checks ---
     def mapping(self, value: Any, file: Path, key: str) -> Data:

@@ -27,13 +27,14 @@ from lxml import etree
 
 from armcell.core import InputError
 from armcell.model.files import parse_xml, read_text
+from armcell.model.options import xacro_args
 from armcell.model.xacro.budget import CHARACTERS, Budget, Function, XacroError
 from armcell.model.xacro.expressions import Dotted, NameSpace, evaluate
-from armcell.model.xacro.files import RobotFiles
+from armcell.model.xacro.files import MissingFile, RobotFiles
 from armcell.model.xacro.functions import BASIC, MATH, PYTHON, plain, text_of, tokenize
 from armcell.model.xacro.parameters import Parameter, parameters_of
 from armcell.model.xacro.scope import Scope, evaluate_text, truth
-from armcell.model.xacro.substitution import Substitution
+from armcell.model.xacro.substitution import ARGUMENT, MissingArgument, Substitution, missing_hint
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +59,8 @@ def expand_xacro(
 
     Args:
         file: the xacro file.
-        arguments: values for `$(arg NAME)`, like `name:=value` on xacro's command line.
+        arguments: values for `$(arg NAME)`, like `name:=value` on xacro's command line. `--xacro-arg` on
+            armcell's own command line replaces them.
         allow_env: whether the file may read environment variables with `$(env)` and `$(optenv)`. None: only
             if ARMCELL_ALLOW_ENV is set.
         home: folder that contains all files of the robot; by default the file's package or folder.
@@ -68,14 +70,36 @@ def expand_xacro(
     if allow_env is None:
         allow_env = os.environ.get(ALLOW_ENV, "") not in ("", "0")
     root = parse_xml(read_text(file), file)
-    work = _Expansion(file, dict(arguments or {}), allow_env, home)
+    given = xacro_args(arguments)
+    work = _Expansion(file, dict(given), allow_env, home)
     try:
         with _deep_calls():
-            return work.document(root)
+            text = work.document(root)
+    except MissingArgument as error:
+        raise work.failed(error.reason, missing_hint(_missing(root, error.name, given))) from None
+    except MissingFile as error:
+        values = ", ".join(f"{k}={v!r}" for k, v in work.substitution.values.items())
+        cause = f"; the path may depend on arguments: {values} (--xacro-arg NAME:=VALUE)" if values else ""
+        raise work.failed(error.reason, f"{error.cure}{cause}") from None
     except XacroError as error:
         raise work.failed(error.reason, error.cure) from None
     except RecursionError:
         raise work.failed("it is nested too deeply") from None
+    if unknown := sorted(set(given) - work.substitution.declared):
+        known = ", ".join(sorted(work.substitution.declared)) or "none"
+        log.warning("%s: has no xacro argument %s; it has %s", file, ", ".join(unknown), known)
+    return text
+
+
+def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
+    """Return the arguments of a file that have no value: `name`, and all that the file uses undeclared."""
+    text = etree.tostring(root, encoding="unicode")
+    known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
+    return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
+
+
+def _is_xacro_tag(element: Element, tag: str) -> bool:
+    return isinstance(element.tag, str) and etree.QName(element).localname == tag and "xacro" in element.tag
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +127,16 @@ class _Expansion:
         names.values.update(self._names(names))
         out = etree.Element(root.tag, nsmap=_spaces(root))
         scope, macros = names.inner(), Scope(self.budget, self._substitute).inner()
-        self._attributes(root, out, scope)
-        self._children(root, out, macros, scope)
+        self.here = root
+        try:
+            self._attributes(root, out, scope)
+            self._children(root, out, macros, scope)
+        except MissingArgument:  # name="arm$(arg dof)" before <xacro:arg name="dof" default="7"/>
+            if len(out):
+                raise
+            self._children(root, out, macros, scope)
+            self.here = root
+            self._attributes(root, out, scope)
         return etree.tostring(out, encoding="unicode")
 
     def failed(self, reason: str, cure: str | None = None) -> InputError:

@@ -35,6 +35,13 @@ UNITS = {
 }  # fmt: skip
 
 
+SHOWN = 20  # entries of a folder in an error message
+
+
+class MissingFile(XacroError):
+    """A file that a xacro file includes or loads does not exist."""
+
+
 class RobotFiles:
     """A reader for the files that a robot description names, restricted to allowed folders.
 
@@ -87,6 +94,24 @@ class RobotFiles:
             )
         return real
 
+    def existing(self, path: Path) -> Path:
+        """Return `checked(path)` if the file exists.
+
+        Raises:
+            MissingFile: the file does not exist; the hint lists what the nearest existing folder contains.
+            XacroError: see `checked`.
+        """
+        path = self.checked(path)
+        if path.exists():
+            return path
+        folder = next(folder for folder in path.parents if folder.is_dir())
+        try:
+            entries = sorted(e.name for e in folder.iterdir() if not e.name.startswith("."))
+        except OSError:
+            entries = []
+        more = ", ..." if len(entries) > SHOWN else ""
+        raise MissingFile(f"file {path} not found", f"{folder} has {', '.join(entries[:SHOWN])}{more}")
+
     def xml(self, path: Path) -> etree._Element:
         """Return the root element of an XML file that a xacro file includes.
 
@@ -94,7 +119,7 @@ class RobotFiles:
             XacroError: the file is outside the robot's packages.
             InputError: the file is not readable or not valid XML.
         """
-        path = self.checked(path)
+        path = self.existing(path)
         text = read_text(path, MAX_TEXT_BYTES)
         self.budget.charge(len(text) // XML_CHARACTERS)
         return parse_xml(text, path)
@@ -109,7 +134,7 @@ class RobotFiles:
             XacroError: the file is outside the robot's packages.
             InputError: the file is not readable or not valid YAML.
         """
-        path = self.checked(path)
+        path = self.existing(path)
         if path not in self._yaml:
             text = read_text(path, MAX_YAML_BYTES)
             self.budget.charge(len(text) // YAML_CHARACTERS)

@@ -6,6 +6,7 @@ The module also supports `$(optenv)`, `$(dirname)` and `$(cwd)`.
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,24 @@ from armcell.model.xacro.functions import BASIC, MATH, plain, text_of
 from armcell.model.xacro.scope import Arguments, typed
 
 ENV_CURE = "if you trust this file: armcell --allow-env COMMAND ..., or allow_env=True in Python"
+
+
+ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
+
+
+class MissingArgument(XacroError):
+    """An argument of a xacro file has neither a default nor a given value."""
+
+    def __init__(self, name: str):
+        super().__init__(f"argument {name!r} has no value", missing_hint([name]))
+        self.name = name
+
+
+def missing_hint(names: list[str]) -> str:
+    """Return how to pass xacro arguments, on the command line and in a cell file."""
+    options = " ".join(f"--xacro-arg {name}:=VALUE" for name in names)
+    entries = ", ".join(f"{name}: VALUE" for name in names)
+    return f"pass {options}, or write 'xacro_args: {{{entries}}}' in the cell file"
 
 
 class Substitution:
@@ -30,6 +49,7 @@ class Substitution:
 
     def __init__(self, files: RobotFiles, budget: Budget, values: dict[str, str], allow_env: bool):
         self.files, self.budget, self.values, self.allow_env = files, budget, values, allow_env
+        self.declared: set[str] = set()  # arguments that the file declares or uses
         functions = {
             "arg": lambda name: typed(self.arg(name)),
             "dirname": lambda: str(files.main.parent),
@@ -75,10 +95,9 @@ class Substitution:
         )
 
     def arg(self, name: str) -> str:
+        self.declared.add(name)
         if name not in self.values:
-            raise XacroError(
-                f"argument {name!r} has no value", f'<xacro:arg name="{name}" default="..."/> gives it one'
-            )
+            raise MissingArgument(name)
         return self.values[name]
 
     def env(self, name: str) -> str:

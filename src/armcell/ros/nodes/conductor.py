@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.core.checks import require
 from armcell.drivers import Driver, DriverProxy
-from armcell.execution import Steps
+from armcell.execution import ExecutionSteps
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)
@@ -41,7 +41,7 @@ class Work:
         self,
         name: str,
         joints: Iterable[str],
-        steps: Callable[[Driver, threading.Event], Steps] | None = None,
+        steps: Callable[[Driver, threading.Event], ExecutionSteps] | None = None,
         job: Callable[[threading.Event], ExecutionResult] | None = None,
         gives_way: bool = True,
         trajectory: JointTrajectory | None = None,
@@ -52,7 +52,7 @@ class Work:
         self._why_stopped = ""
         self.began: float | None = None  # start time [s, driver's clock]
         self.moving = False  # True after the first step was executed without rejection
-        self.steps: Steps | None = None
+        self.steps: ExecutionSteps | None = None
         self.result: ExecutionResult | None = None
         self.error: BaseException | None = None
         self._over = threading.Event()

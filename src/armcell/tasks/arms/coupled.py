@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from armcell.core import Goal, JointTrajectory, Outcome, PlanRequest
-from armcell.execution.coupled import execute_coupled
+from armcell.execution import execute_coupled
 from armcell.planning import plan_synchronized
 from armcell.scene import PlanningScene
 from armcell.tasks.context import StageReport, TaskContext

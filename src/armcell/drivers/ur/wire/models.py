@@ -2,8 +2,8 @@
 
 Source: Universal Robots, "DH parameters for calculations of kinematics and dynamics" (geometry, masses,
 centers of mass), and the user manuals (velocities, torques). All values agree with the package
-ur_description 2.4.5 (`config/*/physical_parameters.yaml`, `default_kinematics.yaml`, `joint_limits.yaml`). UR7e
-and UR12e have the geometry of UR5e and UR10e. UR publishes no acceleration limits; `servoj` reaches
+ur_description 2.4.5 (`config/*/physical_parameters.yaml`, `default_kinematics.yaml`, `joint_limits.yaml`).
+UR7e and UR12e have the geometry of UR5e and UR10e. UR publishes no acceleration limits; `servoj` reaches
 40 rad/s^2 here.
 """
 

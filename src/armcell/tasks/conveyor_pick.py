@@ -1,4 +1,4 @@
-"""Picking an object that moves at constant speed, e.g. on a conveyor belt.
+"""Pick of an object that moves at constant speed, for example on a conveyor belt.
 
 The hand moves along with the object while it descends and closes.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,12 @@ from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.search import PartialSolution, Planning, Stage, search
-from armcell.tasks.stages import ChooseGrasp, Connect
+from armcell.tasks.pick import Pick, check_pickable, grasp_stages
+from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
+from armcell.tasks.stages import ChooseGrasp, RunSteps
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import CheckGrasp, Grip, Motion, Watch, perform_all, staged
+from armcell.tasks.steps import DONE, CheckGrasp, Grip, Motion, Watch, perform_all, staged
+from armcell.tasks.task import plan_stages
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
@@ -65,61 +68,60 @@ def pick_moving(
     Raises:
         InputError: no such object, not movable, it does not move, or the gripper holds something.
     """
-    if not ctx.scene().object(item).movable:
-        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
-    if any(held.gripper.name == gripper.name for held in ctx.holding.values()):
-        raise InputError(f"gripper {gripper.name!r} already holds something", cure="place it first")
-    warm_up()
-    outcome = Outcome(ErrorCode.FAILURE, "not tried")
-    for _ in range(settings.tries):
-        outcome = _once(ctx, item, gripper, settings)
-        if outcome.ok or outcome.code in (ErrorCode.PREEMPTED, ErrorCode.PLANNING_FAILED):
-            return outcome
-        ctx.emit("note", f"pick {item} on the way: {outcome.message}; trying again farther on")
-        ctx.holding.pop(item, None)
+    check_pickable(ctx, item, gripper)
+    warm_up()  # compile before the object's speed is measured
+    return _MovingPick(ctx, item, gripper, settings).run()
+
+
+class _MovingPick(Pick):
+    """Pick of an object that moves on; each attempt meets it farther along its path."""
+
+    retry = "trying again farther on"
+
+    def __init__(self, ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings):
+        super().__init__(f"pick {item} on the way", partial(ctx.emit, "note"), settings.tries)
+        self._ctx, self._item, self._gripper, self._settings = ctx, item, gripper, settings
+        self._speed = 0.0  # [m/s] of the object, measured before each attempt
+
+    def plan(self) -> tuple[PartialSolution | None, Outcome]:
+        ctx, item, s, t = self._ctx, self._item, self._settings, self._ctx.settings
+        velocity, seen_at, T_seen = _measured_velocity(ctx, item, s)
+        self._speed, lead = float(np.linalg.norm(velocity)), s.first_lead
+        for _ in range(3):  # the first guess of the time may be too short for the arm's motion
+            meeting = ctx.driver.now + lead
+            T_then = replace(T_seen, translation=T_seen.translation + velocity * (meeting - seen_at))
+            scene = ctx.scene().with_object_pose(item, T_then)
+            stages = self._stages(velocity, meeting - s.blend / 2, float(T_seen.translation[2]))
+            solution, outcome = plan_stages(ctx, stages, self.label, scene)
+            if solution is None:
+                return None, outcome
+            needed = sum(step.duration for step in solution.steps if isinstance(step, Motion))
+            needed += s.blend / 2 + s.spare + t.gripper_timeout / 3
+            if lead >= needed:
+                return solution, outcome
+            lead = needed + 0.2
+        text = f"{self.label}: the object is past before the hand is there"
+        return None, Outcome(ErrorCode.PLANNING_FAILED, text)
+
+    def _stages(self, velocity: Array, start: float, height: float) -> list[Stage]:
+        item, gripper, t = self._item, self._gripper, self._ctx.settings
+        return grasp_stages(
+            ChooseGrasp(item, gripper, t.near, t.approach_distance), gripper, t,
+            RunSteps("check grasp", (CheckGrasp(item, gripper, height, t.lift_distance),)),
+            name="move to meet it", approach=MoveAlong(item, gripper, velocity, start, self._settings),
+        )  # fmt: skip
+
+    def perform(self, solution: PartialSolution) -> Outcome:
+        outcome = perform_all(self._ctx, solution.steps)
+        return replace(outcome, evidence={**outcome.evidence, "speed": self._speed})
+
+    def recover(self, outcome: Outcome) -> None:
+        ctx, gripper = self._ctx, self._gripper  # also after a scene change: the fingers may be closing
+        ctx.holding.pop(self._item, None)
         Grip("open", gripper, gripper.max_width, gripper.max_force).perform(ctx)
-    return outcome
 
 
-def _once(ctx: TaskContext, item: str, gripper: Gripper, s: MovingSettings) -> Outcome:
-    velocity, seen_at, T_seen = _speed(ctx, item, s)
-    t, lead = ctx.settings, s.first_lead
-    for _ in range(3):  # the first guess of the time may be too short for the arm's motion
-        meeting = ctx.driver.now + lead
-        T_then = replace(T_seen, translation=T_seen.translation + velocity * (meeting - seen_at))
-        scene = ctx.scene().with_object_pose(item, T_then)
-        stages: list[Stage] = [
-            ChooseGrasp(item, gripper, t.near, t.approach_distance),
-            Connect("move to meet it", gripper.arm_group, t.free, target="pre_grasp"),
-            MoveAlong(item, gripper, velocity, s),
-        ]
-        planning = Planning(t, ctx.seed, ctx.cancel)
-        solution = search(stages, PartialSolution(scene), planning)
-        if solution is None:
-            code = ErrorCode.PREEMPTED if ctx.cancel.is_set() else ErrorCode.PLANNING_FAILED
-            return Outcome(code, f"pick {item} on the way: {planning.rejections.summary()}")
-        steps = solution.steps
-        way = sum(step.duration for step in steps if isinstance(step, Motion))
-        needed = way + s.blend / 2 + s.spare + t.gripper_timeout / 3
-        if lead >= needed:
-            break
-        lead = needed + 0.2
-    else:
-        return Outcome(ErrorCode.PLANNING_FAILED, f"{item} is past before the hand is there")
-    along: _Along = solution.data["along"]
-    height = float(T_seen.translation[2])
-    outcome = perform_all(ctx, steps)
-    if not outcome.ok:
-        return outcome
-    ctx.advance(meeting - s.blend / 2 - ctx.driver.now)
-    outcome = along.perform(ctx)
-    if outcome.ok:
-        outcome = CheckGrasp(item, gripper, height, t.lift_distance).perform(ctx)
-    speed = float(np.linalg.norm(velocity))
-    return replace(outcome, evidence={**outcome.evidence, "speed": speed})
-
-
-def _speed(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
+def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
     """Measure an object's velocity (3,) [m/s]; also return the last time [s] and T_world_object."""
     before, began = ctx.driver.object_poses()[item], ctx.driver.now
     ctx.advance(s.watch)
@@ -129,6 +131,17 @@ def _speed(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float
     if np.linalg.norm(velocity) < s.slowest:
         raise InputError(f"{item!r} does not move", cure="pick it as any other object")
     return velocity, now, T
+
+
+@dataclass(frozen=True, eq=False)
+class _WaitUntil:
+    """Step that waits until a time [s] of the driver's clock."""
+
+    time: float
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        ctx.advance(self.time - ctx.driver.now)
+        return DONE
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +185,7 @@ class _Along:
         return Watch(self.item).perform(ctx)
 
 
+@stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
     """Stage that plans the descent to a moving object, the motion along with it, and the lift."""
@@ -179,10 +193,10 @@ class MoveAlong:
     item: str
     gripper: Gripper
     velocity: Array  # (3,) [m/s]
+    start: float  # [s] driver's time at which the hand begins to move along
     settings: MovingSettings
     name: str = "along"
     requires = ("grasp",)
-    provides = ("along",)
 
     def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
         s, t, gripper = self.settings, planning.settings, self.gripper
@@ -221,9 +235,9 @@ class MoveAlong:
             planning.reject(self.name, grasp.name, f"in collision: {trouble}")
             return
         touching = scene.with_allowed(self.item, gripper.hand_links)
-        told = {"grasp": grasp.name, "velocity": self.velocity}
-        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching, told)
-        yield solution.then(along=along)
+        evidence = {"grasp": grasp.name, "velocity": self.velocity}
+        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching, evidence)
+        yield solution.then(_WaitUntil(self.start), along)
 
 
 STEP = 0.02  # [s] between points of the motion along with the object

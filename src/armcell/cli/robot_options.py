@@ -1,0 +1,51 @@
+"""The options `--xacro-arg` and `--package`, which every command that loads a robot file takes."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import typer
+
+from armcell.model.options import set_packages, set_xacro_args
+
+_OPTIONS = {
+    "xacro_arg": typer.Option(
+        [], "--xacro-arg", metavar="NAME:=VALUE", help="Argument of the robot's xacro file; may be repeated."
+    ),
+    "package": typer.Option(
+        [],
+        "--package",
+        metavar="NAME=FOLDER",
+        help="Folder of a ROS package that a robot uses; may be repeated.",
+    ),
+}
+
+
+def robot_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a command with the options `--xacro-arg` and `--package`, which apply to all its robot files.
+
+    An option that the command has already (`armcell import --package`) keeps the command's meaning.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    options = {name: option for name, option in _OPTIONS.items() if name not in signature.parameters}
+
+    @functools.wraps(command)
+    def with_options(*args: Any, **values: Any) -> Any:
+        own = {name: values.pop(name) for name in options}
+        set_xacro_args(own.get("xacro_arg", ()))
+        set_packages(own.get("package", ()))
+        return command(*args, **values)
+
+    kind = inspect.Parameter.KEYWORD_ONLY
+    more = [
+        inspect.Parameter(name, kind, default=option, annotation=list[str])
+        for name, option in options.items()
+    ]
+    with_options.__signature__ = signature.replace(  # type: ignore[attr-defined]  # typer reads it
+        parameters=[*signature.parameters.values(), *more]
+    )
+    with_options.__annotations__ = {p.name: p.annotation for p in (*signature.parameters.values(), *more)}
+    return with_options

@@ -1,0 +1,86 @@
+"""Options for robot files that apply to a whole command: xacro arguments and package folders.
+
+The command line passes them on in environment variables, because child processes of a command load the same
+files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from armcell.core import InputError
+
+XACRO_ARGS, PACKAGES = "ARMCELL_XACRO_ARGS", "ARMCELL_PACKAGES"
+"""Environment variables: JSON objects of xacro arguments, and of package folders by package name."""
+_NAME = re.compile(r"[^\s:=]+")
+
+
+def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, str]:
+    """Parse words such as `dof:=7` into a mapping.
+
+    Args:
+        separator: ":=" or "=".
+        what: name of the option, for the error message.
+    Raises:
+        InputError: a word has no separator or no name before it.
+    """
+    found = {}
+    for word in words:
+        name, given, value = word.partition(separator)
+        if not given or not _NAME.fullmatch(name):
+            raise InputError(
+                f"{what} {word!r} is not NAME{separator}VALUE", cure=f"{what} NAME{separator}VALUE"
+            )
+        found[name] = value
+    return found
+
+
+def set_xacro_args(words: Iterable[str]) -> None:
+    """Set xacro arguments `name:=value` for all robot files of this process and its children."""
+    _put(XACRO_ARGS, assignments(words, ":=", "--xacro-arg"))
+
+
+def set_packages(words: Iterable[str]) -> None:
+    """Set the folders of ROS packages, `name=folder`, for this process and its children.
+
+    Raises:
+        InputError: a folder does not exist.
+    """
+    folders = assignments(words, "=", "--package")
+    for name, folder in folders.items():
+        if not os.path.isdir(folder):
+            raise InputError(
+                f"--package {name}={folder}: no such folder", cure="give the package's own folder"
+            )
+        folders[name] = str(Path(folder).resolve())
+    _put(PACKAGES, folders)
+
+
+def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the xacro arguments of a file; those of the command line replace the file's own."""
+    return {**(own or {}), **_read(XACRO_ARGS)}
+
+
+def package_folder(name: str) -> Path | None:
+    """Return the folder that `--package` names for a ROS package, or None."""
+    folder = _read(PACKAGES).get(name)
+    return None if folder is None else Path(folder)
+
+
+def _put(variable: str, values: Mapping[str, str]) -> None:
+    if values:
+        os.environ[variable] = json.dumps({**_read(variable), **values})
+
+
+def _read(variable: str) -> dict[str, str]:
+    text = os.environ.get(variable)
+    if not text:
+        return {}
+    try:
+        return {str(k): str(v) for k, v in json.loads(text).items()}
+    except (ValueError, AttributeError):
+        raise InputError(f"environment variable {variable} is not a JSON object", cure="unset it") from None

@@ -1,0 +1,101 @@
+"""Robots from MJCF keep their own physical parameters, servos and couplings in physics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from tests.model.test_mjcf import DRIVE, JAWS, LINKAGE, TENDON, arm
+
+from armcell.core import SE3
+from armcell.model import Part, compose, load_robot
+from armcell.scene import PlanningScene
+from armcell.sim import SimWorld
+from armcell.sim.build import build
+
+
+def written(tmp_path, text):
+    (tmp_path / "robot.xml").write_text(text)
+    return load_robot(tmp_path / "robot.xml")
+
+
+def scene_of(model):
+    return PlanningScene(model, model.default_positions())
+
+
+def test_bodies_keep_inertia_damping_and_contacts(tmp_path):
+    file = arm(tmp_path)
+    file.write_text(
+        file.read_text().replace(
+            '<geom type="mesh"', '<geom friction="0.3" solref="0.01 1" condim="6" type="mesh"'
+        )
+    )
+    built = build(scene_of(load_robot(file))).mj
+    reference = mujoco.MjModel.from_xml_path(str(file))
+    for name in ("base", "upper", "fore"):
+        ours, theirs = built.body(name), reference.body(name)
+        assert ours.mass == pytest.approx(theirs.mass) and ours.inertia == pytest.approx(theirs.inertia)
+        assert ours.ipos == pytest.approx(theirs.ipos)
+    for name in ("pan", "lift", "elbow"):
+        ours, theirs = built.joint(name), reference.joint(name)
+        assert np.allclose(ours.damping, theirs.damping) and np.allclose(ours.range, theirs.range)
+        assert np.allclose(ours.qpos0, theirs.qpos0)
+    geom = next(i for i in range(built.ngeom) if built.geom_condim[i] == 6)
+    assert built.geom_friction[geom, 0] == 0.3 and built.geom_solref[geom, 0] == 0.01
+
+
+@pytest.mark.parametrize("visuals", [False, True])
+def test_kinematics_in_physics_equal_the_models(tmp_path, visuals):
+    from armcell.kinematics import kinematic_tree
+
+    model = load_robot(arm(tmp_path))
+    both = compose("two", [Part(model, "a_", T_parent_root=SE3.from_xyz(0, 1, 0.2)), Part(model, "b_")])
+    built = build(scene_of(both), visuals=visuals)
+    data = mujoco.MjData(built.mj)
+    q = np.array([0.4, -0.3, 0.1, -0.6, 0.8, -0.05])
+    data.qpos[built.qpos] = q
+    mujoco.mj_kinematics(built.mj, data)
+    tree = kinematic_tree(both)
+    for name in ("a_upper", "a_fore", "a_tool", "b_base", "b_tool"):
+        assert np.allclose(data.xpos[built.body[name]], tree.link_pose(q, name).translation, atol=1e-9)
+
+
+def test_a_servo_keeps_its_gains_and_force_limit(tmp_path):
+    built = build(scene_of(load_robot(arm(tmp_path)))).mj
+    lift = built.actuator("lift")
+    assert lift.biasprm[1:3].tolist() == [-1200.0, -80.0] and lift.forcerange.tolist() == [-80.0, 80.0]
+    assert built.actuator("elbow").forcerange.tolist() == [-15.0, 15.0]  # a motor gets armcell's servo
+
+
+def test_the_arm_follows_a_target(tmp_path):
+    model = load_robot(arm(tmp_path))
+    world = SimWorld(scene_of(model))
+    goal = np.array([0.3, 0.1, 0.02])
+    world.set_arm_target(model.joint_names, goal)
+    world.step(2000)
+    assert np.allclose(world.joint_state().positions, goal, atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    "text", [JAWS.format(TENDON + DRIVE + '<equality><joint joint1="r" joint2="l"/></equality>')]
+)
+def test_coupled_fingers_move_together(tmp_path, text):
+    model = written(tmp_path, text)
+    world = SimWorld(scene_of(model))
+    world.set_arm_target(("l",), [0.03])
+    world.step(1500)
+    at = world.built.joint_qpos
+    assert world._data.qpos[at["l"]] == pytest.approx(0.03, abs=2e-3)
+    assert world._data.qpos[at["r"]] == pytest.approx(world._data.qpos[at["l"]], abs=1e-3)
+
+
+def test_a_linkage_stays_closed_and_follows_the_planners_rule(tmp_path):
+    model = written(tmp_path, LINKAGE)
+    world = SimWorld(scene_of(model))
+    world.set_arm_target(("crank",), [0.5])
+    world.step(2000)
+    at, qpos = world.built.joint_qpos, world._data.qpos
+    assert qpos[at["crank"]] == pytest.approx(0.5, abs=0.02)
+    for name in ("rocker", "coupler"):
+        mimic = model.joints[name].mimic
+        assert qpos[at[name]] == pytest.approx(mimic.multiplier * qpos[at["crank"]] + mimic.offset, abs=0.02)
