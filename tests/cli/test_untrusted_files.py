@@ -180,17 +180,17 @@ def test_campaigns_say_what_will_run_before_their_workers_do(cell, tmp_path, cap
 
 @pytest.mark.slow
 def test_a_record_from_another_person_is_named_as_one(cell, record, tmp_path, capsys, monkeypatch, caplog):
-    from armcell.records import again
+    from armcell.records import reexecution
 
     found = read_record(record.parent)
-    found.about["machine"] = "eve\x1b[2J x86_64"
-    again.checked_cell(found)
+    found.metadata["machine"] = "eve\x1b[2J x86_64"
+    reexecution.checked_cell(found)
     (line,) = [m for m in caplog.messages if "Python code" in m]
     assert "named by a record from another computer, eve?[2J x86_64" in line and str(cell / "task.py") in line
     monkeypatch.setattr(script, "_announced", set())
     caplog.clear()
     monkeypatch.setattr("os.getuid", lambda: 4711)
-    again.checked_cell(read_record(record.parent))
+    reexecution.checked_cell(read_record(record.parent))
     assert "another user's record" in caplog.text
 
 

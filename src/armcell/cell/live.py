@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import Any
 
 from armcell import _interrupts
-from armcell.cell.clearing import clear_with
+from armcell.cell.bin_clearing import clear_with
+from armcell.cell.live_cameras import CameraWatch, LiveCamera, live_cameras
 from armcell.cell.perceiving import Seen, look_with
-from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.core import (
     SE3,
     ArmcellError,

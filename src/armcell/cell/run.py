@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from armcell.cell.cell import Cell
+from armcell.cell.identity import versions
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
-from armcell.cell.versions import versions
 from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
 from armcell.tasks import TaskFailed, make_stage, perform_stages
