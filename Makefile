@@ -65,12 +65,13 @@ fuzz: $(VENV)/.stamp ## set up, then throw damaged input at every parser and a m
 bench-wires: $(VENV)/.stamp ## set up, then measure latency and losses of the ROS-TCP wire (13 minutes; SECONDS_=600)
 	$(PY) benchmarks/wires.py --seconds $(or $(SECONDS_),600)
 
-test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono, libsdformat, Chromium (from Debian, installed where possible) and Ray
+test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono, libsdformat, Chromium (from Debian, installed where possible), Franka's clients and Ray
 	@$(call debian,Debian's ROS 1,ROS)
 	@$(call debian,Fast DDS,FASTDDS)
 	@$(call debian,Mono,MONO)
 	@$(call debian,Gazebo's SDF parser,SDFORMAT)
 	@$(call debian,Chromium,CHROMIUM)
+	@$(PY) -m pip install -q -r requirements-interop.txt || echo "Franka's clients cannot be installed from here; their tests are skipped"
 	$(PY) -m pytest -m interop -rs
 
 test-realtime: $(VENV)/.stamp ## set up, then test two emulated arms moved as one; nothing else should run meanwhile

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 import pytest
 from tests.cell.test_setup import small_arm
 from tests.cli.helpers import NOD, call, cell_file, start
+from tests.drivers.franka.emulated import free_host
 from tests.drivers.ur.emulated import free_hosts
 
 from armcell.cli.main import main
@@ -112,6 +113,7 @@ SERVERS = {
     "ur-controller": (
         2, lambda tmp_path: ["ur-controller", *(w for h in free_hosts(2) for w in ("--host", h))]
     ),
+    "franka-controller": (1, lambda tmp_path: ["franka-controller", "--host", free_host()]),
 }  # fmt: skip
 
 

@@ -112,9 +112,9 @@ class Datagrams:
     """
 
     def __init__(self, host: str, network: Network):
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((host, 0))
-        self._socket.setblocking(False)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind((host, 0))
+        self.socket.setblocking(False)
         self._network, self.loss = network, 0.0
         self._out: list[tuple[float, bytes, tuple[str, int]]] = []
 
@@ -135,7 +135,7 @@ class Datagrams:
 
     def _send(self, data: bytes, to: tuple[str, int]) -> None:
         with contextlib.suppress(OSError):  # the client's socket is gone, or its buffer is full
-            self._socket.sendto(data, to)
+            self.socket.sendto(data, to)
 
     def _lost(self) -> bool:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
@@ -145,14 +145,14 @@ class Datagrams:
         found = []
         while True:
             try:
-                data = self._socket.recv(size)
+                data = self.socket.recv(size)
             except OSError:
                 return found
             if not self._network.faults.frozen and not self._lost():
                 found.append(data)
 
     def close(self) -> None:
-        self._socket.close()
+        self.socket.close()
 
 
 class Network:
@@ -208,9 +208,10 @@ class Network:
         self.endpoints.append(Endpoint.of(sock, service))
         return self.endpoints[-1].port
 
-    def datagrams(self, host: str) -> Datagrams:
-        """Open a UDP socket at any free port of an address."""
+    def datagrams(self, host: str, service: str) -> Datagrams:
+        """Open a UDP socket at any free port of an address; `service` names it in messages."""
         self._datagrams.append(Datagrams(host, self))
+        self.endpoints.append(Endpoint.of(self._datagrams[-1].socket, service))
         return self._datagrams[-1]
 
     def open(self) -> None:

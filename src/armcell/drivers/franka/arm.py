@@ -46,9 +46,9 @@ def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
     """
     times = np.arange(trajectory.times[0], trajectory.times[-1] + 0.5 * TICK, TICK)
     q, v, a = trajectory.samples(times)
-    outside = (q < limits.lower) | (q > limits.upper)
-    if outside.any():
-        k, i = np.argwhere(outside)[0]
+    beyond = np.maximum(limits.lower - q, q - limits.upper)
+    if beyond.max() > 0.0:
+        k, i = np.unravel_index(int(beyond.argmax()), beyond.shape)
         raise InputError(
             f"the motion takes joint {i + 1} to {q[k, i]:.4f} rad, {limits.model}'s limits are "
             f"{limits.lower[i]:.4f} to {limits.upper[i]:.4f}",

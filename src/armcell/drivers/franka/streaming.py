@@ -15,6 +15,7 @@ WINDOW = 12  # [ms] of the moving average, which turns steps of acceleration int
 PACE_TIME = 0.5  # [s] in which the pace changes from 0 to 1
 REJOIN = 0.15  # [s] in which a deviation from the plan decays
 NOISE = 3e-6  # [rad] difference between sent and reported setpoints by float32
+COAST = 5.0  # [rad/s^2] deceleration after the last streamed point
 LATEST = 0.3  # [s] after the last streamed point before the stream ends
 
 
@@ -54,9 +55,12 @@ class Points:
         self._points.append((due, q, v))
 
     def next(self, pace: float, now: float) -> Array:
-        """Return the positions (7,) at a time [s, monotonic]; the nearest point's outside the points."""
+        """Return the positions (7,) at a time [s, monotonic]: the first point's before it is due.
+
+        After the last point, the arm decelerates from the point's speed.
+        """
         points = list(self._points)
-        self.ended = now - points[-1][0] > LATEST
+        self.ended = now - points[-1][0] > LATEST + float(np.abs(points[-1][2]).max()) / COAST
         if now <= points[0][0]:
             return points[0][1]
         for (t0, q0, v0), (t1, q1, v1) in pairwise(points):
@@ -64,7 +68,9 @@ class Points:
                 h, x = t1 - t0, (now - t0) / (t1 - t0)
                 low, high = (1 + 2 * x) * (1 - x) ** 2, x * x * (3 - 2 * x)
                 return low * q0 + high * q1 + h * x * (1 - x) * ((1 - x) * v0 - x * v1)
-        return points[-1][1]
+        last, q, v = points[-1]
+        passed = np.minimum(now - last, np.abs(v) / COAST)
+        return q + passed * (v - 0.5 * COAST * np.sign(v) * passed)
 
 
 class Setpoints:

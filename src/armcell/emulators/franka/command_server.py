@@ -25,7 +25,7 @@ class CommandServer:
         self._robot, self._urdf = robot, urdf
         self._client: Link | None = None
         self._state_to: tuple[str, int] | None = None
-        self.udp = network.datagrams(host)
+        self.udp = network.datagrams(host, "FCI states")
         self._writer = StateWriter(robot)
         self.active = True
         network.listen(host, port, self._begin, self._data, "FCI commands")

@@ -139,7 +139,7 @@ class HandServer:
     """Serves the hand; each client gets its own state stream."""
 
     def __init__(self, hand: Hand, network: Network, host: str, port: int = wire.PORT):
-        self._hand, self._udp = hand, network.datagrams(host)
+        self._hand, self._udp = hand, network.datagrams(host, "hand state")
         self._clients: dict[Link, tuple[str, int]] = {}
         self._time = 0
         network.listen(host, port, self._begin, self._data, "hand")

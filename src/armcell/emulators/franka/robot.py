@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,7 @@ from armcell.emulators.franka.generators import (
     elbow_of,
 )
 from armcell.emulators.franka.kinematics import JOINTS, rotation_log
+from armcell.emulators.franka.parameters import T_F_NE, Load, Thresholds
 from armcell.emulators.franka.plant import PERIOD, FrankaPlant
 
 log = logging.getLogger(__name__)
@@ -49,39 +50,6 @@ STOP_DECELERATION = 15.0  # [rad/s^2] of reflexes and stops
 LIMIT_MARGIN = 0.005  # [rad] beyond a position limit at which an arm has violated it
 MOVING = 1e-3  # [rad/s^2] desired acceleration above which the thresholds for acceleration apply
 GUIDING_DAMPING = 2.0  # [Nm s/rad]
-T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degrees, 103.4 mm ahead
-    [
-        [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
-        [-np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.1034],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-)
-
-
-@dataclass
-class Thresholds:
-    """Contact (lower) and collision (upper) thresholds: torques (7,) [Nm], forces (6,) [N, Nm].
-
-    The defaults are those of Franka's ROS packages.
-    """
-
-    torque: dict[str, Array] = field(default_factory=lambda: _both((25, 25, 22, 20, 19, 17, 14), 10.0))
-    force: dict[str, Array] = field(default_factory=lambda: _both((30, 30, 30, 25, 25, 25), 10.0))
-
-
-def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
-    low, high = np.array(lower, dtype=float), np.array(lower, dtype=float) + more
-    return {"lower": low, "upper": high, "lower_acceleration": low, "upper_acceleration": high}
-
-
-@dataclass
-class Load:
-    """Configured load: mass [kg], center in the flange frame (3,) [m], inertia (9,) [kg m^2]."""
-
-    mass: float = 0.0
-    center: Array = field(default_factory=lambda: np.zeros(3))
-    inertia: Array = field(default_factory=lambda: np.zeros(9))
 
 
 @dataclass(eq=False)

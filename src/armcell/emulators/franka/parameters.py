@@ -1,0 +1,45 @@
+"""Parameters of the emulated arm that clients set, with the robot's defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degrees, 103.4 mm ahead
+    [
+        [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+        [-np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.1034],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+
+
+@dataclass
+class Thresholds:
+    """Contact (lower) and collision (upper) thresholds: torques (7,) [Nm], forces (6,) [N, Nm].
+
+    The defaults are those of Franka's ROS packages.
+    """
+
+    torque: dict[str, Array] = field(default_factory=lambda: _both((25, 25, 22, 20, 19, 17, 14), 10.0))
+    force: dict[str, Array] = field(default_factory=lambda: _both((30, 30, 30, 25, 25, 25), 10.0))
+
+
+def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
+    low, high = np.array(lower, dtype=float), np.array(lower, dtype=float) + more
+    return {"lower": low, "upper": high, "lower_acceleration": low, "upper_acceleration": high}
+
+
+@dataclass
+class Load:
+    """Configured load: mass [kg], center in the flange frame (3,) [m], inertia (9,) [kg m^2]."""
+
+    mass: float = 0.0
+    center: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros(9))

@@ -1,0 +1,104 @@
+"""Setpoints of a Franka arm: accepted by the emulated robot's checks, also when packets are lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.emulators.franka.rig import Rig
+
+from armcell.core import JointTrajectory
+from armcell.core.errors import InputError
+from armcell.drivers.franka.arm import time_stretch
+from armcell.drivers.franka.streaming import COAST, TICK, Points, Rows, Setpoints
+from armcell.drivers.franka.wire.commands import MoveGenerator, MoveStatus
+from armcell.drivers.franka.wire.limits import FR3, PANDA
+from armcell.drivers.franka.wire.state import RobotCommand, RobotMode
+
+SPEED, ACCELERATION = 1.2, 7.0
+
+
+def trapezoid(q: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """Rows (n, 7) of a motion with steps of acceleration, as time-optimal motions have."""
+    rise = SPEED / ACCELERATION
+    flat = 1.0 / SPEED - rise
+    t = np.arange(0.0, 2 * rise + flat + TICK, TICK)
+    v = np.clip(np.minimum(t, 2 * rise + flat - t) * ACCELERATION, 0.0, SPEED)
+    s = np.cumsum(v) * TICK
+    return q + np.minimum(s, s[-1])[:, None] * amplitude
+
+
+def drive(rig: Rig, setpoints: Setpoints, lost, milliseconds: int, pace=lambda t: 1.0) -> np.ndarray:
+    """Answer the robot's states with setpoints; `lost(k)`: 1 if a state, 2 if a command is lost."""
+    rig.start(MoveGenerator.JOINT_POSITION)
+    last, path = rig.state.time - 1, []
+    for k in range(milliseconds):
+        state, command = rig.state, None
+        if lost(k) != 1:
+            ticks, last = state.time - last, state.time
+            q = setpoints.next(ticks, pace(k * TICK), k * TICK, *(state[x] for x in ("q_d", "dq_d", "ddq_d")))
+            command = RobotCommand(state.time, q=tuple(q), motion_finished=setpoints.finished)
+        rig.robot.step([command] if command is not None and lost(k) != 2 else [])
+        path.append(rig.robot.reference.q)
+        if rig.robot.mode is not RobotMode.MOVE:
+            break
+    return np.array(path)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lost_states_and_commands_never_make_the_arm_jump(seed):
+    rig, rng = Rig(), np.random.default_rng(seed)
+    amplitude = rng.uniform(-0.4, 0.4, 7)
+    rows = trapezoid(rig.robot.reference.q, amplitude)
+    gaps = np.zeros(3000, dtype=int)
+    for start in rng.integers(20, 1000, 6):
+        gaps[start : start + rng.integers(1, 15)] = rng.integers(1, 3)
+    path = drive(rig, Setpoints(Rows(rows)), lambda k: gaps[k], 3000)
+    assert rig.answers == [MoveStatus.STARTED, MoveStatus.SUCCESS], rig.texts
+    assert np.abs(path[-1] - rows[-1]).max() < 1e-5
+    assert np.abs(np.diff(path, axis=0)).max() < 1.5 * SPEED * TICK
+
+
+def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
+    rig = Rig()
+    rows = trapezoid(rig.robot.reference.q + 0.003, np.full(7, 0.3))
+    slider = lambda t: 0.0 if 0.3 < t < 0.8 else 0.6  # noqa: E731
+    path = drive(rig, Setpoints(Rows(rows), pace=0.6), lambda k: 0, 4000, slider)
+    assert rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
+    assert np.abs(path[-1] - rows[-1]).max() < 1e-5
+    assert len(path) > len(rows) / 0.6 + 400
+
+
+def test_streamed_points_are_joined_and_end_at_rest():
+    rig = Rig()
+    start, points = rig.robot.reference.q, Points()
+    for k in range(60):
+        t = 0.008 * k
+        s, v = 0.1 * (1 - np.cos(2 * t)), 0.2 * np.sin(2 * t)
+        points.add(t + 0.04, start + s, np.full(7, v))
+    path = drive(rig, Setpoints(points), lambda k: 0, 3000)
+    assert rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
+    coasted = (0.2 * np.sin(2 * 0.472)) ** 2 / (2 * COAST)
+    assert np.abs(path[-1] - start - 0.1 * (1 - np.cos(2 * 0.472)) - coasted).max() < 1e-5
+
+
+def _trajectory(goal: float, duration: float, joint: int = 0) -> JointTrajectory:
+    names = tuple(f"j{i}" for i in range(7))
+    start = np.array([0.0, -0.78, 0.0, -2.35, 0.0, 1.57, 0.78])
+    t = np.linspace(0.0, duration, 101)
+    x = t / duration
+    s, v = 3 * x**2 - 2 * x**3, 6 * (x - x**2) / duration
+    move = np.eye(7)[joint] * goal
+    return JointTrajectory(names, t, start + s[:, None] * move, v[:, None] * move)
+
+
+def test_a_fast_motion_is_slowed_to_the_limits_and_a_slow_one_is_not():
+    assert time_stretch(_trajectory(0.5, 3.0), FR3) == 1.0
+    slower = time_stretch(_trajectory(1.5, 0.6), FR3)
+    assert 1.4 < slower < 4.0
+    assert time_stretch(_trajectory(1.5, 0.6 * slower), FR3) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_motion_beyond_a_joint_limit_is_rejected():
+    with pytest.raises(InputError, match=r"takes joint 4 to -3.07.* fr3's limits are -3.0421"):
+        time_stretch(_trajectory(-0.72, 3.0, joint=3), FR3)
+    assert time_stretch(_trajectory(-0.70, 3.0, joint=3), PANDA) >= 1.0
