@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check prepare fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual test-interop test-realtime lint format clean FORCE
+.PHONY: help demo test check prepare fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual bench-grasp test-interop test-realtime lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -107,6 +107,9 @@ bench: $(VENV)/.stamp-bench ## set up, then run all benchmarks (hours) and write
 bench-dual: $(VENV)/.stamp ## set up, then measure two UR10: planning, proofs, tasks in physics (RUNS=100, an hour)
 	$(BIN)/armcell bench dual
 	$(PY) -m benchmarks.two_arms --runs $(or $(RUNS),100)
+
+bench-grasp: $(VENV)/.stamp ## set up, then measure objects in a hand: creep, drift, CPU time (RUNS=10, an hour)
+	$(PY) -m benchmarks.holding --runs $(or $(RUNS),10)
 
 clean: ## remove the environment, builds and caches (runs/ stays)
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -24,9 +24,10 @@ import numpy as np
 
 from armcell.cell import Cell, LiveCell, load
 from armcell.cell.twin import bands_file, learn_bands
-from armcell.control import DashboardClient, execute
-from armcell.control.drivers.ur import UrDriver
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
+from armcell.drivers import Driver
+from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.execution import execute
 from armcell.planning import plan, warm_up
 from benchmarks.picture import dots
 
@@ -107,8 +108,7 @@ def motion(live: LiveCell, rng: np.random.Generator, speed: float):
     return best
 
 
-def arms_of(live: LiveCell) -> UrDriver:
-    assert isinstance(live.driver, UrDriver)
+def arms_of(live: LiveCell) -> Driver:
     return live.driver
 
 

@@ -25,8 +25,8 @@ from armcell.cell.live import LiveCell
 from armcell.collision import ExactChecker
 from armcell.collision.arms import Arms
 from armcell.collision.motion_proof import Moving, first_conflict
-from armcell.control.coupled import execute_coupled
 from armcell.core import SE3, Box, PlanRequest, PoseGoal
+from armcell.execution import execute_coupled
 from armcell.planning import plan_synchronized
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import checked

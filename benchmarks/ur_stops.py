@@ -21,12 +21,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-from tests.control.ungated import execute
+from tests.execution.ungated import execute
 
-from armcell.control import DriverOptions, drivers
-from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.ur_controller.controller import TRACE
 from armcell.core import SE3, ArmcellError, InputError, JointTrajectory
+from armcell.drivers import DriverOptions, drivers
+from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.emulators.ur.controller import TRACE
 from armcell.model import Part, RobotModel, compose, load_robot
 from armcell.scene import PlanningScene
 from benchmarks.picture import dots

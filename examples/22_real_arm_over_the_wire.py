@@ -8,17 +8,11 @@ import time
 
 import numpy as np
 
-from armcell.control import (
-    ControllerSettings,
-    DashboardClient,
-    DriverOptions,
-    DriverWorld,
-    MotionGate,
-    Rack,
-    drivers,
-    execute,
-)
 from armcell.core import JointTrajectory
+from armcell.drivers import DriverOptions, drivers
+from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.emulators.ur import ControllerSettings, Rack
+from armcell.execution import DriverWorld, MotionGate, execute
 from armcell.model import load_robot
 from armcell.scene import PlanningScene
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scipy import stats
 from tests.cli.helpers import call, cell_file, read_json
-from tests.control.ur.emulated import dashboard, emulator, free_hosts
+from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
 from armcell.campaigns import CampaignSpec, Store, gate
 from armcell.campaigns.spec import checked_cell

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armcell.cell import cell_names
-from armcell.control.executor import ExecutionSettings
+from armcell.execution import ExecutionSettings
 from armcell.sim import PhysicsSettings
 from armcell.tasks import TaskSettings
 

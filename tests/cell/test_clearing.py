@@ -14,7 +14,7 @@ from armcell.cell import Cell, run_task
 from armcell.cell.schema import validated
 from armcell.core import ErrorCode, InputError, UnknownNameError
 from armcell.scene import library_object
-from armcell.tasks.clearing import clear_bin
+from armcell.tasks.bin_clearing import clear_bin
 
 CALL = {"into": "tray", "table": "work_table", "camera": "above_bin", "tray_camera": "above_tray"}
 

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from tests.control.ur.emulated import emulator, free_hosts, free_port
+from tests.drivers.ur.emulated import emulator, free_hosts, free_port
 
 from armcell.cell import load
 from armcell.cell.built_in import LIBRARY

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.control.ur.emulated import emulator, free_hosts, free_port
+from tests.drivers.ur.emulated import emulator, free_hosts, free_port
 from tests.ros.ros1.conftest import free_port as free_tcp_port
 from tests.ros.ros2.conftest import reach  # noqa: F401  (a fixture)
 

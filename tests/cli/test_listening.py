@@ -15,11 +15,11 @@ from contextlib import contextmanager
 import pytest
 from tests.cell.test_setup import small_arm
 from tests.cli.helpers import NOD, call, cell_file, start
-from tests.control.ur.emulated import free_hosts
+from tests.drivers.ur.emulated import free_hosts
 
 from armcell.cli.main import main
-from armcell.control import ControllerSettings, Rack
 from armcell.core.endpoints import open_sockets
+from armcell.emulators.ur import ControllerSettings, Rack
 from armcell.ros.ros1.rpc import ask
 
 pytestmark = pytest.mark.slow

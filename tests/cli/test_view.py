@@ -9,7 +9,7 @@ import time
 
 import pytest
 from tests.cli.helpers import call, start
-from tests.control.ur.emulated import emulator, free_hosts, free_port
+from tests.drivers.ur.emulated import emulator, free_hosts, free_port
 from tests.viewer.client import change, login, refusal, wait_for, websocket, widgets
 
 from armcell.cell.built_in import LIBRARY

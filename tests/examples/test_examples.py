@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.control.ur.emulated import in_real_time
+from tests.drivers.ur.emulated import in_real_time
 
 import armcell
 

@@ -340,7 +340,7 @@ def _cell() -> Any:
 
 
 def bands(path: Path) -> None:
-    from armcell.control.twin.bands import TwinBands
+    from armcell.twin.bands import TwinBands
 
     TwinBands.load(path)
 
@@ -351,7 +351,7 @@ def _json(kind: str) -> bytes:
     from armcell.campaigns.spec import CampaignSpec
     from armcell.campaigns.store import FORMAT
     from armcell.campaigns.trial import Trial, failed
-    from armcell.control.twin import bands as twin
+    from armcell.twin import bands as twin
 
     if kind == "campaign":
         data: Any = {"format": FORMAT, "spec": CampaignSpec("cell.yaml").as_dict(), "hashes": {"cell": "0"}}
@@ -376,15 +376,15 @@ def _controller(frozen: bool = False) -> Any:
     """The servers of an emulated controller, on ports of their own, and a link to it."""
     import selectors
 
-    from armcell.control.ur_controller.dashboard_server import DashboardServer
-    from armcell.control.ur_controller.external_control import ExternalControl
-    from armcell.control.ur_controller.gripper_server import GripperServer
-    from armcell.control.ur_controller.network import Link, Network
-    from armcell.control.ur_controller.plant import KinematicPlant
-    from armcell.control.ur_controller.robot import Robot
-    from armcell.control.ur_controller.rtde_server import RtdeServer
-    from armcell.control.ur_controller.script_server import ScriptServer
-    from armcell.control.ur_wire.models import ur_model
+    from armcell.drivers.ur.wire.models import ur_model
+    from armcell.emulators.network import Link, Network
+    from armcell.emulators.ur.dashboard_server import DashboardServer
+    from armcell.emulators.ur.external_control import ExternalControl
+    from armcell.emulators.ur.gripper_server import GripperServer
+    from armcell.emulators.ur.plant import KinematicPlant
+    from armcell.emulators.ur.robot import Robot
+    from armcell.emulators.ur.rtde_server import RtdeServer
+    from armcell.emulators.ur.script_server import ScriptServer
 
     class Servers:
         def __init__(self) -> None:
@@ -435,7 +435,7 @@ def _served(name: str, steps: int = 20) -> Callable[[Path], None]:
 
 def urscript(path: Path) -> None:
     """Through the script port, as a driver's program comes."""
-    from armcell.control.ur_controller.programs import run_script
+    from armcell.emulators.ur.programs import run_script
 
     servers = _controller()()
     try:
@@ -447,7 +447,7 @@ def urscript(path: Path) -> None:
 
 
 def rtde_client(path: Path) -> None:
-    from armcell.control.ur_wire import rtde
+    from armcell.drivers.ur.wire import rtde
 
     recipe = rtde.Recipe(["actual_q", "timestamp"], ["VECTOR6D", "DOUBLE"])
     for kind, payload in rtde.frames(bytearray(path.read_bytes())):
@@ -458,7 +458,7 @@ def rtde_client(path: Path) -> None:
 
 def primary_client(path: Path) -> None:
     """As `identity.read_geometry` reads it, from a socket."""
-    from armcell.control.drivers.ur import identity
+    from armcell.drivers.ur import identity
 
     with socket.create_server(("127.0.0.1", 0)) as server:
         before, identity.PRIMARY_PORT = identity.PRIMARY_PORT, server.getsockname()[1]
@@ -478,7 +478,7 @@ def primary_client(path: Path) -> None:
 
 @cache
 def _rtde(side: str) -> bytes:
-    from armcell.control.ur_wire import rtde
+    from armcell.drivers.ur.wire import rtde
 
     if side == "client":
         values = struct.pack(">B6dd", 1, *range(6), 1.0)
@@ -495,8 +495,8 @@ def _rtde(side: str) -> bytes:
 
 @cache
 def _primary() -> bytes:
-    from armcell.control.ur_wire import primary, robot_messages
-    from armcell.control.ur_wire.models import ur_model
+    from armcell.drivers.ur.wire import primary, robot_messages
+    from armcell.drivers.ur.wire.models import ur_model
 
     model = ur_model("UR10e")
     limits = [(-6.2, 6.2)] * 6

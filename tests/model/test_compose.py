@@ -6,7 +6,7 @@ import pytest
 from tests.model.helpers import dual, joint, link, model_of
 
 from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model import Part, compose, load_robot, prefixed, robot_names
+from armcell.model import Part, compose, installed_robots, load_robot, prefixed
 
 
 def test_two_arms_have_prefixed_names_throughout():

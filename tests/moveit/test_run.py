@@ -13,8 +13,8 @@ import pytest
 
 from armcell.cell import load
 from armcell.cli.main import main
-from armcell.control.drivers.fake import FakeDriver
 from armcell.core import InputError
+from armcell.drivers.fake import FakeDriver
 from armcell.moveit import current_session, run_script
 from armcell.records import read_record
 

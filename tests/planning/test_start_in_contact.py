@@ -285,7 +285,7 @@ def test_an_object_between_the_fingers_cannot_be_left_and_that_is_said():
     result = plan(scene, request(NamedGoal("home")))
     assert result.code is ErrorCode.START_STATE_IN_COLLISION
     assert "block" in result.message and "Open the gripper" in result.message
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < 20.0
     text = result.explain(20.0).text()
     assert "no motion of arm leads out" in text and "block" in text
 

@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 import pytest
-from tests.control.helpers import make
-from tests.control.ungated import playing
+from tests.execution.helpers import make
+from tests.execution.ungated import execution_steps
 
 from armcell.cell import load
 from armcell.collision.motion_proof import Moving, first_conflict
@@ -38,7 +38,9 @@ def swing(driver, side, shift=0.3, duration=1.0):
 
 def work(driver, side, **kwargs):
     motion = swing(driver, side, **kwargs)
-    return Work(side, motion.joint_names, lambda d, c: playing(d, motion, cancel=c), trajectory=motion)
+    return Work(
+        side, motion.joint_names, lambda d, c: execution_steps(d, motion, cancel=c), trajectory=motion
+    )
 
 
 def turn_until(conductor, condition, seconds=5.0):
@@ -62,7 +64,7 @@ def test_a_newer_motion_of_the_same_joints_takes_over(driver):
     for _ in range(20):
         conductor.turn()
     second = conductor.put(
-        Work("left", first.joints, lambda d, c: playing(d, swing(driver, "left", 0.1), cancel=c))
+        Work("left", first.joints, lambda d, c: execution_steps(d, swing(driver, "left", 0.1), cancel=c))
     )
     turn_until(conductor, lambda: second.is_over and other.is_over)
     assert first.outcome().code is ErrorCode.PREEMPTED and second.outcome().ok and other.outcome().ok
@@ -77,7 +79,7 @@ def test_an_arm_that_gets_a_newer_motion_does_not_stop_in_between(scene):
         way = JointTrajectory(
             names, np.array([0.0, 1.0]), np.array([q, q + 0.6 * np.eye(len(q))[0]]), np.zeros((2, len(q)))
         )
-        first = conductor.put(Work("left", names, lambda d, c: playing(d, way, cancel=c)))
+        first = conductor.put(Work("left", names, lambda d, c: execution_steps(d, way, cancel=c)))
         turn_until(conductor, lambda: driver.now > 0.4)
         joint = names[0]
 
@@ -85,7 +87,9 @@ def test_an_arm_that_gets_a_newer_motion_does_not_stop_in_between(scene):
             state = d.joint_state().reindexed(names)
             far = state.positions + 0.6 * np.eye(len(state.joint_names))[0]
             q, v = np.array([state.positions, far]), np.array([state.velocities, 0 * far])
-            return playing(d, JointTrajectory(state.joint_names, np.array([0.0, 1.0]), q, v), cancel=cancel)
+            return execution_steps(
+                d, JointTrajectory(state.joint_names, np.array([0.0, 1.0]), q, v), cancel=cancel
+            )
 
         before = driver.joint_state().reindexed([joint]).velocities[0]
         second = conductor.put(Work("left", first.joints, steps))
@@ -106,7 +110,7 @@ def test_what_does_not_give_way_is_waited_for(driver):
     conductor.put(first)
     conductor.turn()
     second = conductor.put(
-        Work("left", first.joints, lambda d, c: playing(d, swing(driver, "left", 0.1), cancel=c))
+        Work("left", first.joints, lambda d, c: execution_steps(d, swing(driver, "left", 0.1), cancel=c))
     )
     turn_until(conductor, lambda: second.is_over)
     assert first.outcome().ok and second.outcome().ok and second.began >= first.outcome().finished

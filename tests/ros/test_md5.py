@@ -21,6 +21,18 @@ def test_md5_is_the_real_one(name, md5):
     assert schema().md5(f"{package}/msg/{item}") == md5
 
 
+@pytest.mark.parametrize(
+    ("name", "md5"),
+    [
+        ("RobotMode", "73b72d58742c4889c47118411b03a3b4"),
+        ("SafetyMode", "5da08725a63d4237bad689481131a84b"),
+    ],
+)
+def test_md5_of_ur_s_modes_is_that_of_its_ros_driver(name, md5):
+    """Computed by genmsg's rule from the files of Universal_Robots_ROS_Driver 2.1.5."""
+    assert schema().md5(f"ur_dashboard_msgs/{name}") == md5
+
+
 def test_every_described_type_of_moveit_and_control_is_recorded():
     recorded = {name for name, _ in RECORDED}
     known = schema()

@@ -125,7 +125,7 @@ def test_a_service_of_unity_that_went_or_hangs_fails_in_time(bus):
         start = time.monotonic()
         with pytest.raises(ServiceError, match="went away"):
             bus.call("/grip", request(True))
-        assert time.monotonic() - start < 5
+        assert time.monotonic() - start < 20
 
 
 def test_a_late_answer_and_one_to_nobody_are_told_and_change_nothing(bus, server):

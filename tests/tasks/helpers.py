@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from tests.control.helpers import Faulty
 
 import armcell
 from armcell.cell import LiveCell
-from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, Box
+from armcell.drivers import DriverOptions, DriverProxy, drivers
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings
 from armcell.tasks import TaskSettings
@@ -97,7 +96,7 @@ class AtTime(AtStage):
             self._act()
 
 
-class Freezable(Faulty):
+class Freezable(DriverProxy):
     """A driver with a joint that stops following from `freeze` to `thaw`."""
 
     joint: str | None = None

@@ -22,8 +22,8 @@ from tests.tasks.helpers import (
     with_cube,
 )  # fmt: skip
 
-from armcell.control import ExecutionSettings
 from armcell.core import ErrorCode
+from armcell.execution import ExecutionSettings
 from armcell.scene import Material
 
 SETTINGS = panda_pick().settings

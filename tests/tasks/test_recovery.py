@@ -89,7 +89,7 @@ def test_a_landing_elsewhere_is_put_right():
 
 @pytest.mark.slow
 def test_a_place_that_fails_on_the_way_is_planned_again():
-    from armcell.control import ExecutionSettings
+    from armcell.execution import ExecutionSettings
 
     settings = replace(SETTINGS, execution=ExecutionSettings(path_tolerance=0.03))
     with live("sim", settings=settings) as cell:

@@ -15,17 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from armcell import _interrupts
 from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
-from armcell.control import execute
-from armcell.control.drivers.ur.dashboard import DashboardClient
-from armcell.control.drivers.ur.identity import Identity, check_identity, check_ready, check_swapped, identify
-from armcell.control.drivers.ur.network import measure_network
-from armcell.control.drivers.ur.settings import real_settings
-from armcell.control.ur_wire.kinematics import frames_of
 from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
+from armcell.drivers.real import RobotIdentity, identify_all, kind_of, real_settings
+from armcell.execution import execute
 from armcell.kinematics import kinematic_tree
 from armcell.planning import plan, plan_cartesian
 
@@ -34,7 +29,6 @@ SLOW = 0.05  # velocity and acceleration scaling
 LINE = 0.10  # [m]
 LINE_TOLERANCE = 0.003  # [m] between the previewed and the measured line
 ZERO_TOLERANCE = 0.02  # [m] between the tool position of the robot and of the cell's model
-POWER_TIME = 30.0  # [s] to power on and release the brakes
 
 Confirm = Callable[[str, str], bool]
 Tell = Callable[[str], None]
@@ -67,7 +61,7 @@ class BringUp:
         except InputError as error:
             raise InputError(error.reason, file=cell.file, element=error.element, cure=error.cure) from None
         self.steps: list[Step] = []
-        self._found: dict[str, Identity] = {}
+        self._found: dict[str, RobotIdentity] = {}
 
     def run(self) -> bool:
         """Run all bring-up steps; return False if the user declined a step or a step failed."""
@@ -133,8 +127,7 @@ class BringUp:
     # --- the steps ---
     def _network(self, name: str) -> str:
         arm = self.settings.arms[name]
-        found = identify(arm.host)
-        report = measure_network(arm.host, found.model.frequency)
+        report = kind_of(arm).measure_network(arm)
         if report.worst_gap > self.settings.max_state_age:
             raise InputError(
                 f"{report}: a gap longer than {self.settings.max_state_age * 1000:.0f} ms would stop the arm",
@@ -144,15 +137,11 @@ class BringUp:
 
     def _identity(self) -> str:
         arms = self.settings.arms
-        self._found = {name: identify(arm.host) for name, arm in arms.items()}
-        check_swapped(arms, self._found)
+        self._found = identify_all(self.settings)
         told = []
         for name, found in self._found.items():
-            check_identity(name, arms[name], found)
-            told.append(
-                f"{name} is a {found.model.name}, serial {found.serial}, calibration {found.calibration}, "
-                f"software {'.'.join(map(str, found.version))}"
-            )
+            kind_of(arms[name]).check_identity(name, arms[name], found)
+            told.append(f"{name} is a {found}")
         unnamed = [n for n in arms if arms[n].serial is None]
         if unnamed:
             told.append(
@@ -161,29 +150,8 @@ class BringUp:
         return "; ".join(told)
 
     def _power(self, name: str) -> str:
-        host = self.settings.arms[name].host
-        found = identify(host)
-        if found.robot_mode == "RUNNING":
-            check_ready(name, found)
-            return "was on"
-        try:
-            check_ready(name, found)
-        except InputError as error:
-            if "not running" not in error.reason:
-                raise
-        with DashboardClient(host) as dashboard:
-            dashboard.ask("power on")
-            end = time.monotonic() + POWER_TIME
-            released = False
-            while time.monotonic() < end:
-                mode = dashboard.word("robotmode")
-                if mode == "RUNNING":
-                    return "on, brakes released"
-                if mode == "IDLE" and not released:
-                    dashboard.ask("brake release")
-                    released = True
-                _interrupts.sleep(0.2)
-        raise InputError(f"{host} is not running after {POWER_TIME:g} s", cure="look at the pendant")
+        arm = self.settings.arms[name]
+        return kind_of(arm).power_on(name, arm)
 
     def _geometry(self, name: str) -> str:
         """Compare the flange position of the robot's calibration with that of the cell's model.
@@ -198,7 +166,9 @@ class BringUp:
         found, model, applied = self._found[name], self.cell.model, self.settings.calibration == "apply"
         if applied:
             model = with_geometry(model, self.settings, {name: found})
-        q = self._measured(name)
+        arm = self.settings.arms[name]
+        kind = kind_of(arm)
+        q = kind.measured_positions(arm)
         group = model.group(name)
         state = self.cell.scene().positions.copy()
         state[model.columns(group.joint_names)] = q
@@ -208,7 +178,7 @@ class BringUp:
         for joint in model.joints.values():  # parents come first
             if not joint.movable and joint.parent in last:
                 last.add(joint.child)
-        theirs = frames_of(found.geometry, q)[6, :3, 3] * (-1.0, -1.0, 1.0)  # base_link is turned by pi
+        theirs = kind.flange_position(found, q)
         # Models name the flange differently (tool0, ee_link): compare with the best-fitting fixed link.
         T_base_world = tree.link_pose(state, base).inv()
         error = min(
@@ -226,17 +196,6 @@ class BringUp:
             f"flange {error * 1000:.1f} mm from the cell's nominal model (factory calibration explains some; "
             "'real: {calibration: apply}' plans with it)"
         )
-
-    def _measured(self, name: str) -> np.ndarray:
-        from armcell.control.drivers.ur.rtde_client import RtdeClient
-
-        client = RtdeClient(self.settings.arms[name].host, 125.0)
-        client.connect()
-        try:
-            assert client.latest is not None
-            return np.array(client.latest.actual_q)
-        finally:
-            client.close()
 
     def _joints(self, live: LiveCell, name: str) -> str:
         names = self.cell.model.group(name).joint_names
@@ -257,7 +216,8 @@ class BringUp:
     def _line(self, live: LiveCell, name: str) -> str:
         model = self.cell.model
         names, tip = model.group(name).joint_names, model.group(name).tip_link
-        assert tip is not None
+        if tip is None:
+            raise InputError(f"group {name!r} has no tip link", cure="name a chain in the robot's SRDF")
         now = live.scene()
         start = live.driver.joint_state().reindexed(names).positions
         pose = now.frame_pose(tip)
@@ -301,7 +261,8 @@ class BringUp:
         if not groups:
             return "the model has no group of all arms: skipped"
         start = live.driver.joint_state().reindexed(names).positions
-        target = start + np.tile([0, 0, 0, 0, 0, SMALL], len(arms))
+        last = {self.cell.model.group(arm).joint_names[-1] for arm in arms}
+        target = start + np.array([SMALL if name in last else 0.0 for name in names])
         for goal in (target, start):
             self._go(live, groups[0], goal, names)
         return "all arms moved and came back"

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from armcell.control.drivers.ur.calibration import calibrated
-from armcell.control.drivers.ur.identity import Identity, check_identity, check_swapped, identify
-from armcell.control.drivers.ur.settings import RealSettings, real_settings
+from armcell.drivers.real import RealSettings, RobotIdentity, identify_all, kind_of, real_settings
 from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 
@@ -22,12 +20,12 @@ def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
     settings = real_settings(real, scene.model)
     if settings.calibration != "apply":
         return scene
-    found = {name: identify(arm.host) for name, arm in settings.arms.items()}
-    check_swapped(settings.arms, found)
-    return replace(scene, model=with_geometry(scene.model, settings, found))
+    return replace(scene, model=with_geometry(scene.model, settings, identify_all(settings)))
 
 
-def with_geometry(model: RobotModel, settings: RealSettings, found: Mapping[str, Identity]) -> RobotModel:
+def with_geometry(
+    model: RobotModel, settings: RealSettings, found: Mapping[str, RobotIdentity]
+) -> RobotModel:
     """Return the model with the calibrated kinematics of every identified arm.
 
     Args:
@@ -36,6 +34,7 @@ def with_geometry(model: RobotModel, settings: RealSettings, found: Mapping[str,
         InputError: an arm is another robot than named in the cell file, or does not fit the model.
     """
     for group, identity in found.items():
-        check_identity(group, settings.arms[group], identity)
-        model = calibrated(model, group, identity.model.dh, identity.geometry)
+        arm = settings.arms[group]
+        kind_of(arm).check_identity(group, arm, identity)
+        model = kind_of(arm).calibrated(model, group, identity)
     return model

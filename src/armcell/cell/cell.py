@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,20 +20,19 @@ from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec
 from armcell.cell.twin import twin_guard
-from armcell.control import DriverOptions, drivers
-from armcell.control.disturbances import Disturbances
-from armcell.control.drivers.disturbed import DisturbedSim
-from armcell.control.drivers.ur import UrDriver
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
-from armcell.model import Part, RobotModel, compose, load_robot
+from armcell.drivers import DriverOptions, drivers
+from armcell.drivers.disturbances import Disturbances
+from armcell.drivers.disturbed import DisturbedSim
+from armcell.model import Part, RobotModel, compose, load_ompl_planning, load_robot
 from armcell.model.loader import xacro_texts
 from armcell.perception import Sensors3d, load_sensors_3d
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import Camera, Decal, PhysicsSettings
 from armcell.sim.gain_files import with_gains_file
 from armcell.sim.joint_gains import check_joint_gains
-from armcell.tasks import TaskSettings
+from armcell.tasks import TaskSettings, make_stage
 
 T = TypeVar("T")
 
@@ -57,6 +56,7 @@ class Cell:
         self.disturbances: Disturbances = disturbances_of(spec, self.model, self.file)
         self.scene()  # report errors in the objects now
         self.sensors: Sensors3d | None = self._sensors()
+        self.planner_configs: Mapping[str, Any] = self._planner_configs()
         self.cameras = tuple(self._camera(n, c) for n, c in spec.cameras.items())
         self.decals = tuple(self._decal(n, m) for n, m in spec.markers.items())
         self.controllers = controllers_of(spec.controllers, self.model, self.file)
@@ -97,11 +97,21 @@ class Cell:
 
     def _sensors(self) -> Sensors3d | None:
         """Load the sensors_3d.yaml named in the cell, or that of the robot's MoveIt package, if any."""
-        if self.spec.ros.sensors is not None:
-            return load_sensors_3d(self.file.parent / self.spec.ros.sensors)
+        file = self._moveit_file(self.spec.ros.sensors, "sensors_3d.yaml")
+        return None if file is None else load_sensors_3d(file)
+
+    def _planner_configs(self) -> Mapping[str, Any]:
+        """Load the ompl_planning.yaml named in the cell, or that of the robot's MoveIt package, if any."""
+        file = self._moveit_file(self.spec.ros.planners, "ompl_planning.yaml")
+        return {} if file is None else load_ompl_planning(file, self.model)
+
+    def _moveit_file(self, named: str | None, name: str) -> Path | None:
+        """Return a configuration file that the cell names, or else the one in the robot's MoveIt package."""
+        if named is not None:
+            return self.file.parent / named
         model = self.spec.robot.model
-        package = self.file.parent / model / "config" / "sensors_3d.yaml" if isinstance(model, str) else None
-        return load_sensors_3d(package) if package is not None and package.is_file() else None
+        file = self.file.parent / model / "config" / name if isinstance(model, str) else None
+        return file if file is not None and file.is_file() else None
 
     def _camera(self, name: str, spec: CameraSpec) -> Camera:
         try:
@@ -169,6 +179,11 @@ class Cell:
                 if name not in spec.objects:
                     raise UnknownNameError("object", name, spec.objects, file=where, element=f"task/{i}")
             states = {s for group in self.model.named_states.values() for s in group}
+            for name, values in (step.stage or {}).items():
+                try:
+                    make_stage(name, values)
+                except InputError as error:
+                    raise self._fail(f"task/{i}", error.reason, error.cure) from None
             if step.move is not None and step.move not in states:
                 raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 
@@ -247,9 +262,8 @@ class Cell:
         if mode == "sim" and self.disturbances:
             factory = partial(DisturbedSim, disturbances=self.disturbances)
         driver, seen = factory(scene, options), None
-        if isinstance(driver, UrDriver) and driver.settings.twin:
+        if driver.wants_guard:
             driver.guard = twin_guard(self, scene, watch)
-        shown: Any = driver
         look = self.spec.perception
         blind = look.objects if look is not None else []
         moved = self.moved_unseen(mode)
@@ -258,12 +272,12 @@ class Cell:
             known = {n: scene.object(n).at(SE3.identity()) for n in (*blind, *moved)}
             told = {n: scene.object(n).T_world_object for n in moved}
             seen = Seen(known, look.surface if look is not None else None, told=told)
-            shown = PerceivingDriver(driver, scene.model, seen)
+            driver = PerceivingDriver(driver, scene.model, seen)
         live = LiveCell(
-            self.name, scene, shown, settings or self.settings, observers, seed or 0, self.cameras,
+            self.name, scene, driver, settings or self.settings, observers, seed or 0, self.cameras,
             self.decals, seen,
         )  # fmt: skip
-        live.sensors = self.sensors
+        live.sensors, live.planner_configs = self.sensors, self.planner_configs
         return live
 
 

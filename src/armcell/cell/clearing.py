@@ -13,7 +13,7 @@ from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 from armcell.tasks import TaskContext
-from armcell.tasks.clearing import ClearSettings, clear_bin
+from armcell.tasks.bin_clearing import ClearSettings, clear_bin
 
 LOST = -1.0  # [m] height; an object below has fallen off the floor
 
@@ -52,8 +52,8 @@ def clear_with(
     outcome = clear_bin(
         ctx, gripper, bin, tray, table, lambda: look(eye), lambda: look(eye_on_tray), settings
     )
-    world = getattr(ctx.driver, "world", None)
-    if not isinstance(world, SimWorld):
+    world = ctx.driver.world
+    if world is None:
         return outcome
     in_tray, in_bin = (_inside(world, scene, name, things) for name in (tray, bin))
     truth = {"things": len(things), "cleared": len(in_tray), "left": len(in_bin)}

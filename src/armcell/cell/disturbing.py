@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from armcell.cell.schema import CellSpec
-from armcell.control.disturbances import Disturbances, Move, Push
 from armcell.core import InputError, UnknownNameError
+from armcell.drivers.disturbances import Disturbances, Move, Push
 from armcell.model import RobotModel
 
 

@@ -14,17 +14,17 @@ import numpy as np
 
 from armcell.cell.live import LiveCell
 from armcell.cell.perceiving import PerceivingDriver, Seen
-from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, Outcome
+from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import Grasp, grasp_quality
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 from armcell.tasks import Stage, TaskContext, TaskSettings, as_it_may_be, hold, pick_stages, prove, varied
 from armcell.tasks.proof import MAX_SLIP, MAX_TURN
-from armcell.tasks.recipes import planned
 from armcell.tasks.stages import Close, RunSteps
 from armcell.tasks.steps import DONE, perform_all
+from armcell.tasks.task import plan_stages
 
 POOL = 40  # distinct grasps to draw from
 IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
@@ -109,7 +109,7 @@ def held_in_truth(
         seen.poses[name] = believed.T_world_object
         live.ctx.change_scene(seen.put_into)
         hand = _Hand(driver.world, gripper, name)
-        solution, _ = planned(live.ctx, _stages(live.ctx, name, gripper, grasp, hand), f"pick {name}")
+        solution, _ = plan_stages(live.ctx, _stages(live.ctx, name, gripper, grasp, hand), f"pick {name}")
         if solution is None:
             return None
         outcome = perform_all(live.ctx, solution.steps)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from armcell.cell.grasp_predictions import Prediction, predictions
 from armcell.cell.live import LiveCell
 from armcell.cell.prediction_scores import scores
-from armcell.control import DriverOptions, drivers
 from armcell.core import SE3, SO3, Box, ErrorCode, InputError, Mesh, Outcome
 from armcell.core.intervals import wilson
+from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import Grasp, grasp_candidates, grasp_quality, hand_of, nearest_miss, rests
 from armcell.model import Gripper, load_robot, load_urdf
 from armcell.model.assets import MESH_SUFFIXES

@@ -3,7 +3,7 @@
 Order: description (model, objects), controllers (which control which joints), drivers (connected and
 publishing states), planner, task. A layer starts only if all earlier layers are ok, so a failure is reported
 at its cause and before any motion. For later failures: the supervisor of real arms stops all arms
-(`control.safety`), a gripper reconnects, and the next `resume()` restarts a process of `ur_rtde`.
+(`drivers.safety`), a gripper reconnects, and the next `resume()` restarts the process of a vendor's library.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
 from armcell.cell.loading import load
 from armcell.cell.script import load_script
-from armcell.control import drivers
-from armcell.control.drivers.ur.settings import real_settings
-from armcell.control.following import Follower
 from armcell.core import ArmcellError, InputError, JointGoal, PlanRequest
-from armcell.core.protocols import offers
+from armcell.drivers import drivers
+from armcell.drivers.real import kind_of, real_settings
 from armcell.planning import plan
 
 LAYERS = ("description", "controllers", "drivers", "planner", "task")
@@ -66,7 +64,7 @@ class Health:
 
         The state of "drivers" has the reason if the driver has stopped its arms.
         """
-        stopped = live.driver.fault() if offers(live.driver, Follower) else None
+        stopped = live.driver.fault()
         return {**self.states, **({"drivers": f"stopped: {stopped}"} if stopped is not None else {})}
 
 
@@ -120,8 +118,10 @@ def check_controllers(cell: Cell, mode: str) -> str:
         if error.file is not None:
             raise
         raise InputError(error.reason, file=cell.file, element=error.element, cure=error.cure) from None
-    how = "our program" if settings.backend == "own" else settings.backend
-    return ", ".join(f"{name}: {how} at {arm.host}" for name, arm in settings.arms.items())
+    return ", ".join(
+        f"{name}: {kind_of(arm).control(settings.backend)} at {arm.host}"
+        for name, arm in settings.arms.items()
+    )
 
 
 def check_driver(live: LiveCell) -> str:
@@ -135,7 +135,7 @@ def check_driver(live: LiveCell) -> str:
     missing = [n for n in live.model.joint_names if n not in state.joint_names]
     if bad or missing:
         raise InputError(f"the driver {live.driver.name!r} tells no position of {', '.join(bad + missing)}")
-    fault = live.driver.fault() if offers(live.driver, Follower) else None
+    fault = live.driver.fault()
     if fault is not None:
         raise InputError(
             f"the driver {live.driver.name!r} has stopped: {fault.text}", cure=fault.cure or None

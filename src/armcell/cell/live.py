@@ -5,12 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from typing import Any
 
 from armcell import _interrupts
 from armcell.cell.clearing import clear_with
 from armcell.cell.perceiving import Seen, look_with
 from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
-from armcell.control import Driver, Follower
 from armcell.core import (
     SE3,
     ArmcellError,
@@ -24,7 +24,7 @@ from armcell.core import (
     UnknownNameError,
 )
 from armcell.core.pauses import no_long_pauses
-from armcell.core.protocols import offers
+from armcell.drivers import Driver
 from armcell.perception import LookSettings, MapSettings, Sensors3d, Sight
 from armcell.planning import Target, goal_of, prepare
 from armcell.scene import PlanningScene
@@ -60,7 +60,7 @@ from armcell.tasks.arms import (
     screw,
     side_by_side,
 )
-from armcell.tasks.clearing import ClearSettings
+from armcell.tasks.bin_clearing import ClearSettings
 from armcell.tasks.sorting import Kind
 from armcell.tasks.steps import Motion, perform_all
 
@@ -198,6 +198,7 @@ class LiveCell:
         cameras: the cameras by name.
         seen: the objects whose poses only cameras measure; None if there are none.
         sensors: sensors whose point clouds and depth images build the octomap; None if there are none.
+        planner_configs: content of an ompl_planning.yaml for the requests of MoveIt clients, or empty.
     """
 
     def __init__(
@@ -215,6 +216,7 @@ class LiveCell:
         self.name, self.driver, self.scene_at_start = name, driver, scene
         self.seen = seen
         self.sensors: Sensors3d | None = None
+        self.planner_configs: Mapping[str, Any] = {}
         self.cameras = live_cameras(cameras, driver, scene, decals)
         known = scene if seen is None else seen.taken_from(scene)
         self.ctx = TaskContext(driver, known, settings, observers, seed)
@@ -360,7 +362,7 @@ class LiveCell:
         try:
             self.driver.resume()
         except ArmcellError as error:
-            fault = self.driver.fault() if offers(self.driver, Follower) else None
+            fault = self.driver.fault()
             return Outcome(ErrorCode.CONTROL_FAILED if fault is None else fault.code, str(error))
         if (
             self.ctx.cancel.is_set()

@@ -14,17 +14,14 @@ import yaml
 from armcell.cell.schema import CellSpec, FrictionSpec, ObjectSpec, ShapeSpec, validated
 from armcell.core import (
     SE3,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
     InputError,
     Mesh,
     Octree,
-    Plane,
     PointCloud,
     Shape,
-    Sphere,
+    make_shape,
+    shape_kind,
+    shape_name,
 )
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import read_yaml
@@ -81,21 +78,15 @@ def material_of(friction: float | FrictionSpec) -> Material:
 
 
 def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
-    if spec.box is not None:
-        return Box(*spec.box)
-    if spec.sphere is not None:
-        return Sphere(spec.sphere)
-    for key, cls in (("cylinder", Cylinder), ("capsule", Capsule), ("cone", Cone)):
-        if (value := getattr(spec, key)) is not None:
-            return cls(*value)
+    if (solid := spec.sized()) is not None:
+        return make_shape(*solid)
     if spec.mesh is not None:
         s = spec.mesh_scale
         mesh = load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
         check_mesh(mesh, movable)
         return mesh
-    if spec.cloud is not None:
-        return load_obstacle(resolve_uri(spec.cloud, folder), spec.radius)
-    return Plane()
+    assert spec.cloud is not None  # a validated entry has exactly one shape
+    return load_obstacle(resolve_uri(spec.cloud, folder), spec.radius)
 
 
 def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
@@ -242,15 +233,11 @@ def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
     Args:
         beside: path of that file without the suffix.
     """
+    kind = shape_kind(shape)
+    if kind is not None:
+        sizes = kind.values(shape)
+        return {shape_name(shape): sizes if len(sizes) > 1 else sizes[0] if sizes else True}
     match shape:
-        case Box():
-            return {"box": [float(shape.x), float(shape.y), float(shape.z)]}
-        case Sphere():
-            return {"sphere": float(shape.radius)}
-        case Cylinder() | Capsule() | Cone():
-            return {type(shape).__name__.lower(): [float(shape.radius), float(shape.length)]}
-        case Plane():
-            return {"plane": True}
         case Mesh():
             lines = ["v " + " ".join(map(repr, v)) for v in shape.vertices.tolist()]
             lines += ["f " + " ".join(str(k + 1) for k in f) for f in shape.faces.tolist()]
@@ -265,3 +252,4 @@ def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
             target = beside.with_name(beside.name + ".npz")
             np.savez(target, centres=shape.centres, sizes=shape.sizes)
             return {"cloud": target.name}
+    raise AssertionError(f"{shape_name(shape)} has no row in the table of shapes")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Self
 
 import numpy as np
 
 from armcell.cell.seeing import LiveCamera
-from armcell.control import Driver, GripperReading
 from armcell.core import SE3
+from armcell.drivers import Driver, DriverProxy, GripperReading
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel
 from armcell.perception import LookSettings, Sight, look
@@ -64,7 +64,7 @@ class Seen:
         return scene
 
 
-class PerceivingDriver:
+class PerceivingDriver(DriverProxy):
     """A driver that reports an object at its last detected pose or in the gripper holding it.
 
     As with a real gripper, the held object is inferred from the gripper's width and force and from the last
@@ -72,21 +72,16 @@ class PerceivingDriver:
     """
 
     def __init__(self, driver: Driver, model: RobotModel, seen: Seen):
-        self._driver, self._model, self._seen = driver, model, seen
+        super().__init__(driver)
+        self._model, self._seen = model, seen
         self._tree = kinematic_tree(model)
         self._held: dict[str, tuple[str, SE3]] = {}  # gripper -> object, T_tcp_object
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._driver, name)
-
-    def __enter__(self) -> PerceivingDriver:
-        self._driver.__enter__()
+    def __enter__(self) -> Self:
+        super().__enter__()
         self._seen.forget()
         self._held.clear()
         return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._driver.__exit__(*exc)
 
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
         if width > self._driver.gripper(gripper).width + 1e-4:
@@ -114,10 +109,6 @@ class PerceivingDriver:
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
-
-    def true_poses(self) -> dict[str, SE3]:
-        """Return the true T_world_object of the movable objects, from physics."""
-        return self._driver.object_poses()
 
     def _follow(self) -> None:
         for gripper, (name, T_tcp_object) in self._held.items():

@@ -7,10 +7,10 @@ import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
-from armcell.control import Driver
 from armcell.core import ArmcellError, CameraImage
+from armcell.drivers import Driver
 from armcell.scene import PlanningScene
-from armcell.sim import Camera, Decal, SimWorld
+from armcell.sim import Camera, Decal
 from armcell.sim.render_process import MeasuredState, Order, PhysicsState, RenderProcess, Setup
 
 logger = logging.getLogger(__name__)
@@ -100,8 +100,8 @@ class CellRenderer:
 
     # --- implementation ---
     def _state(self) -> tuple[Setup, PhysicsState | MeasuredState]:
-        world = getattr(self._driver, "world", None)
-        if isinstance(world, SimWorld):
+        world = self._driver.world
+        if world is not None:
             if self._setup is None or self._setup[0] is not world.mj_model:
                 self._setup = world.mj_model, Setup.of(world)
             return self._setup[1], PhysicsState.of(world)

@@ -11,13 +11,12 @@ import numpy as np
 
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
-from armcell.cell.perceiving import PerceivingDriver
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
 from armcell.cell.versions import versions
 from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
-from armcell.tasks import TaskFailed
+from armcell.tasks import TaskFailed, make_stage, perform_stages
 
 PLACEMENT_TOLERANCE = 0.005  # [m]
 
@@ -83,6 +82,9 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
         return (next(iter(live.arms.values()), None) or live.arm).hold(step.hold)
     if step.look is not None:
         return live.look(step.look)
+    if step.stage is not None:
+        ((name, values),) = step.stage.items()
+        return perform_stages(live.ctx, [make_stage(name, values)], name)
     return _move(live, step.move or "home")
 
 
@@ -112,9 +114,9 @@ def result_of(
     """
     live.ctx.report_news()
     poses = live.driver.object_poses()
-    if isinstance(live.driver, PerceivingDriver):  # evaluate the true poses, not the task's estimates
+    if moved := cell.moved_unseen(mode):  # evaluate the true poses, not the task's estimates
         truth = live.driver.true_poses()
-        poses |= {name: truth[name] for name in cell.moved_unseen(mode)}
+        poses |= {name: truth[name] for name in moved}
     errors = [
         float(np.linalg.norm(poses[name].translation - target.T_world_object.translation))
         for name, target in placements

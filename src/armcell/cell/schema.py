@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,11 +14,12 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
+    create_model,
     field_validator,
     model_validator,
 )
 
-from armcell.core import InputError, UnknownNameError
+from armcell.core import InputError, ShapeKind, UnknownNameError, shapes
 
 Range = tuple[float, float]
 
@@ -28,33 +30,74 @@ class Strict(BaseModel):
 
 SCALE = Field(1.0, gt=0, validation_alias=AliasChoices("mesh_scale", "scale"))
 
+_SIZED = shapes.imported()
+SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
-class ShapeSpec(Strict):
-    """One shape of an object: exactly one of the shape keys. Lengths in meters, full lengths."""
 
-    box: tuple[float, float, float] | None = None
-    sphere: float | None = None  # radius
-    cylinder: tuple[float, float] | None = None  # radius, length
-    capsule: tuple[float, float] | None = None  # radius, length of the straight part
-    cone: tuple[float, float] | None = None  # radius, length
-    plane: Literal[True] | None = None
+def _value_type(kind: ShapeKind) -> Any:
+    """Return the type of a shape's value: a list of sizes [m], one size, or `true` without sizes."""
+    if not kind.sizes:
+        return Literal[True]
+    return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
+
+
+_SIZED_FIELDS: dict[str, Any] = {name: (_value_type(kind) | None, None) for name, kind in _SIZED.items()}
+_Sized: Any = create_model("_Sized", __base__=Strict, **_SIZED_FIELDS)
+
+
+class SomeShape(_Sized, Strict):
+    """At most one shape. The keys of armcell's shapes are fields.
+
+    Attributes:
+        package_shape: value by name of a shape of an installed package; cell files have the name as key.
+    """
+
     mesh: str | None = None  # file, relative to the cell folder, or package://
-    mesh_scale: float = SCALE
+    mesh_scale: float = SCALE  # scale of a mesh or a library object
     cloud: str | None = None  # file of points (.ply, .pcd, .xyz, .npy) or an octomap (.bt, .ot)
     radius: float | None = Field(None, gt=0)  # [m] radius of a cloud's points
+    package_shape: dict[str, float | list[float]] = Field({}, exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _find_package_shapes(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        unknown = [k for k in data if k not in cls.model_fields and k != "scale" and isinstance(k, str)]
+        found = {k: data[k] for k in unknown if k in shapes}
+        if not found:
+            return data
+        return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
+
+    def given(self) -> dict[str, Any]:
+        """Return the values of all given shape keys, by key."""
+        own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
+        return {**own, **self.package_shape}
+
+    def sized(self) -> tuple[str, list[float]] | None:
+        """Return the name and the sizes [m] of the shape; None for a mesh, a cloud or no shape."""
+        for name, value in self.given().items():
+            if name in ("mesh", "cloud"):
+                return None
+            if value is True:
+                return name, []
+            return name, [float(v) for v in (value if isinstance(value, Sequence) else [value])]
+        return None
+
+
+class ShapeSpec(SomeShape):
+    """One shape of an object: exactly one of the shape keys. Lengths in meters, full lengths."""
+
     pose: Any = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _one(self):
-        given = [k for k in SHAPE_KEYS if getattr(self, k) is not None]
+        given = self.given()
         if len(given) != 1:
             raise ValueError(
                 f"needs exactly one of {', '.join(SHAPE_KEYS)}, has {', '.join(given) or 'none'}"
             )
         return self
-
-
-SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "cone", "plane", "mesh", "cloud")
 
 
 class TypeSpec(Strict):
@@ -93,19 +136,9 @@ Friction = Annotated[
 """Friction: one coefficient, or a static and a dynamic one."""
 
 
-class ObjectSpec(Strict):
+class ObjectSpec(SomeShape):
     """An object: one shape, several under `shapes`, or a library object by `model`."""
 
-    box: tuple[float, float, float] | None = None
-    sphere: float | None = None
-    cylinder: tuple[float, float] | None = None
-    capsule: tuple[float, float] | None = None
-    cone: tuple[float, float] | None = None
-    plane: Literal[True] | None = None
-    mesh: str | None = None
-    mesh_scale: float = SCALE  # scale of a mesh or a library object
-    cloud: str | None = None
-    radius: float | None = Field(None, gt=0)
     shapes: list[ShapeSpec] = []
     model: str | None = None  # name of a library object
     sizes: dict[str, float] = {}  # [m] sizes of the library object, by name
@@ -121,10 +154,11 @@ class ObjectSpec(Strict):
     friction: Friction | None = None
 
     def shape_specs(self) -> list[ShapeSpec]:
-        own = {k: getattr(self, k) for k in SHAPE_KEYS if getattr(self, k) is not None}
+        own = self.given()
         if own and self.shapes:
             raise ValueError("has a shape of its own and 'shapes': give one or the other")
-        return self.shapes or [ShapeSpec(**own, mesh_scale=self.mesh_scale, radius=self.radius)]
+        own |= {"mesh_scale": self.mesh_scale, "radius": self.radius}
+        return self.shapes or [ShapeSpec.model_validate(own)]
 
     @model_validator(mode="after")
     def _shaped(self):
@@ -132,7 +166,7 @@ class ObjectSpec(Strict):
             self.shape_specs()
             if self.sizes:
                 raise ValueError("'sizes' are of a library object: it needs 'model'")
-        elif self.shapes or any(getattr(self, k) is not None for k in SHAPE_KEYS):
+        elif self.shapes or self.given():
             raise ValueError("has a shape of its own and 'model': give one or the other")
         if self.mass is not None and self.density is not None:
             raise ValueError("has a mass and a density: give one or the other")
@@ -273,6 +307,7 @@ class StepSpec(Strict):
     hold: float | None = Field(None, ge=0)  # [s]
     move: str | None = None  # named state; several arms move one after the other
     look: str | None = None  # camera
+    stage: dict[str, dict[str, Any]] | None = Field(None, min_length=1, max_length=1)  # name -> its values
 
     @model_validator(mode="after")
     def _one(self):
@@ -330,11 +365,12 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """ROS names and sensors of the cell, for all connections (Unity, ROS 1, ROS 2)."""
+    """ROS names, sensors and planners of the cell, for all connections (Unity, ROS 1, ROS 2)."""
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names
     sensors: str | None = None  # MoveIt's sensors_3d.yaml, relative to the cell folder
+    planners: str | None = None  # MoveIt's ompl_planning.yaml, relative to the cell folder
 
 
 class CellSpec(Strict):
@@ -396,10 +432,13 @@ def validated(data: dict[str, Any], file: Path) -> CellSpec:
         raise InputError(reason, file=file, element=place, cure=cure) from None
 
 
+def _shape_keys(model: type[SomeShape]) -> list[str]:
+    return [k for k in model.model_fields if k != "package_shape"] + [k for k in shapes if k not in _SIZED]
+
+
 def _known_keys(location: tuple) -> list[str]:
     """Return the keys that are valid at the location of an unknown key."""
     tables = {
-        "objects": ObjectSpec,
         "randomize": RandomSpec,
         "cameras": CameraSpec,
         "markers": MarkerSpec,
@@ -413,7 +452,7 @@ def _known_keys(location: tuple) -> list[str]:
     if "<both>" in location:
         return list(FrictionSpec.model_fields)
     if "shapes" in location:
-        return list(ShapeSpec.model_fields)
+        return _shape_keys(ShapeSpec)
     if location[0] == "perception":
         return list(PerceptionSpec.model_fields)
     if location[0] == "drop":
@@ -423,5 +462,7 @@ def _known_keys(location: tuple) -> list[str]:
         return list(block.model_fields)
     if "place" in location:
         return list(PlaceSpec.model_fields)
+    if location[0] == "objects":
+        return _shape_keys(ObjectSpec)
     model = tables.get(str(location[0]))
     return list(model.model_fields) if model else []

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from armcell.cell.rendering import CellRenderer, Give
-from armcell.control import Driver
 from armcell.core import ArmcellError, CameraImage, ErrorCode, Event, JointTrajectory, StateSample
 from armcell.core.checks import checked, require
+from armcell.drivers import Driver
 from armcell.perception import CameraMap, MapSettings, MapUpdate
 from armcell.scene import OCTOMAP, PlanningScene
 from armcell.sim import Camera, Decal, SimWorld, take_image
@@ -128,8 +128,8 @@ class LiveCamera:
         return int(np.floor(time * self.camera.rate + 1e-6))
 
     def _world(self) -> SimWorld:
-        world = getattr(self._driver, "world", None)
-        if isinstance(world, SimWorld):
+        world = self._driver.world
+        if world is not None:
             return world
         if self._mirror is None:
             self._mirror = SimWorld(self._scene, decals=self._decals)

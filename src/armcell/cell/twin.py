@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armcell.cell.identity import content_hashes
-from armcell.control import execute
-from armcell.control.drivers.ur import UrDriver
-from armcell.control.twin import UNWATCHED, Stage, TwinBands, TwinGuard, learned
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
+from armcell.execution import execute
 from armcell.planning import plan
 from armcell.scene import PlanningScene
+from armcell.twin import UNWATCHED, Stage, TwinBands, TwinGuard, learned
 
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell
@@ -81,9 +80,10 @@ def learn_bands(
     rng = np.random.default_rng(seed)
     with cell.connect("real", seed, watch=False) as live:
         driver = live.driver
-        if not isinstance(driver, UrDriver) or driver.guard is None:
+        calibrations, guard = driver.calibrations(), driver.guard
+        if guard is None:
             raise InputError("the cell's real arms have no twin", file=cell.file, cure="real: {twin: true}")
-        for name in driver.arms:
+        for name in calibrations:
             home = _home(cell, name)
             _go(live, name, home, HOME_SPEED, tell)
             for step in (0.1, -0.1):
@@ -91,13 +91,13 @@ def learn_bands(
             for k in range(motions):
                 _wander(live, name, home, SPEEDS[k % len(SPEEDS)], rng, tell)
             _go(live, name, home, SPEEDS[1], tell)
-        watched = driver.guard.motions
+        watched = guard.motions
         arms = {
             name: learned([(m.twin, m.columns, m.seen) for m in watched if m.arm == name])
-            for name in driver.arms
+            for name in calibrations
         }
-        calibration = {f"calibration.{n}": arm.identity.calibration for n, arm in driver.arms.items()}
-    return TwinBands(arms, {**twin_identity(cell), **calibration})
+    learned_on = {f"calibration.{name}": checksum for name, checksum in calibrations.items()}
+    return TwinBands(arms, {**twin_identity(cell), **learned_on})
 
 
 def _home(cell: Cell, group: str) -> np.ndarray:

@@ -13,9 +13,7 @@ import typer
 
 from armcell.cli import bench_plans
 from armcell.cli.console import check_writable
-from armcell.core import SE3, Box, Cylinder, InputError
-
-SHAPES = {"box": lambda o: Box(*o["size"]), "cylinder": lambda o: Cylinder(o["radius"], o["length"])}
+from armcell.core import SE3, InputError, shapes
 
 
 def mbm(
@@ -115,7 +113,7 @@ def scene_of(model, fixed: dict[str, float], problem: dict[str, Any]):
             q[model.columns((name,))[0]] = value
     scene = PlanningScene(model, q)  # not `of`: the fingers of MBM's Panda are beyond their limits
     for i, o in enumerate(problem["obstacles"]):
-        shape = SHAPES[o["type"]](o)
+        shape = shapes[o["type"]].from_named(o.__getitem__, lambda key, _, o=o: o[key])
         pose = SE3.from_quat_xyzw(o["position"], o["quat_xyzw"])
         scene = scene.with_object(CollisionObject.single(f"{i}_{o['name']}", shape, pose))
     return scene

@@ -85,8 +85,7 @@ def gate_words(passed: dict[str, Any]) -> str:
 
 def tell_unwatched(driver: Any, cell: str) -> None:
     """Print a warning if real arms move without a comparison with their simulated twin."""
-    guard = getattr(driver, "guard", None)
-    if guard is not None and guard.bands is None:
-        from armcell.control.twin import UNWATCHED
+    if driver.guard is not None and not driver.guard.compares:
+        from armcell.twin import UNWATCHED
 
         errors.print(f"{UNWATCHED}; cure: armcell twin {cell}", soft_wrap=True)

@@ -93,11 +93,13 @@ def import_(
 
 
 def _table(objects: Any) -> Table:
+    from armcell.core import shape_name
+
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("object", "shapes", "at [m]", "mass", "friction"):
         table.add_column(title)
     for item in objects:
-        kinds = [type(shape).__name__.lower() for shape, _ in item.shapes]
+        kinds = [shape_name(shape) for shape, _ in item.shapes]
         shapes = ", ".join(f"{kinds.count(k)} {k}" if kinds.count(k) > 1 else k for k in dict.fromkeys(kinds))
         material = item.material
         friction = f"{material.friction:g}"
@@ -108,12 +110,14 @@ def _table(objects: Any) -> Table:
 
 
 def _numbers(world: Any) -> dict[str, Any]:
+    from armcell.core import shape_name
+
     return {
         "world": world.name,
         "objects": [
             {
                 "name": item.name,
-                "shapes": [type(shape).__name__.lower() for shape, _ in item.shapes],
+                "shapes": [shape_name(shape) for shape, _ in item.shapes],
                 "position_m": item.T_world_object.translation.tolist(),
                 "quat_xyzw": item.T_world_object.quat_xyzw.tolist(),
                 "movable": item.movable,

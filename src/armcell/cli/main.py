@@ -16,6 +16,7 @@ from armcell.cli import (
     doctor,
     explain,
     export,
+    franka_controller,
     gate,
     ik,
     import_,
@@ -130,6 +131,10 @@ app.command("twin", rich_help_panel=REAL)(robot_options(twin.twin))
 app.command("ur-dashboard", rich_help_panel=REAL)(ur_controller.ur_dashboard)
 app.command("ur-controller", epilog=ur_controller.EXAMPLES, rich_help_panel=REAL)(
     robot_options(ur_controller.ur_controller)
+)
+app.command("franka-operator", rich_help_panel=REAL)(franka_controller.franka_operator)
+app.command("franka-controller", epilog=franka_controller.EXAMPLES, rich_help_panel=REAL)(
+    robot_options(franka_controller.franka_controller)
 )
 app.add_typer(bench.app, name="bench", rich_help_panel=MEASURE)
 

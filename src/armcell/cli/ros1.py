@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
@@ -13,6 +13,9 @@ from armcell.cli.console import err
 from armcell.cli.naming import Naming
 from armcell.core import InputError
 from armcell.core.endpoints import Endpoint
+
+if TYPE_CHECKING:
+    from armcell.ros.transports import Transport
 
 ROS1 = typer.Option(
     False, "--ros1", help="Join the ROS 1 graph at ROS_MASTER_URI; start a master where there is none."
@@ -56,40 +59,30 @@ def join(
         InputError: there is no master, or the address cannot be used.
     """
     from armcell.ros.nodes.description import NAME
-    from armcell.ros.ros1 import Ros1Graph, from_environment
+    from armcell.ros.ros1 import from_environment
+    from armcell.ros.transports import Ros1Transport
 
     found = from_environment(name, naming.special, bind, own_master=own_master)
     settings = replace(found, namespace=f"/{naming.namespace}")
     description = NAME if not naming.namespace else f"/{naming.namespace}{NAME}"
-    graph = Ros1Graph(bus, settings, keep=(description,), bus_is_graph=True)
-    stack.callback(graph.close)
-    graph.reserve()
+    connect = reserved(stack, Ros1Transport(bus, "", settings, keep=(description,)))
     if not settings.is_local:
         err(f"{settings.bind}: every machine in the network can move the cell (no password, no encryption)")
+    return connect
 
-    def status() -> str:
-        """Return the status text of the ROS 1 node.
 
-        Raises:
-            InputError: the node was asked to end.
-        """
-        if graph.ended.is_set():
-            raise InputError(f"the ROS 1 node has to end: {graph.reason}")
-        now = graph.status()
-        peers = ", ".join(now.peers[:3]) + (" ..." if len(now.peers) > 3 else "")
-        words = [
-            f"ROS 1 {now.node}  {peers or 'no other node'}",
-            "" if now.reachable else "master gone",
-            f"dropped {now.dropped}" if now.dropped else "",
-            f"mistakes {now.mistakes}" if now.mistakes else "",
-        ]
-        return "  ".join(word for word in words if word)
+def reserved(stack: ExitStack, transport: Transport) -> Join:
+    """Reserve a transport's port until the stack closes; return the function that opens the transport.
+
+    Raises:
+        InputError: the port is in use.
+    """
+    stack.callback(transport.close)
+    transport.reserve()
 
     def joined() -> Wire:
-        graph.start()
-        own = "its own master" if graph.master else "the master"
-        ready = f"ROS 1: node {graph.node.name} at {own}, {graph.node.master}"
-        return Wire(ready, status, graph.endpoints())
+        transport.start()
+        return Wire(transport.ready(), transport.status_text, transport.endpoints())
 
     return joined
 

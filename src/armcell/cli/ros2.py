@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from armcell.cli.console import err
-from armcell.cli.ros1 import Join, Wire
+from armcell.cli.ros1 import Join, Wire, reserved
 from armcell.core import InputError
 
 ROS2 = typer.Option(
@@ -31,37 +31,24 @@ def join(
         MissingExtraError: cyclonedds is not installed.
         InputError: an environment variable is wrong, or the domain cannot be joined.
     """
-    from armcell.ros import Ros2Bridge, Ros2Settings
+    from armcell.ros import Ros2Settings
     from armcell.ros.ros2 import from_environment
-    from armcell.ros.ros2.dds import library
+    from armcell.ros.transports import Ros2Transport
 
     reach = from_environment(domain, network=bind not in (None, "127.0.0.1", "localhost"))
     settings = Ros2Settings(reach, f"/{namespace}/{node}" if namespace else f"/{node}")
-    library()  # report a missing extra before the cell is loaded
-    bridge = Ros2Bridge(bus, settings)
+    connect = reserved(stack, Ros2Transport(bus, "", settings))
     if reach.is_open:
         err("ROS 2: every machine in the network can move the cell (no password, no encryption)")
 
-    def status() -> str:
-        now = bridge.status()
-        peers = ", ".join(now.nodes[:3]) + (" ..." if len(now.nodes) > 3 else "")
-        words = [
-            f"ROS 2 domain {now.domain}  {peers or 'no other node'}",
-            f"dropped {now.dropped}" if now.dropped else "",
-            f"mistakes {now.errors}" if now.errors else "",
-        ]
-        return "  ".join(word for word in words if word)
-
     def joined() -> Wire:
-        stack.enter_context(bridge)
-        peers = f", peers {' '.join(reach.peers)}" if reach.peers else ""
-        where = f"domain {reach.domain}, {reach.range}{peers}, {settings.distro}"
-        if not reach.is_open and not all(endpoint.is_local for endpoint in bridge.endpoints()):
+        wire = connect()
+        if not reach.is_open and not all(endpoint.is_local for endpoint in wire.endpoints):
             err(
                 "ROS 2: DDS looks for nodes on this machine alone, but it listens on the network, too: "
                 "a machine that names this one as its peer can move the cell; cure: a firewall"
             )
-        return Wire(f"ROS 2: node {settings.node} ({where})", status, bridge.endpoints())
+        return wire
 
     return joined
 

@@ -174,7 +174,7 @@ def run(
         # imported late: physics and planners load slowly
         from armcell.cell import announce_code, gains_as_values, load, parsed, run_task, with_values
         from armcell.cell import health as layers
-        from armcell.control import drivers
+        from armcell.drivers import drivers
         from armcell.planning import warm_up
 
         drivers[mode]  # report an unknown mode first

@@ -53,7 +53,7 @@ def run_script_command(
             )
         return _run_elsewhere(file, cell, arguments, wires, set_)
     from armcell.cell import complaints, gains_as_values, load, parsed, with_values
-    from armcell.control import drivers
+    from armcell.drivers import drivers
     from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
     from armcell.ros import Bus

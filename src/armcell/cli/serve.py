@@ -22,7 +22,7 @@ from armcell.cli.gating import WITHOUT_GATE, gate_of_others
 from armcell.cli.listening import tell_listening
 from armcell.cli.naming import ARGUMENTS, NAMESPACE, REMAP, Naming, naming, unused
 from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, in_words, records_folder
-from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, Wire, check_own_master
+from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, Wire, check_own_master, reserved
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
 from armcell.cli.ros2 import join as join_ros2
@@ -85,6 +85,9 @@ def serve(
     seed: int | None = SEED,
     time_scale: float = SCALE,
     rate: float = RATE,
+    wire: list[str] | None = typer.Option(
+        None, metavar="NAME[=ADDRESS]", help="Open a transport by name, for example of an installed package."
+    ),
     types: Path | None = typer.Option(
         None, metavar="FOLDER", help="Own message definitions: FOLDER/<package>/msg/<Name>.msg"
     ),
@@ -109,8 +112,8 @@ def serve(
     see a node that publishes, plans and moves as MoveIt's move_group does; with --ros2, ROS 2 programs do.
     Ctrl-C ends it.
     """
-    if not (unity or ros1 or ros2):
-        raise InputError("nothing to serve", cure="give --unity, --ros1 or --ros2")
+    if not (unity or ros1 or ros2 or wire):
+        raise InputError("nothing to serve", cure="give --unity, --ros1, --ros2 or --wire")
     if plan_only and record:
         raise InputError(
             "--plan-only has nothing to record: the simulator is elsewhere", cure="record there: armcell sim"
@@ -131,11 +134,13 @@ def serve(
             joins.append(join_ros1(stack, bus, "armcell", own_master, names, bind))
         if ros2:
             joins.append(join_ros2(stack, bus, "armcell", domain, bind, names.namespace))
+        joins += [open_wire(stack, bus, each) for each in wire or ()]
         wires = _Wires(joins)
         if plan_only:
             return _plan_only(cell, bus, names, seed or 0, seconds, wires.status, wires.open, watched)
         wanted = {"--unity": unity, "--ros1": ros1, "--ros2": ros2, "--auto-grip": auto_grip}
         command = ("serve", cell, *(flag for flag, given in wanted.items() if given))
+        command += tuple(word for each in wire or () for word in ("--wire", each))
         command += ("--types", str(types)) if types is not None else ()
         command += ("--sensors", str(sensors)) if sensors is not None else ()
         kept = records_folder(record, mode, runs)
@@ -164,26 +169,25 @@ class _Wires:
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
     """Reserve the port and return a function that serves Unity until the stack closes."""
-    from armcell.ros.tcp import RosTcpServer, ServerSettings
+    from armcell.ros.transports import TcpTransport
 
-    server = RosTcpServer(bus, ServerSettings(host=bind, port=port, protocol=protocol))
-    stack.callback(server.close)
-    server.reserve()
-    host, number = server.address
+    connect = reserved(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
     if bind not in ("127.0.0.1", "localhost"):
         err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
+    return connect
 
-    def status() -> str:
-        clients = server.clients()
-        names = ", ".join(f"{c.address} {c.protocol}" for c in clients[:3]) or "no client"
-        dropped, wrong = sum(c.dropped for c in clients), sum(c.errors for c in clients)
-        return f"{host}:{number}  {names}" + _troubles(dropped, wrong)
 
-    def joined() -> Wire:
-        server.start()
-        return Wire(f"Unity can connect to {host}:{number}", status, server.endpoints())
+def open_wire(stack: ExitStack, bus: Any, wire: str) -> Join:
+    """Reserve a registered transport, given as NAME or NAME=ADDRESS.
 
-    return joined
+    Raises:
+        UnknownNameError: no such transport.
+        InputError: the address is invalid or in use.
+    """
+    from armcell.ros.transports import transports
+
+    name, _, where = wire.partition("=")
+    return reserved(stack, transports[name](bus, where))
 
 
 def sim(
@@ -241,6 +245,7 @@ def sim(
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
     from armcell.ros.nodes.gripping import TOPIC as GRIPPER
     from armcell.ros.tcp import Bridge, RosTcpClient
+    from armcell.ros.transports import losses
 
     host, number = address(connect)
     if protocol not in CODECS:
@@ -263,9 +268,7 @@ def sim(
         peer = client.connection if client else None
         if client is None or peer is None or not client.wait_connected(0):
             return f"connecting to {host}:{number}"
-        return f"at {host}:{number}" + _troubles(
-            sum(peer.link.outbox.dropped.values()), peer.complaints.total
-        )
+        return f"at {host}:{number}" + losses(sum(peer.link.outbox.dropped.values()), peer.complaints.total)
 
     try:
         return _run(served, bus, status, joined, auto_grip=auto_grip)
@@ -386,10 +389,6 @@ def _until(seconds: float | None, line: _StatusLine, over: threading.Event | Non
             _interrupts.sleep(left)
         else:
             _interrupts.wait(over.wait, left)
-
-
-def _troubles(dropped: int, wrong: int) -> str:
-    return (f"  dropped {dropped}" if dropped else "") + (f"  mistakes {wrong}" if wrong else "")
 
 
 class _StatusLine:

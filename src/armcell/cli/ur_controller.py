@@ -16,7 +16,7 @@ from armcell.core import InputError
 from armcell.core.pauses import no_long_pauses
 
 if TYPE_CHECKING:
-    from armcell.control.ur_controller.notices import Notice
+    from armcell.emulators.ur.notices import Notice
 
 EXAMPLES = """
 Examples:
@@ -36,7 +36,9 @@ Examples:
 
 
 def ur_controller(
-    model: str = typer.Option("UR10", help="UR10 (CB3, 125 Hz) or UR10e (e-Series, 500 Hz)."),
+    model: str = typer.Option(
+        "UR10", help="UR3, UR5, UR10 (CB3, 125 Hz), UR3e, UR5e, UR10e, UR16e, UR20 or UR30 (500 Hz)."
+    ),
     software: str | None = typer.Option(
         None, metavar="VERSION", help="Software that the controllers report and speak, such as 3.4 or 5.11."
     ),
@@ -71,7 +73,7 @@ def ur_controller(
 
     Runs with real-time priority if permitted (as root on Linux).
     """
-    from armcell.control.ur_controller import ControllerSettings, Rack, RemoteHost, SharedWorld
+    from armcell.emulators.ur import ControllerSettings, Rack, RemoteHost, SharedWorld
 
     hosts = list(host)
     if len(set(hosts)) != len(hosts):
@@ -132,7 +134,7 @@ def ur_controller(
 
 def _print_notice(host: str, notice: Notice) -> None:
     """Print a notice that a teach pendant would show."""
-    from armcell.control.ur_controller.notices import Popup, ScriptFault
+    from armcell.emulators.ur.notices import Popup, ScriptFault
 
     if isinstance(notice, Popup | ScriptFault):
         console.print(f"{host}: {notice}", soft_wrap=True, markup=False, highlight=False)
@@ -146,7 +148,7 @@ def ur_dashboard(
 
     Common commands: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
     """
-    from armcell.control.drivers.ur.dashboard import DashboardClient
+    from armcell.drivers.ur.dashboard import DashboardClient
 
     with DashboardClient(host) as dashboard:
         console.print(dashboard.ask(" ".join(command)), markup=False, highlight=False)

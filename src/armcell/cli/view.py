@@ -54,7 +54,7 @@ def view(
     Example: armcell view panda_pick --open
     """
     from armcell.cell.health import first_layers
-    from armcell.control import drivers
+    from armcell.drivers import drivers
     from armcell.planning import prepare
     from armcell.viewer import PlanningPanel, PlanningSession
 

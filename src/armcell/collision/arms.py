@@ -326,16 +326,3 @@ class Arms:
     def _apart_from(self, a: Array, room_a: Array, q: Array, room: Array, clearance: float) -> bool:
         points = np.hstack([a, np.tile(q, (len(a), 1))])
         return self.find_too_close(points, np.concatenate([room_a, room]), clearance) < 0
-
-
-def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Combine two motions of different joints with the same start time into one trajectory.
-
-    The joints of the shorter motion stay at its end.
-    """
-    times = np.union1d(first.times, second.times)
-    times = times[np.concatenate([[True], np.diff(times) > 1e-9])]
-    if times[-1] < max(first.duration, second.duration):
-        times[-1] = max(first.duration, second.duration)
-    q, v, a = map(np.hstack, zip(first.samples(times), second.samples(times), strict=True))
-    return JointTrajectory(first.joint_names + second.joint_names, times, q, v, a)

@@ -1,7 +1,7 @@
 """Certification of timed motions against a measured scene and other running motions.
 
 If a motion is not certified collision-free, the result is its first contact with the time. The motion gate
-(`control/gate.py`) certifies every motion at its start and again when the scene changes.
+(`execution/gate.py`) certifies every motion at its start and again when the scene changes.
 """
 
 from __future__ import annotations

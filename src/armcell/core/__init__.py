@@ -31,6 +31,19 @@ from armcell.core.requests import (
     SequenceRequest,
 )
 from armcell.core.results import ExecutionResult, IKResult, Outcome, PlanResult
+from armcell.core.shape_table import (
+    Format,
+    ShapeKind,
+    SizedMesh,
+    SolidPrimitive,
+    make_shape,
+    named_shapes,
+    register_shape,
+    shape_kind,
+    shape_name,
+    shapes,
+    simpler_parts,
+)
 from armcell.core.transforms import SE3, SO3
 
 __all__ = [
@@ -52,6 +65,7 @@ __all__ = [
     "Event",
     "ExecutionResult",
     "Explanation",
+    "Format",
     "Goal",
     "HeightMap",
     "IKResult",
@@ -79,10 +93,20 @@ __all__ = [
     "Registry",
     "SequenceRequest",
     "Shape",
+    "ShapeKind",
+    "SizedMesh",
+    "SolidPrimitive",
     "Sphere",
     "StateSample",
     "Suggestion",
     "UnknownNameError",
     "VisibilityConstraint",
     "finite_points",
+    "make_shape",
+    "named_shapes",
+    "register_shape",
+    "shape_kind",
+    "shape_name",
+    "shapes",
+    "simpler_parts",
 ]

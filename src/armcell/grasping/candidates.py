@@ -81,7 +81,7 @@ class Proposals:
 Generator = Callable[[CollisionObject, Surface, Hand, Array], Proposals]
 """(object, its surface, the hand, up direction (3,) in the object's frame) -> proposals."""
 
-generators: Registry[Generator] = Registry("grasp generator")
+generators: Registry[Generator] = Registry("grasp generator", "armcell.grasp_generators")
 
 
 def generator_for(item: CollisionObject) -> str:

@@ -1,7 +1,7 @@
 """Forward kinematics, Jacobians, inverse kinematics and inverse dynamics."""
 
 from armcell.kinematics.dynamics import InverseDynamics
-from armcell.kinematics.ik import AnalyticIK, IKSettings, IKSolver, NumericIK, ik_solver
+from armcell.kinematics.ik import AnalyticIK, IKSettings, IKSolver, NumericIK, ik_solver, ik_solvers
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
 __all__ = [
@@ -12,5 +12,6 @@ __all__ = [
     "KinematicTree",
     "NumericIK",
     "ik_solver",
+    "ik_solvers",
     "kinematic_tree",
 ]

@@ -21,7 +21,7 @@ from armcell.model.robot import (
     RobotModel,
     Visual,
 )
-from armcell.model.setup import MoveItConfig, UrdfPart
+from armcell.model.setup import MoveItConfig, UrdfPart, load_ompl_planning
 from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
@@ -45,6 +45,7 @@ __all__ = [
     "hand_alone",
     "installed_robots",
     "known_robot",
+    "load_ompl_planning",
     "load_robot",
     "load_urdf",
     "parse_urdf",

@@ -45,7 +45,12 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
         },
         groups={
             prefix + n: Group(
-                prefix + n, tuple_p(g.joint_names), tuple_p(g.link_names), p(g.base_link), p(g.tip_link)
+                prefix + n,
+                tuple_p(g.joint_names),
+                tuple_p(g.link_names),
+                p(g.base_link),
+                p(g.tip_link),
+                g.ik_solver,
             )
             for n, g in model.groups.items()
         },

@@ -32,6 +32,7 @@ _KEYS = {
     "root",
     "srdf",
     "joint_limits",
+    "ik_solvers",
     "grippers",
     "groups",
     "states",
@@ -157,10 +158,22 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     if "joint_limits" in data:
         model = with_joint_limits(model, folder / str(data["joint_limits"]))
     model = with_composites(model, data.get("groups"), data.get("states"), file)
+    model = _with_ik_solvers(model, data.get("ik_solvers") or {}, file)
     grippers = dict(model.grippers)
     for name, entry in (data.get("grippers") or {}).items():
         grippers[name] = _gripper(model, name, entry, file)
     return replace(model, grippers=grippers)
+
+
+def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
+    """Return the robot with IK solvers named by planning group."""
+    if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
+        raise InputError("is not a mapping of groups to solver names", file=file, element="ik_solvers")
+    for group in names:
+        if group not in model.groups:
+            raise UnknownNameError("planning group", group, model.groups, file=file, element="ik_solvers")
+    groups = {n: replace(g, ik_solver=names.get(n, g.ik_solver)) for n, g in model.groups.items()}
+    return replace(model, groups=groups)
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:

@@ -146,13 +146,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class Group:
-    """A planning group: actuated joints in model order, links, and the two ends of a chain."""
+    """A planning group: actuated joints in model order, links, and the two ends of a chain.
+
+    Attributes:
+        ik_solver: name of the inverse kinematics solver; empty: armcell chooses one.
+    """
 
     name: str
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
     base_link: str | None = None
     tip_link: str | None = None
+    ik_solver: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from armcell.core import SE3, Box, Capsule, Cylinder, InputError, Shape, Sphere
+from armcell.core import SE3, Format, InputError, Shape, named_shapes
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
@@ -249,23 +249,19 @@ class _Reader:
 
     def shape(self, element: etree._Element) -> Shape:
         geometry = self.geometry(element)
+        sized = named_shapes(Format.URDF_READ)
         try:
-            match geometry.tag:
-                case "box":
-                    return Box(*self.numbers(geometry, "size", 3))
-                case "sphere":
-                    return Sphere(self.number(geometry, "radius"))
-                case "cylinder":
-                    return Cylinder(self.number(geometry, "radius"), self.number(geometry, "length"))
-                case "capsule":
-                    return Capsule(self.number(geometry, "radius"), self.number(geometry, "length"))
-                case "mesh":
-                    return load_mesh(*self.mesh_file(geometry))
+            if geometry.tag in sized:
+                return sized[geometry.tag].from_named(
+                    lambda key: self.number(geometry, key), lambda key, n: self.numbers(geometry, key, n)
+                )
+            if geometry.tag == "mesh":
+                return load_mesh(*self.mesh_file(geometry))
         except InputError as error:
             if error.line is not None:
                 raise
             raise self.fail(geometry, str(error)) from None
-        raise self.fail(geometry, "unknown geometry", cure="box, sphere, cylinder, capsule and mesh exist")
+        raise self.fail(geometry, "unknown geometry", cure=f"{', '.join(sized)} and mesh exist")
 
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
         """Return the visual geometry of a URDF element, or None if its mesh file is missing.

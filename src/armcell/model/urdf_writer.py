@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from armcell.core import SE3, Box, Cylinder, Shape, Sphere
+from armcell.core import SE3, Format, Shape, shape_kind, shape_name
 from armcell.model.robot import Joint, Link, RobotModel
 
 
@@ -55,19 +55,16 @@ def _link(robot: Any, link: Link) -> None:
         if not len(geometry):
             element.remove(shown)
     for collision in link.collisions:
-        if isinstance(collision.shape, Box | Cylinder | Sphere):
+        if shape_kind(collision.shape, Format.URDF) is not None:
             solid = etree.SubElement(element, "collision")
             _origin(solid, collision.T_link_shape)
             _shape(etree.SubElement(solid, "geometry"), collision.shape)
 
 
 def _shape(geometry: Any, shape: Shape) -> None:
-    if isinstance(shape, Box):
-        etree.SubElement(geometry, "box", size=_numbers((shape.x, shape.y, shape.z)))
-    elif isinstance(shape, Sphere):
-        etree.SubElement(geometry, "sphere", radius=_number(shape.radius))
-    elif isinstance(shape, Cylinder):
-        etree.SubElement(geometry, "cylinder", radius=_number(shape.radius), length=_number(shape.length))
+    if (kind := shape_kind(shape, Format.URDF)) is not None:
+        sizes = {key: _numbers(np.atleast_1d(value)) for key, value in kind.named(shape).items()}
+        etree.SubElement(geometry, shape_name(shape), **sizes)
 
 
 def _joint(robot: Any, joint: Joint) -> None:

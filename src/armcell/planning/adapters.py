@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 MAX_BOUNDS_ERROR = 0.05  # [rad or m] MoveIt's start_state_max_bounds_error
 
 RequestAdapter = Callable[[ValidatedRequest], "ValidatedRequest | Outcome"]
-request_adapters: Registry[RequestAdapter] = Registry("adapter")
+request_adapters: Registry[RequestAdapter] = Registry("adapter", "armcell.adapters")
 FINISHING = ("chomp_smoothing", "timing", "validation")
 MOVEIT_NAMES = {
     "CheckStartStateBounds": "fix_start_state_bounds",

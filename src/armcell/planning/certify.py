@@ -27,6 +27,7 @@ from armcell.timing import (
     TimingSettings,
     TorqueLimitError,
     TorqueModel,
+    concatenated,
     jerk_limited,
     parameterize,
     smoothing_departure,
@@ -248,18 +249,3 @@ def time_lead_in(validated: ValidatedRequest, checker: KernelChecker) -> JointTr
         return jerk_limited(path, names, velocity, acceleration, checker.model.limits(names, "jerk"))
     torque = torque_model(validated.scene, names) if request.torque_limits else None
     return parameterize(path, names, velocity, acceleration, TimingSettings(), torque)
-
-
-def concatenated(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Concatenate two trajectories that meet at rest."""
-
-    def both(a: Array | None, b: Array | None) -> Array | None:
-        return None if a is None or b is None else np.vstack([a, b[1:]])
-
-    return replace(
-        second,
-        times=np.concatenate([first.times, first.times[-1] + second.times[1:]]),
-        positions=np.vstack([first.positions, second.positions[1:]]),
-        velocities=both(first.velocities, second.velocities),
-        accelerations=both(first.accelerations, second.accelerations),
-    )

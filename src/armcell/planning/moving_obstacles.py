@@ -20,6 +20,7 @@ from armcell.collision.certify_timed import TimedCertificate, certify_timed
 from armcell.core import ErrorCode, InputError, JointTrajectory, PlanRequest, PlanResult
 from armcell.planning.pipeline import plan
 from armcell.scene import MovingObject, PlanningScene
+from armcell.timing import delayed, resting
 
 WAIT_STEP = 0.1  # [s] increment of waits
 
@@ -89,10 +90,7 @@ def _waiting(
 ) -> tuple[float, JointTrajectory] | None:  # fmt: skip
     """Find the shortest wait that lets the obstacles pass, and the motion after that wait."""
     last = max(float(item.times[-1]) for item in moving)
-    standing = replace(
-        trajectory, times=trajectory.times[:1] * 0, positions=trajectory.positions[:1],
-        velocities=None, accelerations=None,
-    )  # fmt: skip
+    standing = resting(trajectory.joint_names, trajectory.positions[0])
     stay: TimedCertificate = certify_timed(scene, standing, moving, start_time, clearance, until=last)
     longest = (last if stay.free else stay.time) - start_time
     steps = int(np.ceil(longest / WAIT_STEP)) if stay.free else int(longest / WAIT_STEP)
@@ -104,21 +102,6 @@ def _waiting(
         if certify_timed(scene, later, moving, start_time, clearance).free:
             return wait, later
     return None
-
-
-def delayed(trajectory: JointTrajectory, wait: float) -> JointTrajectory:
-    """Prepend a standstill of `wait` [s] to a motion."""
-
-    def grown(values: np.ndarray | None) -> np.ndarray | None:
-        return None if values is None else np.vstack([values[:1] * 0, values])
-
-    return replace(
-        trajectory,
-        times=np.concatenate([[0.0], trajectory.times + wait]),
-        positions=np.vstack([trajectory.positions[:1], trajectory.positions]),
-        velocities=grown(trajectory.velocities),
-        accelerations=grown(trajectory.accelerations),
-    )
 
 
 def _around(

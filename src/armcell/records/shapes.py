@@ -6,18 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, Mesh, Shape, make_shape, shape_kind, shape_name, shapes
 from armcell.scene import CollisionObject
-
-SIZES: dict[type, tuple[str, ...]] = {
-    Box: ("x", "y", "z"),
-    Sphere: ("radius",),
-    Cylinder: ("radius", "length"),
-    Capsule: ("radius", "length"),
-    Cone: ("radius", "length"),
-    Plane: (),
-}
-_BY_NAME = {cls.__name__.lower(): cls for cls in SIZES}
 
 
 def pose_data(T: SE3) -> dict[str, Any]:
@@ -52,13 +42,13 @@ def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
 
 
 def _shape_data(shape: Shape) -> dict[str, Any]:
-    if isinstance(shape, Mesh):
+    kind = shape_kind(shape)
+    if kind is None and isinstance(shape, Mesh):
         return {"mesh": {"vertices": shape.vertices.tolist(), "faces": shape.faces.tolist()}}
-    kind = type(shape)
-    return {kind.__name__.lower(): [float(getattr(shape, size)) for size in SIZES.get(kind, ())]}
+    return {shape_name(shape): [] if kind is None else kind.values(shape)}
 
 
 def _shape_of(data: dict[str, Any]) -> Shape | None:
     if "mesh" in data:
         return Mesh(np.array(data["mesh"]["vertices"], float), np.array(data["mesh"]["faces"], int))
-    return next((cls(*data[name]) for name, cls in _BY_NAME.items() if name in data), None)
+    return next((make_shape(name, sizes) for name, sizes in data.items() if name in shapes), None)

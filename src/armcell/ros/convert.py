@@ -11,6 +11,7 @@ from armcell.core import SE3, InputError, JointState, JointTrajectory, Pinhole, 
 from armcell.model import RobotModel
 from armcell.ros.schema import Schema
 from armcell.ros.units import unit_fault
+from armcell.timing import started_from
 
 TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
@@ -163,16 +164,12 @@ def trajectory_from_message(message: Any, model: RobotModel, now: JointState) ->
         except InputError as error:
             cure = unit_fault(model, names, row) or error.cure
             raise InputError(f"point {i}: {error.reason}", cure=cure) from None
-    if times[0] > TIME_GAP:
-        here = now.reindexed(names)
-        times = np.concatenate(([0.0], times))
-        positions = np.vstack((here.positions, positions))
-        moving = np.zeros(n) if here.velocities is None else here.velocities
-        velocities = None if velocities is None else np.vstack((moving, velocities))
-        accelerations = None if accelerations is None else np.vstack((np.zeros(n), accelerations))
     if velocities is None:
         accelerations = None  # interpolation cannot use accelerations without velocities
-    return JointTrajectory(names, times, positions, velocities, accelerations)
+    trajectory = JointTrajectory(names, times, positions, velocities, accelerations)
+    if times[0] > TIME_GAP:
+        return started_from(now, trajectory)
+    return trajectory
 
 
 def _check_names(names: Sequence[str], model: RobotModel) -> None:

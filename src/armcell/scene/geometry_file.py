@@ -18,16 +18,14 @@ import numpy as np
 from armcell.core import (
     SE3,
     SO3,
-    Box,
-    Cone,
-    Cylinder,
+    Format,
     InputError,
     Mesh,
-    Octree,
     Plane,
-    PointCloud,
     Shape,
-    Sphere,
+    named_shapes,
+    shape_kind,
+    shape_name,
 )
 from armcell.model.files import read_text
 from armcell.scene.objects import CollisionObject, Color
@@ -86,24 +84,16 @@ def _pose_lines(T: SE3) -> list[str]:
 
 
 def _shape_lines(name: str, shape: Shape) -> list[str]:
-    match shape:
-        case Box():
-            return ["box", _numbers((shape.x, shape.y, shape.z))]
-        case Sphere():
-            return ["sphere", _numbers((shape.radius,))]
-        case Cylinder():
-            return ["cylinder", _numbers((shape.radius, shape.length))]
-        case Cone():
-            return ["cone", _numbers((shape.radius, shape.length))]
-        case Plane():
-            return ["plane", _numbers((0, 0, 1, 0))]
-        case Mesh():
-            rows = [f"{len(shape.vertices)} {len(shape.faces)}", *map(_numbers, shape.vertices)]
-            return ["mesh", *rows, *(" ".join(map(str, face)) for face in shape.faces.tolist())]
-        case PointCloud() | Octree():
-            pass
+    kind = shape_kind(shape, Format.SCENE_FILE)
+    if kind is not None:
+        return [shape_name(shape), _numbers(kind.values(shape))]
+    if isinstance(shape, Plane):
+        return ["plane", _numbers((0, 0, 1, 0))]
+    if isinstance(shape, Mesh):
+        rows = [f"{len(shape.vertices)} {len(shape.faces)}", *map(_numbers, shape.vertices)]
+        return ["mesh", *rows, *(" ".join(map(str, face)) for face in shape.faces.tolist())]
     raise InputError(
-        f"object {name!r}: a {type(shape).__name__.lower()} cannot be written to a .scene file",
+        f"object {name!r}: a {shape_name(shape)} cannot be written to a .scene file",
         cure="build it of cylinder and spheres, or save it as YAML",
     )
 
@@ -205,18 +195,12 @@ class _Reader:
             raise self.fail(error.reason) from None
 
     def _shape(self, what: str) -> tuple[Shape, SE3]:
-        kind, here = self.word(f"the kind of {what}"), SE3.identity()
+        kind, here, sized = self.word(f"the kind of {what}"), SE3.identity(), named_shapes(Format.SCENE_FILE)
         size = lambda n: [self.number(f"the size of {what}") for _ in range(n)]  # noqa: E731
         try:
+            if kind in sized:
+                return sized[kind].make(*size(len(sized[kind].sizes))), here
             match kind:
-                case "box":
-                    return Box(*size(3)), here
-                case "sphere":
-                    return Sphere(*size(1)), here
-                case "cylinder":
-                    return Cylinder(*size(2)), here
-                case "cone":
-                    return Cone(*size(2)), here
                 case "plane":
                     return self._plane(size(4))
                 case "mesh":
@@ -226,7 +210,7 @@ class _Reader:
                     return Mesh(np.array(vertices).reshape(-1, 3), np.array(faces).reshape(-1, 3)), here
         except InputError as error:
             raise error if error.file is not None else self.fail(f"{what}: {error.reason}") from None
-        raise self.fail(f"{what} is a {kind!r}; known: box, sphere, cylinder, cone, plane, mesh")
+        raise self.fail(f"{what} is a {kind!r}; known: {', '.join(sized)}, plane, mesh")
 
     def _plane(self, equation: list[float]) -> tuple[Shape, SE3]:
         """Return the solid half-space behind the plane a x + b y + c z + d = 0, with its pose."""

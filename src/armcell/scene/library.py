@@ -37,7 +37,7 @@ class Kind:
         return {p.name: float(p.default) for p in inspect.signature(self.solids).parameters.values()}
 
 
-library: Registry[Kind] = Registry("library object")
+library: Registry[Kind] = Registry("library object", "armcell.objects")
 
 
 def object_names() -> list[str]:

@@ -14,6 +14,7 @@ from armcell.sim.built import BuiltModel
 from armcell.sim.by_address import addresses_of
 from armcell.sim.contacts import ContactMonitor
 from armcell.sim.grip import Fingers
+from armcell.sim.holding import Holding
 from armcell.sim.servo import Controls
 from armcell.sim.stepping import FIXED, LIBRARY, take_steps
 
@@ -28,13 +29,16 @@ _NONE, _NO_ROWS, _NO_COLUMNS = np.zeros(0), np.zeros((0, 0)), np.zeros(0, dtype=
 class CompiledSteps:
     """Compiled steps of one `MjData` with gripper control and a contact check after each step."""
 
-    def __init__(self, built: BuiltModel, data: mujoco.MjData, fingers: Fingers, count: NDArray[np.int32]):
+    def __init__(
+        self, built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding,
+        count: NDArray[np.int32],
+    ):  # fmt: skip
         self._data, self._apart = data, Apart(built)
         self._engine = built.mj._address, data._address
         self.forget = self._apart.forget
         self._arrays = (
             count, data.qpos, data.ctrl, data.geom_xpos, fingers.law, fingers.joints, fingers.weights,
-            *self._apart.arrays,
+            *self._apart.arrays, *holding.arrays,
         )  # fmt: skip
         self._fixed = addresses_of(self._arrays, FIXED)
 
@@ -89,13 +93,15 @@ class CompiledSteps:
         return taken
 
 
-def compiled_steps(built: BuiltModel, data: mujoco.MjData, fingers: Fingers) -> CompiledSteps | None:
+def compiled_steps(
+    built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding
+) -> CompiledSteps | None:
     """Return the compiled stepper, or None if this MuJoCo version has an unknown memory layout.
 
     The stepper reads MuJoCo's number of contacts at a fixed offset in mjData; `_count_is_found` checks this
     offset.
     """
-    return CompiledSteps(built, data, fingers, _count(data)) if _count_is_found() else None
+    return CompiledSteps(built, data, fingers, holding, _count(data)) if _count_is_found() else None
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:

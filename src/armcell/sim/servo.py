@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.core import InputError
 from armcell.sim.built import BuiltModel
 from armcell.sim.joint_gains import joint_drive
 from armcell.sim.settings import PhysicsSettings
@@ -30,6 +31,7 @@ class ArmServo:
         self.computed = settings.arm_control == "torque"
         self._feeds_velocity = bool(len(arm)) and bool(self._vel[0] >= 0)
         self.target, self.speed, self.integral = (np.zeros(len(arm)) for _ in range(3))
+        self._torque = np.full(len(arm), np.nan)  # [Nm or N] direct efforts; nan: the PID law controls
         self._dt = settings.timestep
         model = built.scene.model
         joints = [model.joints[model.joint_names[c]] for c in arm]
@@ -54,10 +56,23 @@ class ArmServo:
         """
         at, position, velocity = controls
         self.target[at], self.speed[at] = q, v
+        self._torque[at] = np.nan
         if not self.computed:
             data.ctrl[position] = q
             if self._feeds_velocity:
                 data.ctrl[velocity] = v
+
+    def apply(self, controls: Controls, torque: Array) -> None:
+        """Apply efforts (n,) [Nm or N] to arm joints until their next target; the PID law is off.
+
+        Raises:
+            InputError: the arm control is not "torque".
+        """
+        if not self.computed:
+            raise InputError(
+                "the physics' arm control does not accept torques", cure='set arm_control: "torque"'
+            )
+        self._torque[controls[0]] = torque
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
         """Hold all arm joints at positions q (dof,) in the model's joint order; reset the integral."""
@@ -72,10 +87,11 @@ class ArmServo:
         clamped = np.clip(self.integral, self._low, self._high)
         self.integral = np.where(self._winds_up, self.integral, clamped)
         damping = self._kv * (self.speed - data.qvel[self._dofs])
-        data.ctrl[self._pos] = self._kp * error + damping + clamped + self._feedforward * self.speed
+        law = self._kp * error + damping + clamped + self._feedforward * self.speed
+        data.ctrl[self._pos] = np.where(np.isnan(self._torque), law, self._torque)
 
-    def get_state(self) -> tuple[Array, Array, Array]:
-        return self.target.copy(), self.speed.copy(), self.integral.copy()
+    def get_state(self) -> tuple[Array, ...]:
+        return self.target.copy(), self.speed.copy(), self.integral.copy(), self._torque.copy()
 
-    def set_state(self, state: tuple[Array, Array, Array]) -> None:
-        self.target, self.speed, self.integral = (values.copy() for values in state)
+    def set_state(self, state: tuple[Array, ...]) -> None:
+        self.target, self.speed, self.integral, self._torque = (values.copy() for values in state)

@@ -37,9 +37,14 @@ class PhysicsSettings:
     # 0.0 mrad with "discrete". "discrete" also works at a time step of 5 ms.
     integrator: str = "discrete"
     cone: str = "elliptic"
-    impratio: float = 10.0  # ratio of friction to normal impedance; keeps a held object from creeping
+    # Ratio of friction to normal impedance. A loaded contact creeps at a speed proportional to 1 / impratio
+    # (see holding.py), but with large values a step takes several solver iterations while forces change.
+    impratio: float = 10.0
+    holding_impratio: float = (
+        1e5  # the same while a hand at rest holds an object: creep below 0.1 um/s at 2 kg
+    )
     iterations: int = 100
-    noslip_iterations: int = 0  # 2 reduces the creep of a held object sixfold, at 2/3 of the speed
+    noslip_iterations: int = 0  # 2 stops creep in motion, too, but a trial takes 1.3 times the CPU time
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # [m/s^2]
     # Resting objects sleep until another body touches them; useful in cells with many objects.
     sleep: bool = False
@@ -97,7 +102,14 @@ class PhysicsSettings:
                 continue
             if np.any(float_array(value, None, f"physics setting {field.name}") < 0):
                 raise InputError(f"physics setting {field.name} is {value}, it must be a number >= 0")
-        for name in ("timestep", "gripper_kp", "finger_speed", "grip_force_rate", "impratio"):
+        for name in (
+            "timestep",
+            "gripper_kp",
+            "finger_speed",
+            "grip_force_rate",
+            "impratio",
+            "holding_impratio",
+        ):
             if getattr(self, name) <= 0:
                 raise InputError(f"physics setting {name} is {getattr(self, name)}, it must be above 0")
         if self.arm_control != "torque":

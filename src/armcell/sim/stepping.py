@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, types
 
 from armcell.sim.by_address import matrix, vector
+from armcell.sim.holding import HOLDING, carry, holding
 
 SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)
 LAW_SIZE = 7
@@ -34,6 +35,7 @@ _I4, _I8, _F8, _B = np.int32, np.int64, np.float64, np.bool_
 FIXED = (
     _I4, _F8, _F8, _F8, _F8, _I8, _F8,
     _I8, _F8, _F8, _I8, _F8, _F8, _B, _B, _F8, _F8, _I8, _I8, _I8, _I4, _I4, _I8, _I4, _I4, _F8,
+    *HOLDING,
 )  # fmt: skip
 """Types of the arrays that `take_steps` takes by address."""
 
@@ -165,7 +167,7 @@ def take_steps(
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
         fixed: `addresses_of` the number of contacts (1,), read in place; MuJoCo's qpos and ctrl; the geoms'
-            middles (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`.
+            middles (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`; `Holding.arrays`.
         pairs: (c, 2) geoms of each contact, read in place, of which the first `readable` can be.
         unwanted: (geom, geom) whether they are not to touch.
         period: steps between new targets, which come before steps 0, period, 2 period and so on.
@@ -179,7 +181,7 @@ def take_steps(
     count, qpos, ctrl = vector(fixed, 0, _I4), vector(fixed, 1, _F8), vector(fixed, 2, _F8)
     places, law = matrix(fixed, 3, _F8), matrix(fixed, 4, _F8)
     joints, weights = matrix(fixed, 5, _I8), matrix(fixed, 6, _F8)
-    apart = _apart(fixed, 7)
+    apart, hold = _apart(fixed, 7), holding(fixed, 26)
     for step in range(begin, end):
         row = step // period
         if step % period == 0:
@@ -190,6 +192,7 @@ def take_steps(
         _mj_step(model, data)
         if unknown:
             _after(model, data, places, apart)
+        carry(min(count[0], readable), pairs, qpos, hold)
         touches, off = False, False
         for i in range(count[0]):
             if i >= readable or unwanted[pairs[i, 0], pairs[i, 1]]:

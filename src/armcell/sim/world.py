@@ -34,6 +34,7 @@ from armcell.sim.grip import (
     gripper_state,
     relative_pose,
 )
+from armcell.sim.holding import Holding
 from armcell.sim.kept import kept_build
 from armcell.sim.places import Array, FixedPlaces, Poses, write_free
 from armcell.sim.servo import ArmServo
@@ -66,6 +67,7 @@ class WorldSnapshot:
     servo: tuple
     slip: tuple
     welder: tuple
+    holding: Array
     monitor: tuple
     watches: dict
 
@@ -116,10 +118,11 @@ class SimWorld:
         self._drives = self._fingers.drives
         self._servo = ArmServo(self.built, self.settings)
         self._slip = SlidingFriction(self.built)
+        self._holding = Holding(self.built, self.settings, self._data)
         python = (
             self._servo.computed or self.built.belts or self._slip or self.settings.grip_mode != "friction"
         )
-        self._steps = None if python else compiled_steps(self.built, self._data, self._fingers)
+        self._steps = None if python else compiled_steps(self.built, self._data, self._fingers, self._holding)
         self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
@@ -182,12 +185,13 @@ class SimWorld:
             if self._steps is not None and self._steps.possible:
                 self._steps.take(n, self.monitor)
             else:
-                self._look_at_all()
+                self._look_at_all(forget=False)
                 before, weld = self._before(), self._welder.update
                 for _ in range(n):
                     for call in before:
                         call(data)
                     mujoco.mj_step(self.mj_model, data)
+                    self._holding.update(min(data.ncon, self.monitor.readable), self.monitor.pairs)
                     look(data)
                     if self._slip:
                         self._slip.update(data)
@@ -196,8 +200,14 @@ class SimWorld:
             self._behind = True
         self.check()
 
-    def _look_at_all(self) -> None:
-        """Make MuJoCo test all body pairs again, before it runs without compiled steps."""
+    def _look_at_all(self, forget: bool = True) -> None:
+        """Make MuJoCo test all body pairs again, before it runs without compiled steps.
+
+        Args:
+            forget: also forget the last poses of hands that hold objects, because the state changes.
+        """
+        if forget:
+            self._holding.forget()
         if self._steps is not None:
             self._steps.forget()
 
@@ -298,6 +308,19 @@ class SimWorld:
         for column, gripper in fingers:
             index = self.built.grippers[gripper]
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
+
+    def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
+        """Apply torques [Nm or N] to arm joints until their next target, on top of gravity compensation.
+
+        Raises:
+            UnknownNameError: a name is not an actuated joint.
+            InputError: a torque is not finite, or the physics' `arm_control` is not "torque".
+        """
+        names = tuple(joint_names)
+        _, controls, fingers, _ = self._split(names)
+        if fingers:
+            raise InputError("torques are for arm joints, not for gripper joints")
+        self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
         """Return the last target positions and velocities of the arm joints, without gripper joints."""
@@ -534,6 +557,7 @@ class SimWorld:
             servo=self._servo.get_state(),
             slip=self._slip.get_state(),
             welder=self._welder.get_state(),
+            holding=self._holding.get_state(),
             monitor=self.monitor._get_state(),
             watches=dict(self._watches),
         )
@@ -559,5 +583,6 @@ class SimWorld:
             drive.set_state(state)
         self._servo.set_state(snapshot.servo)
         self._welder.set_state(snapshot.welder)
+        self._holding.set_state(snapshot.holding)
         self.monitor._set_state(snapshot.monitor)
         self._watches = dict(snapshot.watches)

@@ -1,31 +1,31 @@
 """Task planning and execution: stages, search, recipes, and recovery from failures."""
 
 from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
+from armcell.tasks.bin_clearing import ClearSettings
 from armcell.tasks.checked import TaskFailed, checked
-from armcell.tasks.clearing import ClearSettings
 from armcell.tasks.containers import Alternatives, Fallbacks, Serial
 from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.conveyor_pick import MovingSettings, pick_moving
 from armcell.tasks.costs import Cost, clearance, costs, duration, path_length, weighted
 from armcell.tasks.failures import stage_table
 from armcell.tasks.interfaces import TaskError, check_task, holding
 from armcell.tasks.intermediate_placement import IntermediatePlacement, PickAndPlace, place_intermediate
 from armcell.tasks.merger import Merger
-from armcell.tasks.moving import MovingSettings, pick_moving
+from armcell.tasks.pick import Pick, grasp, grasp_stages, pick, pick_stages
 from armcell.tasks.pipelined import PipelinedTask, PipelineSettings, perform_pipelined, picking, placing
 from armcell.tasks.proof import NOISE, Proof, as_it_may_be, prove, varied
-from armcell.tasks.recipes import (
-    grasp,
-    hold,
-    let_go,
-    move_to,
-    pick,
-    pick_stages,
-    place,
-    place_stages,
-    release,
-)
+from armcell.tasks.recipes import hold, let_go, move_to, perform_stages, place, place_stages, release
 from armcell.tasks.recovery import RecoverySettings, transfer
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, search, solutions
+from armcell.tasks.search import (
+    Lookahead,
+    PartialSolution,
+    Planning,
+    Stage,
+    make_stage,
+    search,
+    solutions,
+    stage_types,
+)
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.sorting import SortSettings, sort
 from armcell.tasks.stages import Connect, MoveGripper, Straight
@@ -49,6 +49,7 @@ __all__ = [
     "MoveGripper",
     "MovingSettings",
     "PartialSolution",
+    "Pick",
     "PickAndPlace",
     "PipelineSettings",
     "PipelinedTask",
@@ -75,13 +76,16 @@ __all__ = [
     "costs",
     "duration",
     "grasp",
+    "grasp_stages",
     "hold",
     "holding",
     "let_go",
+    "make_stage",
     "move_to",
     "path_length",
     "perform_all",
     "perform_pipelined",
+    "perform_stages",
     "pick",
     "pick_moving",
     "pick_stages",
@@ -98,6 +102,7 @@ __all__ = [
     "solutions",
     "sort",
     "stage_table",
+    "stage_types",
     "transfer",
     "varied",
     "weighted",

@@ -14,9 +14,10 @@ from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.costs import Cost, duration
 from armcell.tasks.interfaces import InterfaceCheck, serial, single
-from armcell.tasks.search import Branch, PartialSolution, Planning, Stage, in_order, solutions
+from armcell.tasks.search import Branch, PartialSolution, Planning, Stage, in_order, solutions, stage_types
 
 
+@stage_types.register("serial")
 @dataclass(frozen=True, eq=False)
 class Serial:
     """Stages in sequence under one name, for example picking as a part of a task."""
@@ -31,6 +32,7 @@ class Serial:
         return serial(self.stages, have, scene)
 
 
+@stage_types.register("alternatives")
 @dataclass(frozen=True, eq=False)
 @checked()
 class Alternatives:
@@ -57,6 +59,7 @@ class Alternatives:
         return _either(self.stages, have, scene)
 
 
+@stage_types.register("fallbacks")
 @dataclass(frozen=True, eq=False)
 class Fallbacks:
     """Container of alternatives that are tried in order until one has a solution."""

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from armcell.collision.kernel.world_part import object_part
-from armcell.control import Driver, MotionGate
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
+from armcell.drivers import Driver
+from armcell.execution import MotionGate
 from armcell.model import Gripper
 from armcell.scene import PlanningScene, new_obstacles, scene_changes
 from armcell.tasks.failures import reason_in_short
@@ -105,7 +106,7 @@ class TaskContext:
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
         model, driver = scene.model, self.driver
-        with getattr(driver, "lock", nullcontext()):  # joints and objects at the same time
+        with driver.lock:  # joints and objects at the same time
             q, poses = driver.joint_state().positions, driver.object_poses()
         scene = replace(scene, positions=np.clip(q, model.lower, model.upper))
         for name, pose in poses.items():
@@ -272,8 +273,7 @@ class TaskContext:
         for contact in contacts[self._told[1] :]:
             self.emit("contact", f"{contact.body_a} touches {contact.body_b}", depth_m=contact.depth)
         self._told = (len(welds), len(contacts))
-        safety = getattr(self.driver, "safety_events", ())  # real arms only
-        for event in safety[self._stops_told :]:
+        for event in self.driver.safety_events[self._stops_told :]:
             self._stops_told += 1
             kind = "note" if event.kind == "twin" else "stop"
             self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)

@@ -16,7 +16,7 @@ from armcell.tasks.steps import Dwell, Grip, Motion, Together
 Cost = Callable[[PartialSolution], float]
 """Cost of a solution; lower is better."""
 
-costs: Registry[Cost] = Registry("cost term")
+costs: Registry[Cost] = Registry("cost term", "armcell.costs")
 """Cost terms by name, for `TaskSettings.cost`."""
 
 GRIP = 0.5  # [s] assumed duration of a gripper motion

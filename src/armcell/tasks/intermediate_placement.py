@@ -11,12 +11,14 @@ from armcell.core.checks import checked, require
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.recipes import pick_stages, place_stages, planned
+from armcell.tasks.pick import pick_stages
+from armcell.tasks.recipes import place_stages
 from armcell.tasks.regrasp import PlacementGoal, RegraspStep, RestingPose, Vector, regrasp_sequences
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, solutions
+from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, solutions, stage_types
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import ChoosePlacement
 from armcell.tasks.steps import perform_all
+from armcell.tasks.task import plan_stages
 
 MOST = 2  # intermediate placements in a row
 
@@ -29,6 +31,7 @@ class PlacementRecord:
     steps: int
 
 
+@stage_types.register("intermediate_placement")
 @dataclass(frozen=True, eq=False)
 @checked()
 class IntermediatePlacement:
@@ -93,6 +96,7 @@ class IntermediatePlacement:
         return place_stages(self.object, step.poses[0].on, self.gripper, s, among=places)
 
 
+@stage_types.register("pick_and_place")
 @dataclass(frozen=True, eq=False)
 @checked()
 class PickAndPlace:
@@ -159,7 +163,7 @@ def place_intermediate(
         the evidence; otherwise the reasons per side.
     """
     stages = [IntermediatePlacement(item, on, gripper, at, up, most)]
-    solution, outcome = planned(ctx, stages, f"intermediate placement of {item}")
+    solution, outcome = plan_stages(ctx, stages, f"intermediate placement of {item}")
     if solution is None:
         return outcome
     records: tuple[PlacementRecord, ...] = solution.data["intermediate_placements"]

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from armcell.collision.arms import CLEARANCE, Arms, merged
+from armcell.collision.arms import CLEARANCE, Arms
 from armcell.core import InputError, JointState, JointTrajectory, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.interfaces import InterfaceCheck, single
-from armcell.tasks.search import PartialSolution, Planning, Stage
+from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
 from armcell.tasks.stages.fingers import finger_collision
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import Grip, Motion, Step, Together
+from armcell.timing import merged
 
 
+@stage_types.register("merger")
 @dataclass(frozen=True, eq=False)
 @checked()
 class Merger:

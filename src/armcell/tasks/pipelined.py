@@ -15,7 +15,8 @@ from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import costs
-from armcell.tasks.recipes import Vector, pick_stages, place_stages
+from armcell.tasks.pick import pick_stages
+from armcell.tasks.recipes import Vector, place_stages
 from armcell.tasks.search import PartialSolution, Planning, Stage
 from armcell.tasks.steps import DONE, perform_all
 from armcell.tasks.task import Task, TaskPlan, emit_rejections

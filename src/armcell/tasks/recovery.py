@@ -7,15 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from armcell.control import CHANGED
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.core.checks import checked, require
+from armcell.execution import CHANGED
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
 from armcell.tasks.intermediate_placement import place_intermediate
+from armcell.tasks.pick import AHEAD, back_off, pick
 from armcell.tasks.pipelined import scene_difference
-from armcell.tasks.recipes import AHEAD, Vector, back_off, pick, place
+from armcell.tasks.recipes import Vector, place
 from armcell.tasks.stages import ChoosePlacement
 
 GIVEN_UP = "given up"

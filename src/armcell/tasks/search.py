@@ -7,6 +7,7 @@ count, because the search takes them in order.
 
 from __future__ import annotations
 
+import inspect
 import threading
 import time
 from collections import deque
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from typing import Any, Protocol
 
-from armcell.core import ErrorCode, Outcome
+from armcell.core import ErrorCode, InputError, Outcome, Registry, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Rejections
@@ -141,6 +142,29 @@ class Stage(Protocol):
     def name(self) -> str: ...
 
     def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]: ...
+
+
+stage_types: Registry[Callable[..., Stage]] = Registry("stage", "armcell.stages")
+"""Stage classes by name, for the step `stage` of a cell file's task."""
+
+
+def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
+    """Make a registered stage from the values of a cell file; the stage's own name is `name` by default.
+
+    Raises:
+        UnknownNameError: no such stage, or the stage has no such value.
+        InputError: a value is missing or not valid.
+    """
+    make = stage_types[name]
+    known = inspect.signature(make).parameters
+    for key in values:
+        if key not in known:
+            raise UnknownNameError(f"value of stage {name!r}", key, known)
+    ready = {"name": name, **values} if "name" in known else dict(values)
+    missing = [k for k, p in known.items() if p.default is p.empty and k not in ready]
+    if missing:
+        raise InputError(f"stage {name!r} lacks {', '.join(missing)}")
+    return make(**ready)
 
 
 def solutions(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armcell.control import ExecutionSettings
 from armcell.core.checks import checked, require
+from armcell.execution import ExecutionSettings
 from armcell.planning import find_planner
 
 _POSITIVE = (

@@ -14,7 +14,8 @@ from armcell.model import Gripper
 from armcell.perception import SeenObject, Sight, colour_name
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.recipes import back_off, move_to, pick, place, release
+from armcell.tasks.pick import back_off, pick
+from armcell.tasks.recipes import move_to, place, release
 
 Kind = Callable[[SeenObject], str]
 """Sorting criterion: maps a seen object to its kind."""

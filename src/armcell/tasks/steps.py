@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from armcell.control import GuardedMotion, execute
 from armcell.core import ErrorCode, JointTrajectory, Outcome
+from armcell.execution import GuardedMotion, execute
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext

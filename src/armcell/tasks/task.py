@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 from armcell.core import ErrorCode, Outcome
+from armcell.planning import warm_up
+from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.costs import Cost, duration
+from armcell.tasks.costs import Cost, costs, duration
 from armcell.tasks.failures import stage_rows, stage_table
 from armcell.tasks.interfaces import check_task
 from armcell.tasks.search import PartialSolution, Planning, Stage, solutions
+from armcell.tasks.steps import DONE
 
 
 @dataclass(frozen=True)
@@ -80,3 +84,29 @@ def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
     rejected = plan.evidence.get("rejections", ())
     if rejected:
         ctx.emit("plan", f"{what}: planned, {len(rejected)} rejected", evidence=plan.evidence)
+
+
+def plan_stages(
+    ctx: TaskContext, stages: Sequence[Stage], what: str, scene: PlanningScene | None = None
+) -> tuple[PartialSolution | None, Outcome]:
+    """Plan stages, by default from the measured state, and emit an event about rejections or a failure.
+
+    Args:
+        what: names the task in messages.
+        scene: the scene in which the stages start; default: the measured one.
+    Returns:
+        The cheapest solution and a success, or None and the reason.
+    Raises:
+        TaskError: the stages do not fit together.
+    """
+    warm_up()  # compile before the planning time starts
+    s = ctx.settings
+    task = Task(what, tuple(stages), costs[s.cost])
+    start = PartialSolution(ctx.scene() if scene is None else scene)
+    plan = task.plan(start, Planning(s, ctx.seed, ctx.cancel), s.solutions)
+    if plan.best is not None:
+        emit_rejections(ctx, plan, what)
+        return plan.best, DONE
+    if plan.code is not ErrorCode.PREEMPTED:
+        ctx.emit("error", plan.message, code=plan.code.name, **plan.evidence)
+    return None, Outcome(plan.code, plan.message, plan.evidence)

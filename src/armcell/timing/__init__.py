@@ -1,6 +1,20 @@
 """Time parameterization of paths within velocity, acceleration, jerk and torque limits."""
 
 from armcell.timing.blend import BlendedPath
+from armcell.timing.editing import (
+    check_scaling,
+    concatenated,
+    delayed,
+    merged,
+    resting,
+    reversed_in_time,
+    section,
+    started_from,
+    stretched,
+    stretched_to,
+    synchronized,
+    with_resting_joints,
+)
 from armcell.timing.jerk import jerk_limited
 from armcell.timing.parameterize import (
     TimingSettings,
@@ -9,7 +23,6 @@ from armcell.timing.parameterize import (
     parameterize,
     smoothing_departure,
 )
-from armcell.timing.stretch import check_scaling, reversed_in_time, stretched, stretched_to, synchronized
 
 __all__ = [
     "BlendedPath",
@@ -17,11 +30,18 @@ __all__ = [
     "TorqueLimitError",
     "TorqueModel",
     "check_scaling",
+    "concatenated",
+    "delayed",
     "jerk_limited",
+    "merged",
     "parameterize",
+    "resting",
     "reversed_in_time",
+    "section",
     "smoothing_departure",
+    "started_from",
     "stretched",
     "stretched_to",
     "synchronized",
+    "with_resting_joints",
 ]

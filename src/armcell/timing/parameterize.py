@@ -12,6 +12,7 @@ from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.core.checks import checked
 from armcell.timing import sampling, topp
 from armcell.timing.blend import BlendedPath
+from armcell.timing.editing import resting
 
 Array = NDArray[np.float64]
 
@@ -184,8 +185,7 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
 
 def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
     """Return the single-point trajectory of a path of length zero."""
-    zero = np.zeros((1, len(joint_names)))
-    return JointTrajectory(joint_names, np.zeros(1), path.points[:1], zero, zero)
+    return resting(joint_names, path.points[0])
 
 
 def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:

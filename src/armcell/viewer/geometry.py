@@ -77,7 +77,8 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 
 def shape_part(shape: Shape, color: Color) -> Part:
     """Return a shape as triangles in its own frame; a plane becomes a thin slab below z = 0."""
-    return _shaded(_TESSELLATE[type(shape)](shape), color)
+    kind = Mesh if isinstance(shape, Mesh) else type(shape)
+    return _shaded(_TESSELLATE[kind](shape), color)
 
 
 def collision_part(shape: Shape) -> Part:

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from armcell.cell import load_objects, save_objects
 from armcell.collision.touch_links import attached_by_contact
-from armcell.core import SE3, Box, Cylinder, InputError, Shape, Sphere
+from armcell.core import SE3, InputError, make_shape, shapes
 from armcell.scene import CollisionObject, PlanningScene, load_scene_file, save_scene_file
 
-KINDS: dict[str, tuple[str, ...]] = {
-    "box": ("x", "y", "z"),
-    "sphere": ("radius",),
-    "cylinder": ("radius", "length"),
-}
+KINDS: dict[str, tuple[str, ...]] = {name: shapes[name].sizes for name in ("box", "sphere", "cylinder")}
 """Shapes that the user can add, with the names of their dimensions."""
 
-_MAKE: dict[str, Callable[..., Shape]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder}
 NEW_COLOR = (0.93, 0.69, 0.13, 1.0)
 SUFFIXES = (".scene", ".yaml", ".yml")
 
@@ -46,7 +40,7 @@ def with_new(
         raise InputError(f"something is called {name!r} already", cure="give another name")
     if not name.strip():
         raise InputError("an object needs a name")
-    shape = _MAKE[kind](*size[: len(KINDS[kind])])
+    shape = make_shape(kind, size[: len(KINDS[kind])])
     return scene.with_object(CollisionObject.single(name, shape, T_world_object, color=NEW_COLOR))
 
 

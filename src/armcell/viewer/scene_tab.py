@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from armcell.core import SE3, InputError
+from armcell.core import SE3, InputError, shape_name
 from armcell.viewer import scene_edits
 from armcell.viewer.session import PlanningSession
 from armcell.viewer.widgets import Callbacks, paragraph, quietly
@@ -150,7 +150,7 @@ class SceneTab:
         scene = self._session.scene
         lines = []
         for name, item in scene.objects.items():
-            kinds = ", ".join(type(shape).__name__.lower() for shape, _ in item.shapes[:3])
+            kinds = ", ".join(shape_name(shape) for shape, _ in item.shapes[:3])
             kinds += ", ..." if len(item.shapes) > 3 else ""
             x, y, z = item.T_world_object.translation
             lines.append(f"{name} ({kinds}) at {x:.2f} {y:.2f} {z:.2f} m")

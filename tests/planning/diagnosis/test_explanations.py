@@ -303,9 +303,9 @@ def test_an_ordinary_difference_is_neither(off):
 
 def test_a_motion_that_is_not_begun_explains_itself():
     """The executor finds the robot elsewhere, and its result says so."""
-    from tests.control.ungated import execute
+    from tests.execution.ungated import execute
 
-    from armcell.control import DriverOptions, drivers
+    from armcell.drivers import DriverOptions, drivers
 
     scene = panda()
     result = plan(scene, request(NamedGoal("extended"), start=JointState(("panda_joint1",), [0.2])))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, OTHER, RIGHT, Judge, motion, scene, tip
 
-from armcell.collision.arms import Arms, merged, without_arm
+from armcell.collision.arms import Arms, without_arm
 from armcell.core import Box, ErrorCode, InputError, JointTrajectory, PlanRequest
 from armcell.planning import RunningMotion, plan, plan_synchronized
 from armcell.scene import CollisionObject
-from armcell.timing import synchronized
+from armcell.timing import merged, synchronized
 from armcell.timing.chords import acceleration_bounds, chords, positions_at
 
 pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from armcell.kinematics.ik.analytic import AnalyticIK, is_analytic
+from armcell.core import InputError
+from armcell.kinematics.ik.analytic import AnalyticIK
 from armcell.kinematics.ik.numeric import NumericIK
-from armcell.kinematics.ik.solver import IKSettings, IKSolver
+from armcell.kinematics.ik.solver import IKSettings, IKSolver, ik_solvers
 from armcell.model import RobotModel
 
 
@@ -14,9 +15,10 @@ from armcell.model import RobotModel
 def ik_solver(
     model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
 ) -> IKSolver:
-    """Return the inverse kinematics solver for a planning group: analytic if possible.
+    """Return the inverse kinematics solver for a planning group.
 
-    The solver is cached, because robot models are immutable.
+    The robot may name the solver (`ik_solvers` in robot.yaml); otherwise it is analytic if possible, else
+    numeric. The solver is cached, because robot models are immutable.
 
     Args:
         model: the robot.
@@ -25,10 +27,20 @@ def ik_solver(
         settings: tolerances and limits of the search.
     Raises:
         UnknownNameError: the group or link does not exist.
-        InputError: the group has no tip link and `tip_link` is None, or no joint of the group moves the link.
+        InputError: the group has no tip link and `tip_link` is None, or no joint of the group moves the link;
+            the solver that the robot names does not exist or cannot solve the group.
     """
-    kind = AnalyticIK if is_analytic(model, group, tip_link) else NumericIK
+    named = model.group(group).ik_solver
+    if named:
+        kind = ik_solvers[named]
+        if not kind.solves(model, group, tip_link):
+            raise InputError(
+                f"IK solver {named!r} cannot solve group {group!r} of {model.name!r}",
+                cure="name another one under 'ik_solvers' in robot.yaml, or none",
+            )
+        return kind(model, group, tip_link, settings)
+    kind = next(k for k in (AnalyticIK, NumericIK) if k.solves(model, group, tip_link))
     return kind(model, group, tip_link, settings)
 
 
-__all__ = ["AnalyticIK", "IKSettings", "IKSolver", "NumericIK", "ik_solver"]
+__all__ = ["AnalyticIK", "IKSettings", "IKSolver", "NumericIK", "ik_solver", "ik_solvers"]

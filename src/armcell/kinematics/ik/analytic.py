@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.kinematics.ik.chain import chain_of
-from armcell.kinematics.ik.solver import IKSolver, Prepared, other_columns, tip_of
+from armcell.kinematics.ik.solver import IKSolver, Prepared, ik_solvers, other_columns, tip_of
 from armcell.kinematics.ik.turns import keep_within
 from armcell.kinematics.ik.ur import BRANCHES, ur_branches, ur_geometry
 from armcell.kinematics.tree import FIXED, kinematic_tree
@@ -22,6 +22,7 @@ from armcell.model import RobotModel
 Array = NDArray[np.float64]
 
 
+@ik_solvers.register("analytic")
 class AnalyticIK(IKSolver):
     """An analytic IK solver: up to eight solutions, nearest to the reference first.
 
@@ -31,6 +32,10 @@ class AnalyticIK(IKSolver):
 
     method = "analytic"
     nearest_first = True
+
+    @classmethod
+    def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
+        return is_analytic(model, group, tip_link)
 
     def _prepare(self, positions: Array) -> Prepared:
         prepared = super()._prepare(positions)

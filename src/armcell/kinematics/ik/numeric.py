@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armcell.kinematics.ik.nullspace import slide_towards
 from armcell.kinematics.ik.search import search
 from armcell.kinematics.ik.seeds import rank, sampling_range
-from armcell.kinematics.ik.solver import IKSolver, Prepared
+from armcell.kinematics.ik.solver import IKSolver, Prepared, ik_solvers
 
 Array = NDArray[np.float64]
 
@@ -19,6 +19,7 @@ BATCH = 4  # number of solutions per call of the compiled search
 BARREN = 32  # the search ends after that many seeds without a new solution, if it has found one
 
 
+@ik_solvers.register("numeric")
 class NumericIK(IKSolver):
     """A numeric inverse kinematics solver that runs damped least squares from many seeds.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.core import SE3, ErrorCode, IKResult, InputError
+from armcell.core import SE3, ErrorCode, IKResult, InputError, Registry
 from armcell.core.checks import checked
 from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
 from armcell.kinematics.ik.descent import descend
@@ -89,6 +89,11 @@ class IKSolver(ABC):
     def _prepare(self, positions: Array) -> Prepared:
         chain = chain_of(self.tree, self.joint_names, self.tip_link, positions)
         return Prepared(chain, seeds_of(chain))
+
+    @classmethod
+    def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
+        """Return whether the solver works for a planning group and tip link."""
+        return True
 
     @property
     def prepared(self) -> Prepared:
@@ -317,6 +322,10 @@ class IKSolver(ABC):
         """Return the names of the group's joints that are at a limit (within 1e-3) in `q` (n,)."""
         near = np.minimum(q - self.lower, self.upper - q) < AT_LIMIT
         return [name for name, yes in zip(self.joint_names, near, strict=True) if yes]
+
+
+ik_solvers: Registry[type[IKSolver]] = Registry("IK solver", "armcell.ik_solvers")
+"""Inverse kinematics solvers by name, for `ik_solvers` in robot.yaml."""
 
 
 def _counts(outside: dict[str, int]) -> str:

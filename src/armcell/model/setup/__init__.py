@@ -4,7 +4,12 @@ from armcell.model.setup import defaults
 from armcell.model.setup.chains import Chain, find_chains, with_groups
 from armcell.model.setup.folder import check_folder, write_folder, yaml_text
 from armcell.model.setup.launch import launch_files
-from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config, package_files
+from armcell.model.setup.moveit_config import (
+    MoveItConfig,
+    is_moveit_config,
+    load_ompl_planning,
+    package_files,
+)
 from armcell.model.setup.semantics import described, parse_srdf, srdf_text
 from armcell.model.setup.urdf_text import UrdfPart, merged_urdf
 
@@ -18,6 +23,7 @@ __all__ = [
     "find_chains",
     "is_moveit_config",
     "launch_files",
+    "load_ompl_planning",
     "merged_urdf",
     "package_files",
     "parse_srdf",

@@ -235,11 +235,25 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
     return {name: manager[name] for name in manager.get("controller_names") or []}
 
 
+def load_ompl_planning(file: Path, model: RobotModel) -> Data:
+    """Read an ompl_planning.yaml of ROS 1 or ROS 2 for `PlanRequest.planner_configs`.
+
+    Raises:
+        InputError: a group's planner configuration does not exist or a value has the wrong type; the message
+            names the file and key.
+    """
+    data = read_yaml(file)
+    _Reader(file.parent.parent).check_ompl_planning(data, file, model)
+    return _unwrapped(data, "ompl")
+
+
 class _Reader:
     """A reader for one MoveIt configuration package; error messages contain the file and key."""
 
-    def __init__(self, folder: Path, allow_env: bool | None, xacro_args: dict[str, str]):
-        self.folder, self.allow_env, self.xacro_args = folder, allow_env, xacro_args
+    def __init__(
+        self, folder: Path, allow_env: bool | None = None, xacro_args: Mapping[str, str] | None = None
+    ):
+        self.folder, self.allow_env, self.xacro_args = folder, allow_env, dict(xacro_args or {})
         self.config = folder / "config"
 
     def read(self, urdf: Path | None) -> MoveItConfig:

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from armcell.collision.arms import CLEARANCE, Arms, without_arm
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact, ErrorCode, InputError, JointTrajectory, Outcome, PlanRequest, PlanResult
-from armcell.planning.certify import concatenated, time_lead_in
-from armcell.planning.moving_obstacles import delayed
+from armcell.planning.certify import time_lead_in
 from armcell.planning.multi_arm.space_time_search import SpaceTimePath, SpaceTimeProblem, search, shortened
 from armcell.planning.pipeline import StartAndGoals, find_start_and_goals, plan
 from armcell.planning.request import validate_request
 from armcell.scene import PlanningScene
+from armcell.timing import concatenated, delayed, resting
 from armcell.timing.averaged import averaged_pieces
 from armcell.timing.chords import chords
 
@@ -53,8 +53,7 @@ class RunningMotion:
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
         """Create the motion of an arm that stays at its position in the scene."""
         names = scene.model.group(group).joint_names
-        q = scene.state.reindexed(names).positions[None]
-        return RunningMotion(JointTrajectory(names, np.zeros(1), q, q * 0, q * 0), time)
+        return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
 
 def plan_around_moving_arm(

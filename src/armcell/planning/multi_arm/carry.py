@@ -37,6 +37,7 @@ from armcell.planning.multi_arm.object_paths import (
     time_law,
 )
 from armcell.scene import PlanningScene
+from armcell.timing import concatenated, stretched
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
@@ -57,13 +58,9 @@ POSTURES = 4  # joint solutions tried at the end of a detour
 
 @dataclass(frozen=True, eq=False)
 class CarrySegment:
-    """A timed motion from rest to rest.
+    """A timed motion from rest to rest."""
 
-    Times (m,), joint positions, velocities, accelerations (m, n).
-    """
-
-    times: Array
-    values: tuple[Array, Array, Array]
+    trajectory: JointTrajectory
     path: Array  # (k, n) at even shares of the path
     end: Array  # (dof,) of all joints
 
@@ -144,7 +141,7 @@ def plan_carry(
                 made.code, text, made.evidence, planner_id="carry", planning_time=time.monotonic() - began
             )
         segments += [made] if isinstance(made, CarrySegment) else made
-    trajectory = _joined(names, segments)
+    trajectory = concatenated(*(segment.trajectory for segment in segments))
     points = chords((trajectory,), (0.0,), 0.0, trajectory.duration)[1]
     return PlanResult(
         ErrorCode.SUCCESS, evidence={"ways": tuple(ways), "poses_looked_at": poses_tried},
@@ -152,14 +149,6 @@ def plan_carry(
         planner_id="carry", planning_time=time.monotonic() - began,
         clearance=lambda: builder.checker.clearance(points),
     )  # fmt: skip
-
-
-def _joined(names: tuple[str, ...], segments: Sequence[CarrySegment]) -> JointTrajectory:
-    times, values = [segments[0].times], [segments[0].values]
-    for segment in segments[1:]:
-        times.append(segment.times[1:] + times[-1][-1])
-        values.append((segment.values[0][1:], segment.values[1][1:], segment.values[2][1:]))
-    return JointTrajectory(names, np.concatenate(times), *(np.vstack(v) for v in zip(*values, strict=True)))
 
 
 class _SegmentBuilder:
@@ -204,8 +193,7 @@ class _SegmentBuilder:
             np.max(np.abs(velocities) / self.velocity)
         )  # curvature between the samples of the time law
         over = max(over, float(np.sqrt(np.max(np.abs(accelerations) / self.acceleration))), 1.0)
-        times, velocities, accelerations = times * over, velocities / over, accelerations / over**2
-        trajectory = JointTrajectory(self.names, times, values, velocities, accelerations)
+        trajectory = stretched(JointTrajectory(self.names, times, values, velocities, accelerations), over)
         _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
         if padded:
             proof = checker.certify(points, room, padded=True, evidence=evidence)
@@ -215,7 +203,7 @@ class _SegmentBuilder:
             what = "" if proof.contact is None else f": {proof.contact.describe()}"
             contacts = {"contacts": [proof.contact] if proof.contact else []}
             return BlockedSegment(f"the path is blocked at {100 * proof.at:.0f} %{what}", contacts)
-        return CarrySegment(times, (values, velocities, accelerations), path, exact[-1])
+        return CarrySegment(trajectory, path, exact[-1])
 
     def along(self, way: ObjectPath, q: Array) -> Array | ClosedChainFailure:
         """Compute all joints (k, dof) at even shares of an object path."""

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import CLEARANCE, Arms, merged, without_arm
+from armcell.collision.arms import CLEARANCE, Arms, without_arm
 from armcell.core import (
     ErrorCode,
     Goal,
@@ -25,7 +25,7 @@ from armcell.core import (
 from armcell.planning.pipeline import find_start_and_goals, plan
 from armcell.planning.request import validate_request
 from armcell.scene import PlanningScene
-from armcell.timing import synchronized
+from armcell.timing import merged, synchronized
 
 Array = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ from armcell.planning.pilz.paths import Curve, JointLine
 from armcell.planning.pilz.settings import PilzSettings
 from armcell.planning.pilz.velocity_profile import Profile, Trapezoid
 from armcell.planning.request import ValidatedRequest
+from armcell.timing import resting
 
 Array = NDArray[np.float64]
 
@@ -60,9 +61,7 @@ class MotionCommand:
 
     def standing(self) -> GeneratedMotion:
         """Generate a motion of one point, for a goal at the robot's present position."""
-        zero = np.zeros((1, len(self.start)))
-        names = self.validated.joint_names
-        trajectory = JointTrajectory(names, np.zeros(1), self.start[None], zero, zero)
+        trajectory = resting(self.validated.joint_names, self.start)
         return GeneratedMotion(JointLine(self.start, self.start), trajectory)
 
     def stopped(self) -> Outcome | None:

@@ -41,6 +41,7 @@ from armcell.planning.pipeline import plan
 from armcell.planning.planners.registry import PILZ, normalized_pipeline_id
 from armcell.planning.request import Workspace, validate_request
 from armcell.scene import PlanningScene
+from armcell.timing import concatenated, resting, section, with_resting_joints
 
 Array = NDArray[np.float64]
 
@@ -328,51 +329,35 @@ def _joined(
     scene: PlanningScene, items: list[_Item], blends: list[Blend | None]
 ) -> tuple[JointTrajectory, dict]:
     """Concatenate motions and blends to one trajectory; report when each begins and ends [s]."""
-    model = scene.model
     moved = {name for item in items for name in item.trajectory.joint_names}
-    names = tuple(name for name in model.joint_names if name in moved)
-    state = JointState(model.joint_names, items[0].scene.positions)
+    names = tuple(name for name in scene.model.joint_names if name in moved)
+    state = JointState(scene.model.joint_names, items[0].scene.positions)
     for item in items[::-1]:  # each group begins at the start of its first motion
         state = state.updated(item.trajectory.start)
-    at = state.reindexed(names).positions
-    rows: list[tuple[float, Array, Array, Array]] = [(0.0, at, np.zeros(len(names)), np.zeros(len(names)))]
+    state = state.reindexed(names)
+    parts = [resting(names, state.positions)]
     clock, evidence = 0.0, {"items": [], "blends": []}
+
+    def append(trajectory: JointTrajectory, begin: float, end: float) -> dict[str, float]:
+        nonlocal clock, state
+        started = clock
+        if end > begin:
+            part = section(trajectory, begin, end, CLOSE)
+            parts.append(with_resting_joints(part, state, names))
+            state = state.updated(part.end)
+            clock += end - begin
+        return {"begin": float(started), "end": float(clock)}
+
     for number, item in enumerate(items):
         blend = blends[number] if number < len(blends) else None
         before = blends[number - 1] if number else None
         begin = before.joins if before else 0.0
         end = blend.leaves if blend else item.trajectory.duration
-        started = clock
-        clock = _append(rows, names, item.trajectory, begin, end, clock)
-        evidence["items"].append(
-            {"planner_id": item.result.planner_id, "begin": float(started), "end": float(clock)}
-        )
+        span = append(item.trajectory, begin, end)
+        evidence["items"].append({"planner_id": item.result.planner_id, **span})
         if blend is not None:
-            started = clock
-            clock = _append(rows, names, blend.trajectory, 0.0, blend.trajectory.duration, clock)
-            evidence["blends"].append({"begin": float(started), "end": float(clock)})
-    times, q, v, a = (np.array(column) for column in zip(*rows, strict=True))
-    return JointTrajectory(names, times, q, v, a), evidence
-
-
-def _append(
-    rows: list, names: tuple[str, ...], trajectory: JointTrajectory, begin: float, end: float, clock: float
-) -> float:
-    """Append the points after `begin` up to `end` [s of the trajectory].
-
-    Return the time of the last one.
-    """
-    columns = [names.index(name) for name in trajectory.joint_names]
-    inner = [t for t in trajectory.times if begin + CLOSE < t < end - CLOSE]
-    for t in (*inner, *([end] if end > begin else [])):
-        q, v, a = rows[-1][1].copy(), np.zeros(len(names)), np.zeros(len(names))
-        if t == trajectory.duration:  # `sample` is at rest there, a blend is not
-            at = trajectory.positions[-1], trajectory.velocities[-1], trajectory.accelerations[-1]  # type: ignore
-        else:
-            at = trajectory.sample(t)
-        q[columns], v[columns], a[columns] = at
-        rows.append((clock + t - begin, q, v, a))
-    return clock + max(end - begin, 0.0)
+            evidence["blends"].append(append(blend.trajectory, 0.0, blend.trajectory.duration))
+    return concatenated(*parts), evidence
 
 
 def _clearance(scene: PlanningScene, trajectory: JointTrajectory) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armcell.core import Registry
 from armcell.planning.planners.obstacle_cost import ObstacleCost
 from armcell.planning.planners.problem import PlannerResult, Problem
-from armcell.planning.planners.registry import pipelines, settings_parser, settings_parsers
+from armcell.planning.planners.registry import GROUP, pipelines, settings_parser, settings_parsers
 from armcell.planning.planners.trajectory_optimization import (
     Descent,
     clamp_path,
@@ -100,7 +100,7 @@ def smooth_with_chomp(problem: Problem, waypoints: Array, is_free: Callable[[Arr
     ).free
 
 
-pipelines["chomp"] = Registry("planner of pipeline 'chomp'")
+pipelines["chomp"] = Registry("planner of pipeline 'chomp'", GROUP)
 
 
 @pipelines["chomp"].register("CHOMP")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError, Registry, UnknownNameError
 from armcell.core.checks import settings_from
+from armcell.core.registry import load_plugins
 from armcell.planning.planners.problem import Planner
 
 Array = NDArray[np.float64]
@@ -78,13 +79,16 @@ def _cached(function: Any) -> bool:
     return any(folder.rglob(pattern))
 
 
+GROUP = "armcell.planners"
+"""Group of the entry points through which installed packages add planners and pipelines."""
+
 PILZ = "pilz"
 """The pipeline of PTP, LIN and CIRC; its planners are `pilz.command.Generator`s."""
 
 pipelines: dict[str, Registry[Any]] = {
-    "native": Registry("planner of pipeline 'native'"),
-    "ompl": Registry("planner of pipeline 'ompl'"),
-    PILZ: Registry("planner of pipeline 'pilz'"),
+    "native": Registry("planner of pipeline 'native'", GROUP),
+    "ompl": Registry("planner of pipeline 'ompl'", GROUP),
+    PILZ: Registry("planner of pipeline 'pilz'", GROUP),
 }
 """Planners by pipeline and name."""
 
@@ -194,6 +198,8 @@ def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
         UnknownNameError: no such pipeline, or no such planner in it; there is no silent fallback.
     """
     asked, pipeline_id = pipeline_id, pipeline_for(pipeline_id, planner_id)
+    if pipeline_id not in pipelines:
+        load_plugins(GROUP)
     if pipeline_id not in pipelines:
         raise UnknownNameError("planning pipeline", pipeline_id, pipelines)
     table, name = pipelines[pipeline_id], normalized_planner_id(planner_id)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armcell.core import Registry
 from armcell.planning.planners.obstacle_cost import ObstacleCost
 from armcell.planning.planners.problem import PlannerResult, Problem
-from armcell.planning.planners.registry import pipelines, settings_parser, settings_parsers
+from armcell.planning.planners.registry import GROUP, pipelines, settings_parser, settings_parsers
 from armcell.planning.planners.trajectory_optimization import (
     Descent,
     optimize_from_many_starts,
@@ -82,7 +82,7 @@ def optimize_stomp(
     return Descent(path, path if is_free(path) else None, settings.num_iterations, total, np.nan)
 
 
-pipelines["stomp"] = Registry("planner of pipeline 'stomp'")
+pipelines["stomp"] = Registry("planner of pipeline 'stomp'", GROUP)
 
 
 @pipelines["stomp"].register("STOMP")

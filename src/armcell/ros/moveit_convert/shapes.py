@@ -13,23 +13,29 @@ from numpy.typing import NDArray
 from armcell.core import (
     SE3,
     SO3,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
     InputError,
     Mesh,
-    Octree,
     Plane,
-    PointCloud,
     Shape,
-    Sphere,
+    ShapeKind,
+    SolidPrimitive,
+    shape_kind,
+    shapes,
+    simpler_parts,
 )
 from armcell.ros.schema import Schema
 
-BOX, SPHERE, CYLINDER, CONE, PRISM = 1, 2, 3, 4, 5  # shape_msgs/SolidPrimitive; PRISM only in ROS 2
-NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder", CONE: "cone", PRISM: "prism"}
-COUNTS = {BOX: 3, SPHERE: 1, CYLINDER: 2, CONE: 2, PRISM: 1}
+PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell makes it a mesh
+
+
+def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
+    """Return the shapes that ROS knows, by name."""
+    return {n: (k, k.primitive) for n, k in shapes.imported().items() if k.primitive is not None}
+
+
+def primitive_type(name: str) -> int:
+    """Return shape_msgs/SolidPrimitive's type of a shape by its name."""
+    return _primitives()[name][1].type
 
 
 def primitive_shape(message: Any) -> Shape:
@@ -38,21 +44,19 @@ def primitive_shape(message: Any) -> Shape:
     Raises:
         InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
     """
-    kind, sizes = int(message.type), [float(v) for v in message.dimensions]
-    if kind not in NAMES:
-        raise InputError(
-            f"solid primitive of type {kind}", cure="1 box, 2 sphere, 3 cylinder, 4 cone, 5 prism"
-        )
-    if len(sizes) < COUNTS[kind]:
-        raise InputError(f"a {NAMES[kind]} has {len(sizes)} dimensions, it needs {COUNTS[kind]}")
-    if kind == BOX:
-        return Box(*sizes[:3])
-    if kind == SPHERE:
-        return Sphere(sizes[0])
-    if kind == PRISM:
+    number, sizes = int(message.type), [float(v) for v in message.dimensions]
+    known = {primitive.type: name for name, (_, primitive) in _primitives().items()} | {PRISM: "prism"}
+    if number not in known:
+        names = ", ".join(f"{number} {name}" for number, name in sorted(known.items()))
+        raise InputError(f"solid primitive of type {number}", cure=names)
+    kind, primitive = _primitives().get(known[number], (None, SolidPrimitive(PRISM, ("height",))))
+    if len(sizes) < len(primitive.dimensions):
+        need = len(primitive.dimensions)
+        raise InputError(f"a {known[number]} has {len(sizes)} dimensions, it needs {need}")
+    if kind is None:
         return prism(np.array([(p.x, p.y) for p in message.polygon.points]).reshape(-1, 2), sizes[0])
-    height, radius = sizes[:2]
-    return Cylinder(radius, height) if kind == CYLINDER else Cone(radius, height)
+    by_name = dict(zip(primitive.dimensions, sizes, strict=False))
+    return kind.make(*(by_name[size] for size in kind.sizes))
 
 
 def prism(base: NDArray[np.float64], height: float) -> Mesh:
@@ -155,31 +159,20 @@ class ShapeMessages:
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """
-        match shape:
-            case Box():
-                self._primitive(BOX, (shape.x, shape.y, shape.z), T)
-            case Sphere():
-                self._primitive(SPHERE, (shape.radius,), T)
-            case Cylinder():
-                self._primitive(CYLINDER, (shape.length, shape.radius), T)
-            case Cone():
-                self._primitive(CONE, (shape.length, shape.radius), T)
-            case Capsule():
-                self._primitive(CYLINDER, (shape.length, shape.radius), T)
-                for end in (-shape.length / 2, shape.length / 2):
-                    self._primitive(SPHERE, (shape.radius,), T @ SE3.from_xyz(0.0, 0.0, end))
-            case Plane():
+        for part, T_part in simpler_parts(shape, T):
+            kind = shape_kind(part)
+            if kind is not None and kind.primitive is not None:
+                sizes = dict(zip(kind.sizes, kind.values(part), strict=True))
+                self._primitive(kind.primitive, sizes, T_part)
+            elif isinstance(part, Plane):
                 coefficients = np.array([0.0, 0.0, 1.0, 0.0])
-                self.planes.append((self._schema.new("shape_msgs/Plane", coef=coefficients), T))
-            case Mesh():
-                self.meshes.append((self._mesh(shape), T))
-            case PointCloud() | Octree():
-                pass
+                self.planes.append((self._schema.new("shape_msgs/Plane", coef=coefficients), T_part))
+            elif isinstance(part, Mesh):
+                self.meshes.append((self._mesh(part), T_part))
 
-    def _primitive(self, kind: int, sizes: tuple[float, ...], T: SE3) -> None:
-        new = self._schema.new(
-            "shape_msgs/SolidPrimitive", type=kind, dimensions=np.array(sizes, dtype=float)
-        )
+    def _primitive(self, primitive: SolidPrimitive, sizes: dict[str, float], T: SE3) -> None:
+        dimensions = np.array([sizes[name] for name in primitive.dimensions], dtype=float)
+        new = self._schema.new("shape_msgs/SolidPrimitive", type=primitive.type, dimensions=dimensions)
         self.primitives.append((new, T))
 
     def _mesh(self, shape: Mesh) -> Any:

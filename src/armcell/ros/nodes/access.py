@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
-from armcell.control import ExecutionSettings
+from armcell.execution import ExecutionSettings
 from armcell.model import Gripper, RobotModel
 from armcell.ros.nodes.conductor import Work
 from armcell.scene import PlanningScene

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armcell.control import Driver, ReportsModes
-from armcell.core.protocols import offers
+from armcell.drivers import Capability, Driver
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel
 from armcell.ros.bus import Bus
@@ -48,7 +47,7 @@ class ArmStatusPublisher:
     def publish(self, driver: Driver) -> None:
         """Measure and publish the status of the arms; call it in the thread that steps the driver."""
         new = self._bus.schema.new
-        known = driver.arm_modes() if offers(driver, ReportsModes) else {}
+        known = driver.arm_modes() if Capability.REPORT_MODES in driver.capabilities else {}
         for arm, publishers in self._modes.items():
             modes = known.get(arm, (RUNNING, NORMAL))
             if self._last.get(arm) != modes:

@@ -17,14 +17,21 @@ import numpy as np
 
 from armcell.cell import LiveCell
 from armcell.collision.motion_proof import Moving, first_conflict
-from armcell.control import CHANGED, NOT_STARTED, ExecutionSettings, GuardedMotion, playing
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.execution import (
+    CHANGED,
+    NOT_STARTED,
+    ExecutionSettings,
+    ExecutionSteps,
+    GuardedMotion,
+    execution_steps,
+)
 from armcell.model import Gripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import trajectory_from_message
 from armcell.ros.nodes.cameras import CameraPublisher
-from armcell.ros.nodes.conductor import STOPPED, Conductor, Steps, Work
+from armcell.ros.nodes.conductor import STOPPED, Conductor, Work
 from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperNode, finger_goals
 from armcell.ros.nodes.states import RATE, StatePublisher, check_rate
 from armcell.scene import PlanningScene
@@ -72,7 +79,7 @@ class CellNode:
         self._states = StatePublisher(bus, live.scene_at_start, rate)
         self.cameras = CameraPublisher(bus, live.cameras)
         self.conductor = Conductor(live.driver, self._after_step)
-        live.ctx.driver = self.conductor  # type: ignore[assignment]  # tasks share the driver with clients
+        live.ctx.driver = self.conductor  # tasks share the driver with clients
         live.ctx.gate.shift = SHIFT
         self._stop, self._putting = threading.Event(), threading.Lock()
         self.look_at_hands: Callable[[], None] = lambda: None
@@ -171,11 +178,11 @@ class CellNode:
         if goals := finger_goals(model, trajectory):
             return self._close_or_open(trajectory, goals)
 
-        def steps(driver: Any, cancel: threading.Event) -> Steps:
+        def steps(driver: Any, cancel: threading.Event) -> ExecutionSteps:
             # The robot may have moved since the message arrived: start from its current state.
             now = trajectory_from_message(message, model, driver.joint_state())
             work.trajectory = now
-            return (yield from playing(driver, _Announced(self, now, planned_in, cancel), settings))
+            return (yield from execution_steps(driver, _Announced(self, now, planned_in, cancel), settings))
 
         work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
         return self._put_beside(work, trajectory)
@@ -186,7 +193,7 @@ class CellNode:
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say("stop")
             nothing = replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
-            return playing(driver, self.live.ctx.gate.motion(nothing))
+            return execution_steps(driver, self.live.ctx.gate.motion(nothing))
 
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 

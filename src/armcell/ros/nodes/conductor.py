@@ -14,13 +14,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from armcell.control import Driver, Follower, Steps
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.core.checks import require
-from armcell.core.protocols import offers
+from armcell.drivers import Driver, DriverProxy
+from armcell.execution import ExecutionSteps
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)
@@ -44,7 +41,7 @@ class Work:
         self,
         name: str,
         joints: Iterable[str],
-        steps: Callable[[Driver, threading.Event], Steps] | None = None,
+        steps: Callable[[Driver, threading.Event], ExecutionSteps] | None = None,
         job: Callable[[threading.Event], ExecutionResult] | None = None,
         gives_way: bool = True,
         trajectory: JointTrajectory | None = None,
@@ -55,7 +52,7 @@ class Work:
         self._why_stopped = ""
         self.began: float | None = None  # start time [s, driver's clock]
         self.moving = False  # True after the first step was executed without rejection
-        self.steps: Steps | None = None
+        self.steps: ExecutionSteps | None = None
         self.result: ExecutionResult | None = None
         self.error: BaseException | None = None
         self._over = threading.Event()
@@ -103,7 +100,7 @@ class Work:
         self._over.set()
 
 
-class Conductor:
+class Conductor(DriverProxy):
     """Motion queue that lets several clients use one driver at the same time.
 
     It forwards the driver's own methods, for jobs and in `call`. `advance` also steps the other motions and
@@ -111,16 +108,14 @@ class Conductor:
     """
 
     def __init__(self, driver: Driver, after_step: Callable[[], None] = lambda: None):
-        self._driver, self._after_step = driver, after_step
+        super().__init__(driver)
+        self._after_step = after_step
         self._lock = threading.Lock()
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._waiting: list[Work] = []
         self._running: list[Work] = []
         self._thread: threading.Thread | None = None
         self._closed = self._ending = False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._driver, name)
 
     # --- from any thread ---
     def put(self, work: Work) -> Work:
@@ -267,7 +262,7 @@ class Conductor:
             assert work.make is not None
             work.began = self._driver.now
             try:
-                work.steps = work.make(_Some(self._driver, work.joints), work.cancel)  # type: ignore[arg-type]
+                work.steps = work.make(_Some(self._driver, work.joints), work.cancel)
             except Exception as error:
                 self._finish(work, None, error)
 
@@ -303,25 +298,17 @@ class Conductor:
         work.end(result, error)
 
 
-class _Some:
-    """View of a driver restricted to some joints: `stop` holds only these joints.
+class _Some(DriverProxy):
+    """Driver of one motion, restricted to some joints: `stop` holds only these joints.
 
     The other joints continue their motions.
     """
 
     def __init__(self, driver: Driver, joints: frozenset[str]):
-        self._driver, self._joints = driver, joints
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._driver, name)
+        super().__init__(driver)
+        self._joints = joints
 
     def stop(self) -> None:
-        state = self._driver.joint_state()
-        mine = state.reindexed(n for n in state.joint_names if n in self._joints)
-        if mine.joint_names and offers(self._driver, Follower):
-            self._driver.hold(mine.joint_names)
-        elif mine.joint_names:
-            self._driver.command(mine.joint_names, mine.positions, np.zeros(len(mine.joint_names)))
-
-    def command(self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike) -> Any:
-        return self._driver.command(joint_names, positions, velocities)
+        mine = tuple(n for n in self._driver.joint_state().joint_names if n in self._joints)
+        if mine:
+            self._driver.hold(mine)

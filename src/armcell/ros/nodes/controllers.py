@@ -28,6 +28,7 @@ from armcell.ros.actions import ActionClient, SentGoal, State
 from armcell.ros.bus import Bus
 from armcell.ros.moveit_convert.states import trajectory_message
 from armcell.ros.nodes.gripping import ACTION as GRIPPER_COMMAND
+from armcell.timing import resting, with_resting_joints
 
 FOLLOW = "control_msgs/FollowJointTrajectory"
 FIND = 5.0  # [s] to find a controller
@@ -183,19 +184,9 @@ class Controllers:
 
         Joints of the controller that the trajectory does not move keep their positions.
         """
-        missing = [j for j in joints if j not in trajectory.joint_names]
-        if missing:
-            rest = self._measured().reindexed(missing).positions
-            k, still = len(trajectory.times), np.zeros((len(trajectory.times), len(missing)))
-            add = lambda a: None if a is None else np.hstack([a, still])  # noqa: E731
-            trajectory = replace(
-                trajectory,
-                joint_names=(*trajectory.joint_names, *missing),
-                positions=np.hstack([trajectory.positions, np.tile(rest, (k, 1))]),
-                velocities=add(trajectory.velocities),
-                accelerations=add(trajectory.accelerations),
-            )
-        return trajectory.reindexed(joints)
+        if all(joint in trajectory.joint_names for joint in joints):
+            return trajectory.reindexed(joints)
+        return with_resting_joints(trajectory, self._measured(), joints)
 
     # --- grippers ---
     def moves_gripper(self, gripper: Gripper) -> bool:
@@ -327,8 +318,8 @@ class _Topic:
     def cancel(self, running: tuple[float, JointTrajectory]) -> None:
         """Stop by sending a one-point trajectory that holds the current joint positions."""
         here = self._measured().reindexed(running[1].joint_names)
-        zero = np.zeros((1, len(here.joint_names)))
-        self._publish(JointTrajectory(here.joint_names, np.array([HOLD]), here.positions[None, :], zero))
+        hold = resting(here.joint_names, here.positions, HOLD)
+        self._publish(replace(hold, accelerations=None))
 
 
 def _find(client: ActionClient, controller: Controller) -> None:

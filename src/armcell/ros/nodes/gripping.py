@@ -16,11 +16,12 @@ import numpy as np
 
 from armcell.cell import LiveCell
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.execution import ExecutionSteps
 from armcell.grasping import grip_force
 from armcell.model import Gripper, RobotModel
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
-from armcell.ros.nodes.conductor import Conductor, Steps, Work
+from armcell.ros.nodes.conductor import Conductor, Work
 from armcell.scene import CollisionObject, PlanningScene
 
 logger = logging.getLogger(__name__)
@@ -36,7 +37,9 @@ NEAR = 0.03  # [m] margin around the tcp for objects that closing fingers may to
 REST_TIME = 0.1  # [s] that an arm must rest before automatic closing
 
 
-def gripping(driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event) -> Steps:
+def gripping(
+    driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
+) -> ExecutionSteps:
     """Move a gripper until it reaches the target width or an object stops it.
 
     Args:
@@ -167,14 +170,14 @@ class GripperNode:
         force = float(min(force, gripper.max_force)) if force > 0 else gripper.max_force
         joints = (gripper.joint_name,)
 
-        def make(driver: Any, cancel: threading.Event) -> Steps:
+        def make(driver: Any, cancel: threading.Event) -> ExecutionSteps:
             return self.closing(driver, gripper, width, force, cancel)
 
         return self._conductor.put(Work(f"gripper {gripper.name}", joints, make))
 
     def closing(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
-    ) -> Steps:
+    ) -> ExecutionSteps:
         """Run `gripping`; before closing, declare finger contacts with the object as expected.
 
         The simulation and the motion gate then accept these contacts.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from armcell.control import ExecutionSettings
+from armcell.execution import ExecutionSettings
 from armcell.model import Gripper, RobotModel
 from armcell.ros.nodes.cell_node import CellNode
 from armcell.ros.nodes.conductor import Work

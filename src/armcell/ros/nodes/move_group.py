@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -53,10 +53,17 @@ class MoveGroupNode:
     /query_planner_interface, /get_planner_params, /set_planner_params, and the services of `SceneNode`.
     Actions: /move_group, /execute_trajectory. Input topic: /trajectory_execution_event ("stop"). Output
     topic: /move_group/display_planned_path. `PickPlaceNode` serves pick and place.
+
+    Args:
+        cell: the cell.
+        bus: the message bus.
+        planner_configs: content of an ompl_planning.yaml; requests may name its planner configurations, and a
+            request without a planner uses the group's default.
     """
 
-    def __init__(self, cell: CellAccess, bus: Bus):
+    def __init__(self, cell: CellAccess, bus: Bus, planner_configs: Mapping[str, Any] | None = None):
         self.cell, self.bus = cell, bus
+        self._planner_configs = planner_configs or {}
         self.scene_node = SceneNode(cell, bus)
         self._parameters: dict[tuple[str, str, str], dict[str, str]] = {}
         self._stop = threading.Event()
@@ -123,6 +130,8 @@ class MoveGroupNode:
         try:
             scene = with_finger_contacts(scene, request.group_name)
             wanted = plan_request_from_message(request, scene, self._parameters_of(request))
+            if wanted.pipeline_id in ("", "ompl", "native"):
+                wanted = replace(wanted, planner_configs=self._planner_configs)
             result = plan(scene, wanted, cancel)
         except InputError as error:
             logger.warning("planning request refused: %s", error)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from armcell.collision import neighbors
-from armcell.control import CHANGED
 from armcell.core import SE3, ErrorCode, InputError, Outcome, UnknownNameError
 from armcell.grasping import (
     Placement,
@@ -31,7 +30,8 @@ from armcell.ros.moveit_convert.states import trajectory_message
 from armcell.ros.nodes.gripping import NEAR
 from armcell.ros.nodes.move_group import MoveGroupNode, code_of, done, waited
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.tasks import TaskSettings
+from armcell.tasks import Pick, TaskSettings, grasp_stages
+from armcell.tasks.pick import is_near, retreats
 from armcell.tasks.search import PartialSolution, Planning, Stage, search
 from armcell.tasks.stages import (
     AppendPlannedMotion,
@@ -46,7 +46,7 @@ from armcell.tasks.stages import (
     UseGrasps,
     UsePlacements,
 )
-from armcell.tasks.steps import Expect, Grip, Hold, Motion, StillHeld
+from armcell.tasks.steps import EMPTY, Expect, Grip, Hold, Motion, StillHeld
 
 logger = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ class PickPlaceNode:
     """
 
     def __init__(self, move_group: MoveGroupNode, settings: TaskSettings = TaskSettings()):
-        self._node, self._cell, self._settings = move_group, move_group.cell, settings
+        self._node, self.cell, self.settings = move_group, move_group.cell, settings
         bus = move_group.bus
         self._members = [
             ActionServer(bus, "/pickup", "moveit_msgs/Pickup", self._pickup),
@@ -95,53 +95,12 @@ class PickPlaceNode:
 
     def _picked(self, goal: Goal, asked: Any, result: Any) -> Outcome:
         self._node.settled(asked.group_name, goal.cancel)
-        scene = self._cell.scene()
+        scene = self.cell.scene()
         if asked.target_name not in scene.objects:
             known = [n for n, o in scene.objects.items() if o.movable]
             raise UnknownNameError("object", asked.target_name, known)
         gripper = self._gripper(asked.group_name, asked.end_effector)
-        grasps = self._grasps(scene, asked, gripper)
-        outcome = Outcome(ErrorCode.PLANNING_FAILED, "no grasp was given or found")
-        began = time.monotonic()
-        for _ in range(self._settings.attempts):
-            scene = self._cell.scene()
-            supports = tuple(neighbors(scene, asked.target_name))
-            supports += tuple(
-                n for n in (asked.support_surface_name,) if n in scene.objects and n not in supports
-            )
-            s, item = self._settings, asked.target_name
-            stages: list[Stage] = [
-                UseGrasps(item, gripper, tuple(grasps), s.near),
-                Connect("move to pre-grasp", gripper.arm_group, s.free, target="pre_grasp"),
-                AppendPlannedMotion("approach", "after_approach"),
-                Close(item, gripper, supports, 0.0),
-                Lift(item, gripper, supports, s.near),
-            ]
-            solution, outcome = self._searched(goal, "Pickup", stages, scene, asked.allowed_planning_time)
-            if solution is None:
-                return outcome
-            self._report(result, scene, solution, time.monotonic() - began)
-            grasp: ExplicitGrasp = solution.data["grasp"]
-            if asked.possible_grasps:
-                result.grasp = asked.possible_grasps[int(grasp.name)]
-            if asked.planning_options.plan_only:
-                return outcome
-            outcome = self._perform(goal, "Pickup", solution)
-            if outcome.ok and self._cell.held(gripper) != item:
-                outcome = Outcome(ErrorCode.CONTROL_FAILED, f"lost {item} while lifting it")
-            if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
-                return outcome
-            if outcome.code is CHANGED:  # not the grasp's fault: retry it, and keep a held object
-                if self._cell.held(gripper) == item:
-                    return outcome
-                logger.warning("pick %s: %s", item, outcome.message)
-                continue
-            logger.warning(
-                "pick %s with grasp %s: %s; trying the next one", item, grasp.name, outcome.message
-            )
-            grasps = [g for g in grasps if g.name != grasp.name]
-            waited(self._cell.drive(gripper, gripper.max_width, gripper.max_force), goal.cancel)
-        return outcome
+        return _BusPick(self, goal, gripper, self._grasps(scene, asked, gripper), result).run()
 
     def _gripper(self, group: str, end_effector: str) -> Gripper:
         """Return the gripper of an end effector, or of an arm's group.
@@ -150,7 +109,7 @@ class PickPlaceNode:
             UnknownNameError: the end effector or group does not exist.
             InputError: the arm carries no gripper.
         """
-        model = self._cell.model
+        model = self.cell.model
         if group:
             model.group(group)
         if end_effector and end_effector in model.end_effectors:
@@ -169,13 +128,13 @@ class PickPlaceNode:
             InputError: the grasp poses refer to another link than the group's tip.
         """
         item = scene.objects[asked.target_name]
-        lift = GripperTranslation((0.0, 0.0, self._settings.lift_distance))
+        lift = GripperTranslation((0.0, 0.0, self.settings.lift_distance))
         if not asked.possible_grasps:
             found, _ = grasp_candidates(item, hand_of(scene.model, gripper))
             grasps = []
             for g in found:
                 axis = (item.T_world_object @ g.T_object_tcp).rotation.matrix[:, 2]
-                x, y, z = (axis * self._settings.approach_distance).tolist()
+                x, y, z = (axis * self.settings.approach_distance).tolist()
                 known = (g.name, g.T_object_tcp, g.width, g.opening, g.force, g.score)
                 grasps.append(
                     ExplicitGrasp(
@@ -201,9 +160,9 @@ class PickPlaceNode:
         force = grip_force(body, gripper)
         if message.max_contact_force > 0:
             force = min(force, float(message.max_contact_force))
-        ahead = T_world_tcp.rotation.matrix[:, 2] * self._settings.approach_distance
+        ahead = T_world_tcp.rotation.matrix[:, 2] * self.settings.approach_distance
         along = GripperTranslation(tuple(ahead.tolist()))
-        up = GripperTranslation((0.0, 0.0, self._settings.lift_distance))
+        up = GripperTranslation((0.0, 0.0, self.settings.lift_distance))
         translation = partial(_gripper_translation, scene, T_world_tip=T_world_tip, tip=tip)
         return ExplicitGrasp(
             name, T_object_tcp, width, opening, force, float(message.grasp_quality),
@@ -217,10 +176,10 @@ class PickPlaceNode:
 
     def _placed(self, goal: Goal, asked: Any, result: Any) -> Outcome:
         self._node.settled(asked.group_name, goal.cancel)
-        scene, began = self._cell.scene(), time.monotonic()
+        scene, began = self.cell.scene(), time.monotonic()
         item, gripper = self._held(scene, asked)
         places = self._places(scene, asked, item, gripper)
-        s = self._settings
+        s = self.settings
         stages: list[Stage] = [
             UsePlacements(item, gripper, tuple(places), s.near),
             Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
@@ -228,16 +187,16 @@ class PickPlaceNode:
             Open(item, "", gripper, s.release_margin, 0.0),
             Retreat(item, gripper, s.retreat_distance, s.near),
         ]
-        solution, outcome = self._searched(goal, "Place", stages, scene, asked.allowed_planning_time)
+        solution, outcome = self.search(goal, "Place", stages, scene, asked.allowed_planning_time)
         if solution is None:
             return outcome
-        self._report(result, scene, solution, time.monotonic() - began)
+        self.report(result, scene, solution, time.monotonic() - began)
         place: ExplicitPlacement = solution.data["place"]
         if asked.place_locations:
             result.place_location = asked.place_locations[int(place.name)]
         if asked.planning_options.plan_only:
             return outcome
-        return self._perform(goal, "Place", solution)
+        return self.perform(goal, "Place", solution)
 
     def _held(self, scene: PlanningScene, asked: Any) -> tuple[str, Gripper]:
         grippers = [
@@ -257,7 +216,7 @@ class PickPlaceNode:
     def _places(
         self, scene: PlanningScene, asked: Any, item: str, gripper: Gripper
     ) -> Sequence[ExplicitPlacement]:
-        down = GripperTranslation((0.0, 0.0, -self._settings.lower_distance))
+        down = GripperTranslation((0.0, 0.0, -self.settings.lower_distance))
         if not asked.place_locations:
             if not asked.support_surface_name:
                 raise InputError("no place is given", cure="give locations, or name the support surface")
@@ -271,7 +230,7 @@ class PickPlaceNode:
         ]
 
     def _down_to(self, place: Placement) -> GripperTranslation:
-        x, y, z = (-self._settings.lower_distance * n for n in place.normal)
+        x, y, z = (-self.settings.lower_distance * n for n in place.normal)
         return GripperTranslation((x, y, z))
 
     def _location(
@@ -295,7 +254,7 @@ class PickPlaceNode:
         )  # fmt: skip
 
     # --- pickup and place ---
-    def _searched(
+    def search(
         self, goal: Goal, action: str, stages: list[Stage], scene: PlanningScene, seconds: float
     ) -> tuple[PartialSolution | None, Outcome]:
         """Search for the first complete plan of the given stages.
@@ -304,7 +263,7 @@ class PickPlaceNode:
             The plan with SUCCESS, or None with an outcome that summarizes why the candidates failed.
         """
         self._node.feedback(goal, action, "PLANNING")
-        settings = self._settings
+        settings = self.settings
         if seconds > 0:
             settings = replace(settings, planning_budget=max(float(seconds), settings.planning_time))
         planning = Planning(settings, cancel=goal.cancel)
@@ -319,17 +278,17 @@ class PickPlaceNode:
         if planning.failure is not None and planning.hopeless:
             code = planning.failure.code
         summary = planning.rejections.summary()
-        self._cell.tell("error", f"{action}: {summary}", rejections=planning.rejections.details)
+        self.cell.tell("error", f"{action}: {summary}", rejections=planning.rejections.details)
         return None, Outcome(code, summary)
 
-    def _perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
+    def perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
         """Execute the steps of a plan in order."""
         self._node.feedback(goal, action, "MONITOR")
         with self._node.stoppable(goal.cancel):
             return self._steps(goal, solution)
 
     def _steps(self, goal: Goal, solution: PartialSolution) -> Outcome:
-        cell, bus = self._cell, self._node.bus
+        cell, bus = self.cell, self._node.bus
         for step in solution.steps:
             if goal.cancel.is_set():
                 return Outcome(ErrorCode.PREEMPTED, "cancelled")
@@ -358,13 +317,13 @@ class PickPlaceNode:
         return Outcome(ErrorCode.SUCCESS)
 
     def _holds(self, gripper: Gripper, item: str) -> Outcome:
-        held = self._cell.held(gripper)
+        held = self.cell.held(gripper)
         if held == item:
             return Outcome(ErrorCode.SUCCESS)
         text = f"{held} is between the fingers" if held else "nothing is between the fingers"
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 
-    def _report(self, result: Any, scene: PlanningScene, solution: PartialSolution, seconds: float) -> None:
+    def report(self, result: Any, scene: PlanningScene, solution: PartialSolution, seconds: float) -> None:
         motions = [step for step in solution.steps if isinstance(step, Motion)]
         header = self._node.header()
         result.trajectory_start = self._node.state_message(scene)
@@ -373,6 +332,69 @@ class PickPlaceNode:
         ]
         result.trajectory_descriptions = [m.name for m in motions]
         result.planning_time = seconds
+
+
+class _BusPick(Pick):
+    """Pick for a /pickup goal: plans from the cell's scene and moves the cell through the bus.
+
+    Args:
+        node: searches, performs steps and reports.
+        grasps: candidates, best first.
+        result: the PickupResult; receives the planned motions and the grasp.
+    """
+
+    def __init__(
+        self, node: PickPlaceNode, goal: Goal, gripper: Gripper, grasps: Sequence[ExplicitGrasp], result: Any
+    ):
+        super().__init__(f"pick {goal.message.target_name}", logger.warning, node.settings.attempts)
+        self._node, self._cell, self._goal, self._gripper = node, node.cell, goal, gripper
+        self._item, self._grasps, self._result = str(goal.message.target_name), grasps, result
+        self._began = time.monotonic()
+
+    def plan(self) -> tuple[PartialSolution | None, Outcome]:
+        asked, scene, item, gripper = self._goal.message, self._cell.scene(), self._item, self._gripper
+        s, surface = self._node.settings, asked.support_surface_name
+        supports = tuple(neighbors(scene, item))
+        supports += (surface,) if surface in scene.objects and surface not in supports else ()
+        grasps = tuple(g for g in self._grasps if g.name not in self.excluded)
+        stages = grasp_stages(
+            UseGrasps(item, gripper, grasps, s.near), gripper, s,
+            Close(item, gripper, supports, 0.0), Lift(item, gripper, supports, s.near),
+        )  # fmt: skip
+        solution, outcome = self._node.search(
+            self._goal, "Pickup", stages, scene, asked.allowed_planning_time
+        )
+        if solution is not None:
+            self._node.report(self._result, scene, solution, time.monotonic() - self._began)
+            if asked.possible_grasps:
+                self._result.grasp = asked.possible_grasps[int(solution.data["grasp"].name)]
+        return solution, outcome
+
+    def perform(self, solution: PartialSolution) -> Outcome:
+        if self._goal.message.planning_options.plan_only:
+            return Outcome(ErrorCode.SUCCESS)
+        outcome = self._node.perform(self._goal, "Pickup", solution)
+        if outcome.ok and not self.keeps_object():
+            text = f"lost {self._item} while lifting it"
+            return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
+        return outcome
+
+    def keeps_object(self) -> bool:
+        return self._cell.held(self._gripper) == self._item
+
+    def open_hand(self) -> bool:
+        held, gripper = self.keeps_object(), self._gripper
+        waited(self._cell.drive(gripper, gripper.max_width, gripper.max_force), self._goal.cancel)
+        return held
+
+    def is_around_object(self) -> bool:
+        scene = self._cell.scene()
+        return self._item in scene.objects and is_near(scene, self._item, self._gripper, self._node.settings)
+
+    def back_off(self) -> None:
+        planning = Planning(self._node.settings, cancel=self._goal.cancel)
+        for solution in retreats(self._cell.scene(), self._item, self._gripper, planning):
+            self._node.perform(self._goal, "Pickup", solution)
 
 
 def _tip(scene: PlanningScene, gripper: Gripper) -> str:

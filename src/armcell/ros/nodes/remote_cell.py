@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from armcell.cell import Controller
-from armcell.control import ExecutionSettings, MotionGate
 from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointState, JointTrajectory
+from armcell.execution import ExecutionSettings, MotionGate
 from armcell.model import Gripper, RobotModel
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus

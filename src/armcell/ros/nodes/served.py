@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import Any, TypeVar
 
@@ -34,9 +34,10 @@ AT_REST, STILL = 0.01, 0.2  # speed [rad/s or m/s] and its duration [s]: a stopp
 
 
 def _serve_planner(
-    cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack, sensors: Sensors3d | None
-) -> None:
-    group = MoveGroupNode(cell, bus)
+    cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack, sensors: Sensors3d | None,
+    planner_configs: Mapping[str, Any],
+) -> None:  # fmt: skip
+    group = MoveGroupNode(cell, bus, planner_configs)
     stack.callback(group.close)
     if sensors is not None:
         stack.callback(SensorNode(cell, bus, group.scene_node, sensors).close)
@@ -111,7 +112,10 @@ class ServedCell:
         self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
         with layer("planner"):
             if self._plan:
-                _serve_planner(self.cell, self.bus, self.live.ctx.settings, self._stack, self._sensors)
+                live = self.live
+                _serve_planner(
+                    self.cell, self.bus, live.ctx.settings, self._stack, self._sensors, live.planner_configs
+                )
 
     def _on_resume(self, request: Any) -> Any:
         outcome = self.live.resume()
@@ -173,6 +177,7 @@ class ServedPlanner:
     def __init__(self, cell: Cell, bus: Bus, seed: int = 0, sensors: Sensors3d | None = None):
         self.bus, self._sensors = bus, sensors or cell.sensors
         self._scene, self._settings = cell.scene(seed), cell.settings
+        self._planner_configs = cell.planner_configs
         self.cell = RemoteCell(bus, self._scene, cell.controllers)
         self._stack = ExitStack()
         self.failure: BaseException | None = None
@@ -201,7 +206,7 @@ class ServedPlanner:
         for group in self._scene.model.groups.values():
             if group.tip_link:
                 prepare(self._scene, group.name)
-        _serve_planner(self.cell, self.bus, self._settings, self._stack, self._sensors)
+        _serve_planner(self.cell, self.bus, self._settings, self._stack, self._sensors, self._planner_configs)
 
     def close(self) -> None:
         self.is_running = False

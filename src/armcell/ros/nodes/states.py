@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from armcell.control import Driver
 from armcell.core import SE3, InputError, JointState
+from armcell.drivers import Driver
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.records.mcap_writer import ros_name, urdf_text

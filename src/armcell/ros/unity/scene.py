@@ -11,8 +11,8 @@ from typing import Any
 
 from armcell.cell import Cell
 from armcell.collision.convex import convex_pieces
-from armcell.control import ExecutionSettings
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, Format, Mesh, Shape, shape_kind, shape_name
+from armcell.execution import ExecutionSettings
 from armcell.model import Gripper, RobotModel
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.nodes.gripping import TOPIC as GRIPPER
@@ -124,23 +124,16 @@ def _object(item: CollisionObject, folder: Path, only: bool) -> dict[str, Any]:
 
 def _shapes(shape: Shape, name: str, folder: Path) -> list[dict[str, Any]]:
     """One shape; of a mesh its looks and its convex pieces."""
-    match shape:
-        case Box():
-            return [{"type": "box", "size": [shape.x, shape.y, shape.z]}]
-        case Sphere():
-            return [{"type": "sphere", "radius": shape.radius}]
-        case Cylinder() | Capsule() | Cone():
-            kind = type(shape).__name__.lower()
-            return [{"type": kind, "radius": shape.radius, "length": shape.length}]
-        case Plane():
-            return [{"type": "plane"}]
-        case Mesh():
-            path = folder / "meshes" / "objects"
-            path.mkdir(parents=True, exist_ok=True)
-            write_stl(shape, path / f"{name}.stl")
-            pieces = []
-            for i, piece in enumerate(convex_pieces(shape)):
-                write_stl(small_hull(piece)[0], path / f"{name}_hull{i}.stl")
-                pieces.append(f"meshes/objects/{name}_hull{i}.stl")
-            return [{"type": "mesh", "visual": f"meshes/objects/{name}.stl", "hulls": pieces}]
-    raise ValueError(f"{type(shape).__name__} is no solid")
+    kind = shape_kind(shape, Format.UNITY)
+    if kind is not None:
+        return [{"type": shape_name(shape), **kind.named(shape)}]
+    if not isinstance(shape, Mesh):
+        raise ValueError(f"a {shape_name(shape)} is not a solid")
+    path = folder / "meshes" / "objects"
+    path.mkdir(parents=True, exist_ok=True)
+    write_stl(shape, path / f"{name}.stl")
+    pieces = []
+    for i, piece in enumerate(convex_pieces(shape)):
+        write_stl(small_hull(piece)[0], path / f"{name}_hull{i}.stl")
+        pieces.append(f"meshes/objects/{name}_hull{i}.stl")
+    return [{"type": "mesh", "visual": f"meshes/objects/{name}.stl", "hulls": pieces}]

@@ -13,7 +13,7 @@ import numpy as np
 from lxml import etree
 
 from armcell.collision.convex import convex_pieces
-from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from armcell.core import SE3, SO3, Format, Mesh, Shape, shape_kind, shape_name, simpler_parts
 from armcell.model import Inertial, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
 from armcell.ros.unity.meshes import small_hull, write_stl
@@ -96,7 +96,7 @@ class _Writer:
         self, element: etree._Element, link: str, number: int, shape: Shape, T: SE3, color: tuple
     ) -> int:
         """One visual; capsules are three. How many were written."""
-        solids = _solids(shape, T)
+        solids = simpler_parts(shape, T)
         for i, (solid, T_link_solid) in enumerate(solids):
             visual = etree.SubElement(element, "visual")
             self._geometry(visual, "visual", f"{file_name(link)}_{number + i}", solid, T_link_solid)
@@ -111,7 +111,7 @@ class _Writer:
             pieces = convex_pieces(shape) if isinstance(shape, Mesh) else (shape,)
             for piece in pieces:
                 small = small_hull(piece)[0] if isinstance(piece, Mesh) else piece
-                for solid, T_link_solid in _solids(small, T):
+                for solid, T_link_solid in simpler_parts(small, T):
                     child = etree.SubElement(element, "collision")
                     self._geometry(
                         child, "collision", f"{file_name(link.name)}_{number}", solid, T_link_solid
@@ -121,28 +121,16 @@ class _Writer:
     def _geometry(self, element: etree._Element, kind: str, name: str, shape: Shape, T: SE3) -> None:
         _origin(element, T)
         geometry = etree.SubElement(element, "geometry")
-        match shape:
-            case Box():
-                etree.SubElement(geometry, "box", size=_texts(shape.x, shape.y, shape.z))
-            case Sphere():
-                etree.SubElement(geometry, "sphere", radius=_text(shape.radius))
-            case Cylinder():
-                etree.SubElement(geometry, "cylinder", radius=_text(shape.radius), length=_text(shape.length))
-            case Mesh():
-                path = f"meshes/{kind}/{name}.stl"
-                write_stl(shape, self._folder / path)
-                etree.SubElement(geometry, "mesh", filename=path)
-            case _:
-                raise ValueError(f"a link has no {type(shape).__name__}")
-
-
-def _solids(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
-    """URDF has no capsule: it is a cylinder and two balls."""
-    if not isinstance(shape, Capsule):
-        return [(shape, T)]
-    ball = Sphere(shape.radius)
-    ends = [T @ SE3.from_xyz(0, 0, side * shape.length / 2) for side in (-1, 1)]
-    return [(Cylinder(shape.radius, shape.length), T), *((ball, end) for end in ends)]
+        row = shape_kind(shape, Format.URDF)
+        if row is not None:
+            sizes = {k: _texts(*np.atleast_1d(v)) for k, v in row.named(shape).items()}
+            etree.SubElement(geometry, shape_name(shape), **sizes)
+        elif isinstance(shape, Mesh):
+            path = f"meshes/{kind}/{name}.stl"
+            write_stl(shape, self._folder / path)
+            etree.SubElement(geometry, "mesh", filename=path)
+        else:
+            raise ValueError(f"a link cannot be a {shape_name(shape)}")
 
 
 def _joint(robot: etree._Element, joint: Joint) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
+from armcell.core import SE3, SO3, Format, InputError, Mesh, Plane, Shape, ShapeKind, named_shapes
 from armcell.model.assets import load_mesh
 from armcell.scene.objects import Color, Material, shape_volume
 from armcell.scene.sdf.elements import (
@@ -121,16 +121,18 @@ def collada_unit(file: Path) -> float:
     return unit if 0 < unit < np.inf else 1.0
 
 
-def _primitive(make: Callable[[Element], Shape]) -> Callable[[Element, Library], tuple[Shape, SE3]]:
-    return lambda element, library: (make(element), SE3.identity())
+def _sized(kind: ShapeKind) -> Callable[[Element, Library], tuple[Shape, SE3]]:
+    def read(element: Element, library: Library) -> tuple[Shape, SE3]:
+        shape = kind.from_named(
+            lambda key: number(element, key), lambda key, count: vector(element, key, count)
+        )
+        return shape, SE3.identity()
+
+    return read
 
 
 _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] = {
-    "box": _primitive(lambda e: Box(*vector(e, "size", 3))),
-    "sphere": _primitive(lambda e: Sphere(number(e, "radius"))),
-    "cylinder": _primitive(lambda e: Cylinder(number(e, "radius"), number(e, "length"))),
-    "capsule": _primitive(lambda e: Capsule(number(e, "radius"), number(e, "length"))),
-    "cone": _primitive(lambda e: Cone(number(e, "radius"), number(e, "length"))),
+    **{name: _sized(kind) for name, kind in named_shapes(Format.SDF).items()},
     "ellipsoid": _ellipsoid,
     "plane": _plane,
     "mesh": _mesh,

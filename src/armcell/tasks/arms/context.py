@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 
 from armcell.collision.arms import without_arm
-from armcell.control import Driver
 from armcell.core import JointTrajectory, Outcome
+from armcell.drivers import Driver
 from armcell.scene import PlanningScene
 from armcell.tasks.arms.coordinator import MotionCoordinator
 from armcell.tasks.context import Holding, TaskContext

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armcell.collision.arms import Arms
-from armcell.control import execute
 from armcell.core import (
     ErrorCode,
     InputError,
@@ -25,6 +24,7 @@ from armcell.core import (
     PlanRequest,
     PlanResult,
 )
+from armcell.execution import execute
 from armcell.planning import RunningMotion, plan_around_moving_arm
 from armcell.scene import PlanningScene
 

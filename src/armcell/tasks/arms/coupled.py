@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from armcell.control.coupled import execute_coupled
 from armcell.core import Goal, JointTrajectory, Outcome, PlanRequest
+from armcell.execution import execute_coupled
 from armcell.planning import plan_synchronized
 from armcell.scene import PlanningScene
 from armcell.tasks.context import StageReport, TaskContext

@@ -13,11 +13,12 @@ from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.interfaces import holding
-from armcell.tasks.recipes import planned
-from armcell.tasks.search import PartialSolution, Planning, Stage
-from armcell.tasks.stages import AppendPlannedMotion, ChooseGrasp, Close, Connect, Straight
+from armcell.tasks.pick import check_hand_is_free, grasp_stages
+from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
+from armcell.tasks.stages import ChooseGrasp, Close, Connect, Straight
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.steps import Expect, Grip, StillHeld, perform_all
+from armcell.tasks.task import plan_stages
 
 TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)  # [rad] rotations about the vertical tried at a meeting point
 RISES = (0.15, 0.3, 0.0)  # [m] above the object's present height
@@ -38,24 +39,22 @@ def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] 
     giver, s = ctx.holding[item].gripper, ctx.settings
     if giver.name == receiver.name:
         raise InputError(f"{receiver.name!r} holds {item!r} already", cure="name the other arm")
-    for held in ctx.holding.values():
-        if held.gripper.name == receiver.name:
-            raise InputError(f"gripper {receiver.name!r} already holds {held.object}", cure="place it first")
+    check_hand_is_free(ctx, receiver)
     scene = ctx.scene()
     poses = tuple(at) or _half_way(scene, item, giver, receiver)
     stages: list[Stage] = [
         ChooseMeetingPose(item, giver, poses),
         Connect("bring to the other arm", giver.arm_group, s.carry, target="meeting"),
         OfferObject(item, giver),
-        ChooseGrasp(item, receiver, s.near, s.approach_distance),
-        Connect("move to pre-grasp", receiver.arm_group, s.free, target="pre_grasp"),
-        AppendPlannedMotion("approach", "after_approach"),
-        Close(item, receiver, (), s.grasp_settle),
+        *grasp_stages(
+            ChooseGrasp(item, receiver, s.near, s.approach_distance), receiver, s,
+            Close(item, receiver, (), s.grasp_settle),
+        ),
         OpenGiver(item, giver, s.release_margin, s.release_settle),
         Straight("retreat", giver.arm_group, giver.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
                  in_tip_frame=True, allow=((item, giver.hand_links),)),
     ]  # fmt: skip
-    solution, outcome = planned(ctx, stages, f"hand over {item}")
+    solution, outcome = plan_stages(ctx, stages, f"hand over {item}")
     if solution is None:
         return outcome
     done = perform_all(ctx, (*solution.steps, Expect(item, giver.finger_links, expected=False)))
@@ -81,6 +80,7 @@ def _half_way(scene: PlanningScene, item: str, giver: Gripper, receiver: Gripper
     )
 
 
+@stage_types.register("choose_meeting_pose")
 @dataclass(frozen=True, eq=False)
 class ChooseMeetingPose:
     """Stage that proposes arm states of the giver with the object at one of several poses."""
@@ -107,6 +107,7 @@ class ChooseMeetingPose:
                 )
 
 
+@stage_types.register("offer_object")
 @dataclass(frozen=True, eq=False)
 class OfferObject:
     """Stage that detaches the object, which then rests in the giver's fingers."""
@@ -124,6 +125,7 @@ class OfferObject:
         yield solution.then(scene=scene.with_allowed(self.object, self.giver.hand_links))
 
 
+@stage_types.register("open_giver")
 @dataclass(frozen=True, eq=False)
 class OpenGiver:
     """Stage that opens the giver wide enough to retreat once the receiver holds the object."""

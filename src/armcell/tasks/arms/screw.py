@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.control.admittance import Admittance, AdmittanceSettings
-from armcell.control.coupled import execute_coupled
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.core.checks import require
+from armcell.execution import execute_coupled
+from armcell.execution.admittance import Admittance, AdmittanceSettings
 from armcell.kinematics import kinematic_tree
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import staged
+from armcell.timing import delayed
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
@@ -95,12 +96,12 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
     x = np.linspace(0, 1, 60)
     share = x**3 * (10 - 15 * x + 6 * x**2)
     rate, bend = 30 * x**2 * (1 - x) ** 2 / duration, 60 * x * (1 - x) * (1 - 2 * x) / duration**2
-    times = np.concatenate([[0.0], s.press_time + x * duration])
-    positions = np.tile(q, (len(times), 1))
+    positions = np.tile(q, (len(x), 1))
     velocities, accelerations = np.zeros_like(positions), np.zeros_like(positions)
-    positions[1:, -1] += angle * share
-    velocities[1:, -1], accelerations[1:, -1] = angle * rate, angle * bend
-    return JointTrajectory(names, times, positions, velocities, accelerations)
+    positions[:, -1] += angle * share
+    velocities[:, -1], accelerations[:, -1] = angle * rate, angle * bend
+    turn = JointTrajectory(names, x * duration, positions, velocities, accelerations)
+    return delayed(turn, s.press_time)
 
 
 class _Turning:

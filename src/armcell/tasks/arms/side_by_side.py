@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from armcell.collision.arms import check_two
-from armcell.control.turns import ArmView, run_by_turns
 from armcell.core import ErrorCode, InputError, Outcome
+from armcell.execution.turns import ArmView, run_by_turns
 from armcell.planning import RunningMotion
 from armcell.tasks.arms.context import ArmContext
 from armcell.tasks.arms.coordinator import MotionCoordinator

@@ -14,7 +14,7 @@ from armcell.grasping import RELEASE_GAP, Grasp
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.interfaces import holding
-from armcell.tasks.search import PartialSolution, Planning
+from armcell.tasks.search import PartialSolution, Planning, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import APPROACH, approaches
 from armcell.tasks.stages.moves import moved, straight, with_contacts
@@ -49,6 +49,7 @@ class ExplicitGrasp(Grasp):
     post_grasp_retreat: GripperTranslation = GripperTranslation((0.0, 0.0, 0.1))
 
 
+@stage_types.register("use_grasps")
 @dataclass(frozen=True, eq=False)
 class UseGrasps:
     """Stage that proposes listed grasps that are reachable with a free approach, in list order."""
@@ -74,6 +75,7 @@ class UseGrasps:
         )
 
 
+@stage_types.register("lift")
 @dataclass(frozen=True, eq=False)
 class Lift:
     """Stage that moves along the chosen grasp's retreat, away from the object's support."""
@@ -109,6 +111,7 @@ class ExplicitPlacement:
     away: GripperTranslation | None = None  # None: back along the hand's own axis
 
 
+@stage_types.register("use_placements")
 @dataclass(frozen=True, eq=False)
 class UsePlacements:
     """Stage that proposes listed placements that a straight descent reaches, in list order."""
@@ -151,6 +154,7 @@ class UsePlacements:
         )
 
 
+@stage_types.register("retreat")
 @dataclass(frozen=True, eq=False)
 class Retreat:
     """Stage that retreats from the released object.

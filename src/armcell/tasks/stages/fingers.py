@@ -12,12 +12,13 @@ from armcell.core import InputError, JointTrajectory
 from armcell.core.checks import checked
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.search import PartialSolution, Planning
+from armcell.tasks.search import PartialSolution, Planning, stage_types
 from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import Grip
 from armcell.timing.chords import chords
 
 
+@stage_types.register("move_gripper")
 @dataclass(frozen=True, eq=False)
 @checked()
 class MoveGripper:

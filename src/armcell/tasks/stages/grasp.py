@@ -15,7 +15,7 @@ from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.interfaces import holding
 from armcell.tasks.proof import Proof, prove, varied
-from armcell.tasks.search import PartialSolution, Planning
+from armcell.tasks.search import PartialSolution, Planning, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.moves import shifted, straight
 from armcell.tasks.stages.reach import ReachEstimator
@@ -30,6 +30,7 @@ GraspFilter = Callable[[PlanningScene], Callable[[Grasp], str]]
 SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach and closing)
 
 
+@stage_types.register("choose_grasp")
 @dataclass(frozen=True, eq=False)
 class ChooseGrasp:
     """Stage that proposes grasps with a free straight approach, planned backward."""
@@ -171,6 +172,7 @@ def approaches(
         planning.reject(stage, grasp.name, "no complete plan with this grasp")
 
 
+@stage_types.register("append_planned_motion")
 @dataclass(frozen=True, eq=False)
 class AppendPlannedMotion:
     """Stage that appends a motion planned by an earlier stage.
@@ -190,6 +192,7 @@ class AppendPlannedMotion:
         yield solution.then(solution.data[self.motion], scene=solution.data[self.scene])
 
 
+@stage_types.register("close")
 @dataclass(frozen=True, eq=False)
 class Close:
     """Stage that closes the hand on the object and attaches the object.

@@ -29,7 +29,7 @@ from armcell.core import (
 from armcell.core.checks import checked, require
 from armcell.planning import plan, plan_cartesian
 from armcell.scene import PlanningScene
-from armcell.tasks.search import PartialSolution, Planning
+from armcell.tasks.search import PartialSolution, Planning, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.steps import Motion, Step
 
@@ -62,6 +62,7 @@ class Upright:
         return Constraints(orientations=(OrientationConstraint(turn @ SO3(R), (x, y, z), link=self.object),))
 
 
+@stage_types.register("connect")
 @dataclass(frozen=True, eq=False)
 class Connect:
     """Stage that plans a collision-free motion to joint positions `data[target]` or a goal."""
@@ -132,6 +133,7 @@ def _planned(
     return result, last
 
 
+@stage_types.register("straight")
 @dataclass(frozen=True, eq=False)
 @checked()
 class Straight:
@@ -152,6 +154,7 @@ class Straight:
         yield from moved(solution, planning, self.name, result, planned_in=scene)
 
 
+@stage_types.register("run_steps")
 @dataclass(frozen=True, eq=False)
 class RunSteps:
     """Stage that appends steps without planning."""

@@ -13,7 +13,7 @@ from armcell.grasping import RELEASE_GAP, Grasp, Hand, Placement, hand_of, place
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.interfaces import holding
-from armcell.tasks.search import PartialSolution, Planning
+from armcell.tasks.search import PartialSolution, Planning, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import finger_state, reachable
 from armcell.tasks.stages.moves import straight
@@ -29,6 +29,7 @@ DESCENT = ("candidate", "pre_place", "lower", "after_lower")
 Vector = tuple[float, float, float]
 
 
+@stage_types.register("choose_placement")
 @dataclass(frozen=True, eq=False)
 class ChoosePlacement:
     """Stage that proposes placements that the arm reaches by a free straight descent.
@@ -180,6 +181,7 @@ def descents(
         )
 
 
+@stage_types.register("open")
 @dataclass(frozen=True, eq=False)
 class Open:
     """Stage that opens the hand wide enough to retreat, and detaches the object."""
@@ -213,6 +215,7 @@ class Open:
             )
 
 
+@stage_types.register("expect_support")
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
     """Stage that checks that the hand holds the object and allows contact with its support."""

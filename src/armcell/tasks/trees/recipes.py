@@ -14,11 +14,13 @@ from armcell.collision import neighbors
 from armcell.core import ErrorCode, Goal, Outcome
 from armcell.grasping import surface_for
 from armcell.model import Gripper
-from armcell.tasks import recipes
 from armcell.tasks.context import TaskContext
+from armcell.tasks.pick import back_off, pick
+from armcell.tasks.recipes import move_to, place
 from armcell.tasks.recovery import Look, RecoverySettings
 from armcell.tasks.search import Stage
 from armcell.tasks.steps import DONE, perform_all
+from armcell.tasks.task import plan_stages
 from armcell.tasks.trees.nodes import Act, Check
 
 Vector = tuple[float, float, float]
@@ -26,27 +28,27 @@ Vector = tuple[float, float, float]
 
 def picking(ctx: TaskContext, item: str, gripper: Gripper, ahead: Sequence[Stage] = ()) -> Act:
     """Return a behavior that runs `pick`."""
-    return Act(f"pick {item}", ctx, lambda c: recipes.pick(c, item, gripper, ahead=ahead))
+    return Act(f"pick {item}", ctx, lambda c: pick(c, item, gripper, ahead=ahead))
 
 
 def placing(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, up: Vector | None = None
 ) -> Act:
     """Return a behavior that runs `place`."""
-    return Act(f"place {item} on {on}", ctx, lambda c: recipes.place(c, item, on, at, up))
+    return Act(f"place {item} on {on}", ctx, lambda c: place(c, item, on, at, up))
 
 
 def moving_to(ctx: TaskContext, group: str, goal: Goal | str) -> Act:
     """Return a behavior that runs `move_to`."""
     name = goal if isinstance(goal, str) else type(goal).__name__
-    return Act(f"move to {name}", ctx, lambda c: recipes.move_to(c, group, goal))
+    return Act(f"move to {name}", ctx, lambda c: move_to(c, group, goal))
 
 
 def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequence[Stage]]) -> Act:
     """Return a behavior that creates, plans and executes stages when the tree reaches it."""
 
     def act(c: TaskContext) -> Outcome:
-        solution, outcome = recipes.planned(c, stages(c), name)
+        solution, outcome = plan_stages(c, stages(c), name)
         return outcome if solution is None else perform_all(c, solution.steps)
 
     return Act(name, ctx, act)
@@ -116,7 +118,7 @@ def transferring(
     def rest(c: TaskContext) -> Outcome:
         c.advance(settings.settle)
         if item not in c.holding and item in c.scene().objects:
-            recipes.back_off(c, item, gripper)
+            back_off(c, item, gripper)
         return DONE
 
     again = SuccessIsFailure("and again", Act("come to rest", ctx, rest))

@@ -12,7 +12,7 @@ from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderExcep
 from armcell.ros.bus import ServiceError
 from armcell.ros.moveit_convert import Components
 from armcell.ros.moveit_convert.objects import REMOVE
-from armcell.ros.moveit_convert.shapes import BOX, CONE, CYLINDER, SPHERE, ShapeMessages
+from armcell.ros.moveit_convert.shapes import ShapeMessages, primitive_type
 
 GEOMETRY = Components.WORLD_OBJECT_NAMES | Components.WORLD_OBJECT_GEOMETRY
 ATTACHED = Components.ROBOT_STATE_ATTACHED_OBJECTS
@@ -197,19 +197,19 @@ class PlanningSceneInterface:
     # --- creation of messages ---
     @staticmethod
     def make_box(name: str, pose: Any, size: Any) -> Any:
-        return _solid(name, pose, BOX, size)
+        return _solid(name, pose, "box", size)
 
     @staticmethod
     def make_sphere(name: str, pose: Any, radius: float) -> Any:
-        return _solid(name, pose, SPHERE, [radius])
+        return _solid(name, pose, "sphere", [radius])
 
     @staticmethod
     def make_cylinder(name: str, pose: Any, height: float, radius: float) -> Any:
-        return _solid(name, pose, CYLINDER, [height, radius])
+        return _solid(name, pose, "cylinder", [height, radius])
 
     @staticmethod
     def make_cone(name: str, pose: Any, height: float, radius: float) -> Any:
-        return _solid(name, pose, CONE, [height, radius])
+        return _solid(name, pose, "cone", [height, radius])
 
     @staticmethod
     def make_plane(name: str, pose: Any, normal: Any = (0, 0, 1), offset: float = 0) -> Any:
@@ -241,9 +241,10 @@ def _upright() -> Any:
     return current_session().new("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
 
 
-def _solid(name: str, pose: Any, kind: int, sizes: Any) -> Any:
+def _solid(name: str, pose: Any, shape: str, dimensions: Any) -> Any:
     session = current_session()
-    primitive = session.new("shape_msgs/SolidPrimitive", type=kind, dimensions=[float(v) for v in sizes])
+    sizes = [float(v) for v in dimensions]
+    primitive = session.new("shape_msgs/SolidPrimitive", type=primitive_type(shape), dimensions=sizes)
     return session.new(
         "moveit_msgs/CollisionObject", header=pose.header, pose=pose.pose, id=name, primitives=[primitive],
         primitive_poses=[session.new("geometry_msgs/Pose", orientation=_upright())],

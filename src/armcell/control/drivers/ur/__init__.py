@@ -1,5 +1,0 @@
-"""Driver for Universal Robots arms in pure Python: state by RTDE, motion by a robot program."""
-
-from armcell.control.drivers.ur.driver import UrDriver
-
-__all__ = ["UrDriver"]

@@ -1,0 +1,35 @@
+"""Robot drivers: the Driver base class, drivers by mode (sim, fake, real), and the safety supervisor."""
+
+from armcell.drivers import fake, franka, real, sim, ur
+from armcell.drivers.driver import (
+    Capability,
+    ContactRecord,
+    Driver,
+    DriverOptions,
+    GripperReading,
+    WeldRecord,
+    drivers,
+)
+from armcell.drivers.following import Following
+from armcell.drivers.proxy import DriverProxy
+from armcell.drivers.safety import Fault, SafetyEvent, Supervisor
+
+__all__ = [
+    "Capability",
+    "ContactRecord",
+    "Driver",
+    "DriverOptions",
+    "DriverProxy",
+    "Fault",
+    "Following",
+    "GripperReading",
+    "SafetyEvent",
+    "Supervisor",
+    "WeldRecord",
+    "drivers",
+    "fake",
+    "franka",
+    "real",
+    "sim",
+    "ur",
+]

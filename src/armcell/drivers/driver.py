@@ -1,0 +1,302 @@
+"""The Driver base class: the interface that every robot, simulated or real, implements."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, Contact, InputError, JointState, JointTrajectory, Outcome, Playback, Registry
+from armcell.core.checks import checked
+from armcell.drivers.following import Following
+from armcell.drivers.guarding import MotionGuard, Watch
+from armcell.drivers.safety import Fault, SafetyEvent
+from armcell.scene import PlanningScene
+from armcell.sim import SimWorld
+
+Array = NDArray[np.float64]
+
+
+class Capability(Enum):
+    """What a driver can do beyond the basic commands; the value completes "the driver can ..."."""
+
+    PLAY_TRAJECTORY = "play a whole trajectory itself"  # follow
+    PLAY_PARTS = "play a part of a trajectory in one call"  # play
+    DRY_RUN = "dry-run a trajectory before the robot executes it"  # rehearse, watch
+    ROBOT_CLOCK = "stream setpoints by the robot's own clock"  # tick, latency, speed_fraction
+    MEASURE_FORCE = "measure the wrench on a gripper"  # wrench
+    KNOW_CONTACTS = "detect contacts of robot and objects"  # contacts, unwanted_contacts
+    REPORT_MODES = "report the robot mode and safety mode of each arm"  # arm_modes
+
+
+@dataclass(frozen=True)
+class GripperReading:
+    """State that a gripper reports: its opening, its force, and the object it holds."""
+
+    width: float  # [m]
+    force_per_finger: float  # [N]
+    held: str | None = None  # object between the fingers, if the driver detects it
+
+
+@dataclass(frozen=True)
+class ContactRecord:
+    """An unexpected contact that a driver observed."""
+
+    body_a: str
+    body_b: str
+    time: float  # [s]
+    depth: float  # [m]
+    count: int
+
+
+@dataclass(frozen=True)
+class WeldRecord:
+    """An object that a constraint other than friction attached to a gripper."""
+
+    object: str
+    gripper: str
+    time: float
+    reason: str
+    released_at: float | None = None
+
+
+@dataclass(frozen=True)
+@checked()
+class DriverOptions:
+    """Options that a cell passes to every driver; each driver reads the ones it needs."""
+
+    seed: int = 0
+    time_scale: float | None = None  # None: lock-step; 1.0: real time
+    physics: Any = None  # armcell.sim.PhysicsSettings
+    cameras: tuple = ()
+    decals: tuple = ()  # images on objects, for the cameras
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+class Driver(ABC):
+    """A connection to a robot, real or simulated; `with driver:` connects and disconnects.
+
+    The constructor performs no I/O. Time is the driver's own clock [s]; only `advance` moves it forward, so
+    callers never sleep. One thread drives the robot. Other threads may read the state while they hold `lock`.
+
+    A subclass implements the abstract methods. It lists in `capabilities` what it can do beyond them, and
+    implements the methods of these capabilities. Wrappers of a driver derive from `DriverProxy`.
+
+    Attributes:
+        period: interval between commands [s].
+        is_paced: True if the driver's clock follows wall time; callers must not block between two steps.
+        capabilities: what the driver can do beyond the basic commands.
+        lock: held while the state changes: joints and objects read under the lock belong to the same instant.
+        world: physics of a simulated robot, once it is connected; None for other robots.
+        wants_guard: True if the cell must set `guard` before it connects the driver.
+        guard: dry-runs the motions and compares real arms with the dry run; None: motions are not guarded.
+    """
+
+    name: str
+    period: float
+    is_simulated: bool
+    is_paced: bool = False
+    capabilities: frozenset[Capability] = frozenset()
+    lock: AbstractContextManager[Any] = nullcontext()
+    world: SimWorld | None = None
+    wants_guard: bool = False
+    guard: MotionGuard | None = None
+
+    # --- connection and time ---
+    @abstractmethod
+    def __enter__(self) -> Self: ...
+
+    @abstractmethod
+    def __exit__(self, *exc: object) -> None: ...
+
+    @property
+    @abstractmethod
+    def now(self) -> float:
+        """Return the driver's time [s]."""
+
+    @abstractmethod
+    def advance(self, duration: float) -> None:
+        """Advance the driver's clock by `duration` [s]."""
+
+    # --- arms ---
+    @abstractmethod
+    def joint_state(self) -> JointState:
+        """Return the state of all actuated joints, in the model's order."""
+
+    @abstractmethod
+    def command(
+        self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
+    ) -> JointState:
+        """Set the joint targets [rad, rad/s] and return the setpoints that were actually sent."""
+
+    def targets(self) -> JointState | None:
+        """Return the last commanded arm joint positions, or None before the first command."""
+        return None
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop the robot immediately and hold its measured joint positions."""
+
+    def hold(self, joint_names: tuple[str, ...]) -> None:
+        """Stop the arms that own these joints and hold their measured positions; other arms continue."""
+        names = tuple(joint_names)
+        q = self.joint_state().reindexed(names).positions
+        self.command(names, q, np.zeros(len(q)))
+
+    # --- faults ---
+    def fault(self) -> Fault | None:
+        """Return the fault that prevents motion of the robot, or None."""
+        return None
+
+    def resume(self) -> None:
+        """Make a stopped robot ready for motions again, without moving it; old goals are discarded.
+
+        If nothing has stopped the robot, the call has no effect, even during a motion. Any thread may call
+        this.
+
+        Raises:
+            ArmcellError: the driver cannot make the robot ready. The message states the reason and the
+                remedy, and the robot stays stopped.
+        """
+        return None
+
+    @property
+    def safety_events(self) -> Sequence[SafetyEvent]:
+        """Return all stops and resumes of real arms so far, with time and cause."""
+        return ()
+
+    # --- grippers and objects ---
+    @abstractmethod
+    def command_gripper(self, gripper: str, width: float, force: float) -> None:
+        """Drive the gripper to a width [m] with a limited force per finger [N]; width 0 grasps."""
+
+    @abstractmethod
+    def gripper(self, gripper: str) -> GripperReading: ...
+
+    @abstractmethod
+    def object_poses(self) -> dict[str, SE3]:
+        """Return T_world_object of the movable objects that the driver knows."""
+
+    def true_poses(self) -> dict[str, SE3]:
+        """Return T_world_object without the errors of cameras: from physics, where there is physics."""
+        return self.object_poses()
+
+    def welds(self) -> list[WeldRecord]:
+        """Return the objects that a constraint other than friction has attached to a gripper."""
+        return []
+
+    # --- contacts: Capability.KNOW_CONTACTS ---
+    def contacts(self) -> list[Contact]:
+        """Return the current contacts; an empty list from a driver that cannot detect contacts."""
+        return []
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        """Declare that contacts of `body` with `others` are part of the task, or no longer are."""
+        return None
+
+    def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
+        """Report every contact of a held object from now on, except contacts with its supports."""
+        return None
+
+    def unwatch_object(self, name: str) -> None:
+        """Report contacts of an object no longer."""
+        return None
+
+    def unwanted_contacts(self) -> list[ContactRecord]:
+        """Return the contacts so far that the task did not declare."""
+        return []
+
+    # --- forces: Capability.MEASURE_FORCE ---
+    def wrench(self, gripper: str) -> Array:
+        """Return the external wrench on a gripper: force [N], then torque [Nm] (6,).
+
+        The torque is about the TCP, the axes are the world's, and the hand's own weight is excluded. The
+        wrench is zero for a robot without force sensing.
+        """
+        return np.zeros(6)
+
+    # --- whole trajectories: Capability.PLAY_TRAJECTORY ---
+    def follow(self, trajectory: JointTrajectory) -> Following:
+        """Start a trajectory that the robot plays itself, and return its handle.
+
+        Raises:
+            InputError: the robot may not move, or the trajectory names joints that are not arm joints.
+        """
+        raise self._incapable(Capability.PLAY_TRAJECTORY)
+
+    # --- parts of a trajectory: Capability.PLAY_PARTS ---
+    def play(
+        self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
+    ) -> tuple[float, int]:
+        """Play the trajectory until `until` [s] or until a tracking error exceeds the tolerance.
+
+        At least one driver period passes.
+
+        Args:
+            began: driver time [s] at which the trajectory started.
+            until: trajectory time [s] at which to return.
+            tolerance: largest tracking error [rad or m] of a joint.
+        Returns:
+            The largest tracking error [rad or m] and the index of its joint.
+        """
+        raise self._incapable(Capability.PLAY_PARTS)
+
+    # --- dry runs: Capability.DRY_RUN ---
+    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+        """Simulate the trajectory; return the reason not to execute it, or None."""
+        raise self._incapable(Capability.DRY_RUN)
+
+    def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
+        """Return a monitor that compares a streamed motion with the most recent dry run.
+
+        Args:
+            forced: True if measured forces modify the motion, so that currents and speeds are not compared.
+        """
+        raise self._incapable(Capability.DRY_RUN)
+
+    # --- streaming by the robot's clock: Capability.ROBOT_CLOCK ---
+    @property
+    def latency(self) -> float:
+        """Return the largest lag [s] of the measured state behind the streamed setpoints."""
+        raise self._incapable(Capability.ROBOT_CLOCK)
+
+    @property
+    def tick(self) -> float:
+        """Return the driver time [s] of the next command: the total duration passed to `advance`."""
+        raise self._incapable(Capability.ROBOT_CLOCK)
+
+    @property
+    def speed_fraction(self) -> float:
+        """Return the speed fraction, 0..1, that sliders and pauses allow; the value of the slowest arm."""
+        raise self._incapable(Capability.ROBOT_CLOCK)
+
+    # --- modes: Capability.REPORT_MODES ---
+    def arm_modes(self) -> Mapping[str, tuple[int, int]]:
+        """Return (robot mode, safety mode) by arm, in the numbers of ROS's `ur_dashboard_msgs`."""
+        raise self._incapable(Capability.REPORT_MODES)
+
+    # --- twin ---
+    def calibrations(self) -> Mapping[str, str]:
+        """Return the checksum of the factory calibration by connected real arm; empty without real arms."""
+        return {}
+
+    def _incapable(self, capability: Capability) -> InputError:
+        known = ", ".join(sorted(c.name for c in self.capabilities)) or "none"
+        return InputError(
+            f"the driver {self.name!r} cannot {capability.value}",
+            cure=f"check {capability.name} in 'driver.capabilities' first; this driver has: {known}",
+        )
+
+
+class DriverFactory(Protocol):
+    def __call__(self, scene: PlanningScene, options: DriverOptions) -> Driver: ...
+
+
+drivers: Registry[DriverFactory] = Registry("mode", "armcell.drivers")
+"""Driver factories by the mode that uses them: sim, fake, real."""

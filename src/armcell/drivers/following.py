@@ -1,0 +1,62 @@
+"""Handle of a trajectory that a robot plays itself, and the history of streamed setpoints."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+RUNNING, DONE, CANCELLED = "running", "done", "cancelled"  # states of a trajectory
+
+
+class Following(Protocol):
+    """Handle of a trajectory that a robot is executing."""
+
+    def clock(self) -> float:
+        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down."""
+        ...
+
+    def state(self) -> str:
+        """Return "running", "done", "cancelled", or the reason for which the robot aborted."""
+        ...
+
+    def paused(self) -> bool: ...
+
+    def cancel(self) -> None: ...
+
+
+class SentClock:
+    """History of streamed setpoints that maps send times to trajectory times."""
+
+    KEPT = 200  # points
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
+
+    def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
+        """Record a streamed setpoint with its due time and its time on the trajectory.
+
+        Args:
+            when: monotonic time [s] at which the point is due.
+            clock: time of the point on the trajectory [s].
+            off: offset of the point from the trajectory (n,), or None.
+        """
+        self._points.append((when, clock, off))
+
+    def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
+        """Return the trajectory time [s] and offset (n,) of the point due at a monotonic time [s].
+
+        Before the first and after the last recorded point, the nearest one applies.
+        """
+        points = list(self._points)
+        if not points:
+            return 0.0, None
+        k = bisect_left(points, when, key=lambda point: point[0])
+        if k == 0 or k == len(points):
+            _, clock, off = points[min(k, len(points) - 1)]
+            return clock, off
+        (t0, c0, _), (t1, c1, off) = points[k - 1], points[k]
+        return c0 + (c1 - c0) * (when - t0) / (t1 - t0), off

@@ -1,0 +1,5 @@
+"""Franka arms (FR3, Panda) in pure Python over Franka's Control Interface; kind `franka`."""
+
+from armcell.drivers.franka.kind import FrankaKind
+
+__all__ = ["FrankaKind"]

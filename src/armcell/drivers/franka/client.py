@@ -1,0 +1,146 @@
+"""Client of the Franka Control Interface: TCP commands, and UDP states and commands."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+
+from armcell.core import ArmcellError
+from armcell.drivers.franka.wire import commands as wire
+from armcell.drivers.franka.wire.commands import Command, ConnectStatus, WireError
+from armcell.drivers.franka.wire.state import STATE_SIZE
+
+TIMEOUT = 2.0  # [s] for an answer
+
+
+class FciError(ArmcellError):
+    """A Franka robot does not answer, or rejects a connection or command.
+
+    Attributes:
+        kind: "refused", "unreachable", "closed", "version" or "protocol".
+    """
+
+    def __init__(self, kind: str, text: str):
+        super().__init__(text)
+        self.kind = kind
+
+
+class FciClient:
+    """One connection to a robot; a robot serves one client at a time.
+
+    Raises:
+        FciError: no robot answers, or it rejects the connection.
+    """
+
+    def __init__(self, host: str, port: int = wire.PORT):
+        self.host, self._identifier = host, 0
+        self._received = bytearray()
+        try:
+            self.tcp = socket.create_connection((host, port), TIMEOUT)
+        except ConnectionRefusedError:
+            raise FciError("refused", f"{host} refuses the connection to port {port}") from None
+        except OSError as error:
+            raise FciError("unreachable", f"{host} does not answer: {error.strerror or error}") from None
+        self.tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._robot: tuple[str, int] | None = None  # address from which the robot sends its states
+        try:
+            self.udp.bind((self.tcp.getsockname()[0], 0))
+            self.udp.settimeout(TIMEOUT)
+            self._connect()
+        except BaseException:
+            self.close()
+            raise
+
+    def _connect(self) -> None:
+        request = wire.REQUESTS[Command.CONNECT].pack(wire.VERSION, self.udp.getsockname()[1])
+        answer = self.ask(Command.CONNECT, request)
+        if len(answer) != wire.CONNECTED.size:
+            raise FciError("protocol", f"{self.host} does not answer like a Franka robot")
+        status, self.version = wire.CONNECTED.unpack(answer)
+        if status != ConnectStatus.SUCCESS:
+            raise FciError(
+                "version", f"{self.host} speaks version {self.version} of Franka's protocol, armcell speaks "
+                f"version {wire.VERSION}",
+            )  # fmt: skip
+
+    def send(self, command: Command, payload: bytes = b"") -> int:
+        """Send a request; return its identifier."""
+        self._identifier += 1
+        self.tcp.sendall(wire.message(command, self._identifier, payload))
+        return self._identifier
+
+    def answers(self) -> list[tuple[int, bytes]]:
+        """Read once and return the complete answers (identifier, payload).
+
+        Raises:
+            FciError: the robot closed the connection, or sends another protocol.
+        """
+        try:
+            data = self.tcp.recv(65536)
+        except TimeoutError:
+            raise FciError("unreachable", f"{self.host} does not answer") from None
+        except OSError as error:
+            raise FciError("closed", f"the connection to {self.host} broke: {error.strerror}") from None
+        if not data:
+            raise FciError("closed", f"{self.host} closed the connection")
+        self._received += data
+        found = []
+        try:
+            while (message := wire.take_message(self._received)) is not None:
+                found.append((message[1], message[2]))
+        except WireError as error:
+            raise FciError("protocol", f"{self.host} does not speak Franka's protocol: {error}") from None
+        return found
+
+    def ask(self, command: Command, payload: bytes = b"") -> bytes:
+        """Send a request and wait for its answer; only while no motion runs.
+
+        Raises:
+            FciError: no answer arrives.
+        """
+        try:
+            identifier = self.send(command, payload)
+        except OSError as error:
+            raise FciError("closed", f"the connection to {self.host} broke: {error.strerror}") from None
+        end = time.monotonic() + TIMEOUT
+        while time.monotonic() < end:
+            for answered, content in self.answers():
+                if answered == identifier:
+                    return content
+        raise FciError("unreachable", f"{self.host} does not answer")
+
+    def states(self) -> list[bytes]:
+        """Return the state messages that have arrived; waits for none if the socket does not block."""
+        found = []
+        while True:
+            try:
+                data, self._robot = self.udp.recvfrom(STATE_SIZE + 1)
+            except OSError:
+                return found
+            found.append(data)
+
+    def first_state(self) -> bytes:
+        """Wait for a state message.
+
+        Raises:
+            FciError: none arrives.
+        """
+        try:
+            data, self._robot = self.udp.recvfrom(STATE_SIZE + 1)
+        except OSError:
+            raise FciError(
+                "unreachable", f"{self.host} sends no state to UDP port {self.udp.getsockname()[1]}"
+            ) from None
+        return data
+
+    def command(self, data: bytes) -> None:
+        """Send a command message to the robot."""
+        if self._robot is not None:
+            with contextlib.suppress(OSError):  # a full buffer: the robot misses one command
+                self.udp.sendto(data, self._robot)
+
+    def close(self) -> None:
+        self.tcp.close()
+        self.udp.close()

@@ -1,0 +1,172 @@
+"""Identity and readiness of a Franka robot; nothing moves."""
+
+from __future__ import annotations
+
+import re
+import socket
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import InputError
+from armcell.drivers.franka.client import FciClient, FciError
+from armcell.drivers.franka.settings import FrankaArmSettings
+from armcell.drivers.franka.wire.commands import Command, WireError
+from armcell.drivers.franka.wire.limits import HAND_MASS, MAX_LOAD, limits_of
+from armcell.drivers.franka.wire.state import RobotMode, RobotState, read_state
+from armcell.drivers.real import check_numbers
+
+Array = NDArray[np.float64]
+
+UR_PORTS = (29999, 30002)
+ACTIVATE = "activate FCI in Desk (Franka's web page at this address), and check the address"
+HINTS = {
+    RobotMode.OTHER: ("its brakes are locked", "unlock the brakes in Desk"),
+    RobotMode.USER_STOPPED: ("the user stop is pressed", "release the user stop"),
+    RobotMode.GUIDING: ("it is guided by hand", "release the enabling button"),
+    RobotMode.REFLEX: ("a reflex or error stopped it", "see why, free the arm, and clear the error in Desk"),
+    RobotMode.AUTOMATIC_ERROR_RECOVERY: ("it recovers from an error", "wait a second"),
+    RobotMode.MOVE: ("another program moves it", "end the other program"),
+}
+"""Cause and remedy by robot mode in which the arm cannot be driven."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrankaIdentity:
+    """A robot's identity and state. The interface reports no serial number.
+
+    Attributes:
+        model: name of the robot in its own description: fr3, panda.
+        description: URDF text that the robot sends.
+        version: version of the protocol.
+    """
+
+    host: str
+    model: str
+    description: str
+    version: int
+    state: RobotState
+
+    @property
+    def serial(self) -> str:
+        return ""
+
+    @property
+    def calibration(self) -> str:
+        """Checksum of the robot's own description."""
+        return f"{crc32(self.description.encode()):08x}"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.model} at {self.host}, protocol {self.version}, {RobotMode(self.state.mode).name.lower()}"
+        )
+
+
+def identify(host: str) -> FrankaIdentity:
+    """Connect to a robot, read its description and state, and disconnect.
+
+    Raises:
+        InputError: no Franka robot answers, or it rejects the connection; the message states the remedy.
+    """
+    try:
+        client = FciClient(host)
+    except FciError as error:
+        raise InputError(str(error), cure=_hint(host, error.kind)) from None
+    try:
+        state = read_state(client.first_state())
+        description = client.ask(Command.GET_ROBOT_MODEL)[1:].decode("utf-8", "replace")
+    except (FciError, WireError, ValueError) as error:
+        raise InputError(f"{host}: {error}", cure=_hint(host, "protocol")) from None
+    finally:
+        client.close()
+    named = re.search(r'<robot[^>]*\sname="([^"]*)"', description)
+    return FrankaIdentity(host, named[1] if named else "unknown", description, client.version, state)
+
+
+def _hint(host: str, kind: str) -> str:
+    if kind in ("refused", "unreachable", "closed") and _is_ur(host):
+        return "a Universal Robots controller answers at this address: use 'kind: ur', or another address"
+    return {
+        "refused": ACTIVATE,
+        "unreachable": "check the cable, the address, and that no firewall blocks UDP",
+        "closed": "FCI is not active in Desk, or another client is connected: end it",
+        "version": "update the robot's system: FR3 with system 5.9 or later",
+    }.get(kind, "check that a Franka robot has this address")
+
+
+def _is_ur(host: str) -> bool:
+    for port in UR_PORTS:
+        try:
+            socket.create_connection((host, port), 0.3).close()
+        except OSError:
+            return False
+    return True
+
+
+def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> None:
+    """Check that the robot is the one in the cell file.
+
+    Raises:
+        InputError: it is another model or has another description.
+    """
+    if arm.serial is not None:
+        raise InputError(
+            f"arm {name!r}: a Franka robot reports no serial number", element=f"real/arms/{name}/serial",
+            cure="identify it by 'calibration', the checksum of its description",
+        )  # fmt: skip
+    if found.model != arm.model:
+        raise InputError(
+            f"arm {name!r}: the robot at {arm.host} is a {found.model}, the cell file says {arm.model}",
+            cure=f"set 'model: {found.model}', or correct the address",
+        )
+    check_numbers(name, arm, found)
+
+
+def check_load(name: str, arm: FrankaArmSettings) -> None:
+    """Check the payload of an arm with its hand.
+
+    Raises:
+        InputError: the arm cannot carry it.
+    """
+    carried = (arm.payload or 0.0) + (HAND_MASS if arm.gripper is not None else 0.0)
+    if carried > MAX_LOAD:
+        raise InputError(
+            f"payload and hand weigh {carried:.2f} kg, the arm carries {MAX_LOAD:g} kg",
+            element=f"real/arms/{name}/payload", cure="choose a lighter object or tool",
+        )  # fmt: skip
+
+
+def check_ready(name: str, found: FrankaIdentity) -> None:
+    """Check that the robot can be driven now.
+
+    Raises:
+        InputError: it cannot; the message states the remedy.
+    """
+    mode = RobotMode(found.state.mode)
+    if mode is not RobotMode.IDLE:
+        cause, hint = HINTS[mode]
+        errors = ", ".join(found.state.errors)
+        raise InputError(
+            f"arm {name!r} at {found.host}: {cause}{f' ({errors})' if errors else ''}", cure=hint
+        )
+    if found.model in ("fr3", "panda"):
+        check_position(name, found.model, found.state["q"])
+
+
+def check_position(name: str, model: str, q: Array) -> None:
+    """Check that measured positions (7,) [rad] are within the joint limits.
+
+    Raises:
+        InputError: a joint is outside its limits.
+    """
+    limits = limits_of(model)
+    outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
+    if len(outside):
+        i = int(outside[0])
+        raise InputError(
+            f"arm {name!r}: joint {i + 1} is at {q[i]:.4f} rad, outside its limits "
+            f"{limits.lower[i]:.4f} to {limits.upper[i]:.4f}",
+            cure="guide the arm back by hand (enabling button), or move the joint in Desk",
+        )

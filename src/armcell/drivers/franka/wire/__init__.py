@@ -1,0 +1,1 @@
+"""Franka Control Interface on the wire: messages, errors and limits."""

@@ -1,0 +1,182 @@
+"""UDP messages of the Franka Control Interface: robot state (1 kHz) and command, protocol version 10.
+
+The state's numbers are float32, the command's float64; matrices are column-major. Source: Franka's public
+headers `libfranka-common` (Apache-2.0), checked with the clients `pylibfranka` and `franky-control`.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.drivers.franka.wire.commands import WireError
+from armcell.drivers.franka.wire.errors import ERRORS
+
+_FIELDS = (
+    ("O_T_EE", 16), ("O_T_EE_d", 16), ("F_T_EE", 16), ("EE_T_K", 16), ("F_T_NE", 16), ("NE_T_EE", 16),
+    ("m_ee", 1), ("I_ee", 9), ("F_x_Cee", 3), ("m_load", 1), ("I_load", 9), ("F_x_Cload", 3),
+    ("elbow", 2), ("elbow_d", 2), ("tau_J", 7), ("tau_J_d", 7), ("dtau_J", 7), ("q", 7), ("q_d", 7),
+    ("dq", 7), ("dq_d", 7), ("ddq_d", 7), ("joint_contact", 7), ("cartesian_contact", 6),
+    ("joint_collision", 7), ("cartesian_collision", 6), ("tau_ext_hat_filtered", 7), ("O_F_ext_hat_K", 6),
+    ("K_F_ext_hat_K", 6), ("O_dP_EE_d", 6), ("O_ddP_O", 3), ("elbow_c", 2), ("delbow_c", 2),
+    ("ddelbow_c", 2), ("O_T_EE_c", 16), ("O_dP_EE_c", 6), ("O_ddP_EE_c", 6), ("theta", 7), ("dtheta", 7),
+    ("accelerometer_top", 18), ("accelerometer_bottom", 18),
+)  # fmt: skip
+"""Names and counts of the state's floats, in order; the message identifier precedes them."""
+
+COUNT = sum(n for _, n in _FIELDS)
+_starts = np.cumsum([0, *(n for _, n in _FIELDS)])
+FIELDS = {name: slice(int(a), int(a) + n) for (name, n), a in zip(_FIELDS, _starts, strict=False)}
+"""Position of each state field in the float array."""
+
+_TAIL = 8 + 4 * COUNT
+_MODES = struct.Struct("<BB")  # motion generator mode, controller mode
+_REST = struct.Struct("<Bf")  # robot mode, success rate
+STATE_SIZE = _TAIL + _MODES.size + 2 * len(ERRORS) + _REST.size
+
+COMMAND = struct.Struct("<Q7d7d16d6d2dBB7dB")
+"""Identifier of the state it answers; q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, valid elbow, motion finished,
+tau_J_d, torque finished."""
+
+
+class GeneratorMode(IntEnum):
+    IDLE = 0
+    JOINT_POSITION = 1
+    JOINT_VELOCITY = 2
+    CARTESIAN_POSITION = 3
+    CARTESIAN_VELOCITY = 4
+    NONE = 5
+
+
+class ControllerMode(IntEnum):
+    JOINT_IMPEDANCE = 0
+    CARTESIAN_IMPEDANCE = 1
+    EXTERNAL = 2
+    OTHER = 3
+
+
+class RobotMode(IntEnum):
+    OTHER = 0  # brakes locked, or starting
+    IDLE = 1
+    MOVE = 2
+    GUIDING = 3
+    REFLEX = 4
+    USER_STOPPED = 5
+    AUTOMATIC_ERROR_RECOVERY = 6
+
+
+class StateMessage:
+    """A robot state that is written in place; `bytes(state)` is the message.
+
+    Attributes:
+        floats: all numbers (COUNT,); `FIELDS` names their positions.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray(STATE_SIZE)
+        self.floats: NDArray[np.float32] = np.frombuffer(self._buffer, "<f4", COUNT, 8)
+        self.errors: NDArray[np.uint8] = np.frombuffer(
+            self._buffer, np.uint8, len(ERRORS), _TAIL + _MODES.size
+        )
+        self.reflex_reason: NDArray[np.uint8] = np.frombuffer(
+            self._buffer, np.uint8, len(ERRORS), _TAIL + _MODES.size + len(ERRORS)
+        )
+
+    def __setitem__(self, field: str, values: ArrayLike) -> None:
+        self.floats[FIELDS[field]] = values
+
+    def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
+        """Write the fields that are not arrays."""
+        struct.pack_into("<Q", self._buffer, 0, identifier)
+        _MODES.pack_into(self._buffer, _TAIL, generator, controller)
+        _REST.pack_into(self._buffer, STATE_SIZE - _REST.size, mode, success)
+
+    def __bytes__(self) -> bytes:
+        return bytes(self._buffer)
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """A received robot state.
+
+    Attributes:
+        time: message identifier, which counts milliseconds.
+        floats: all numbers (COUNT,).
+        errors, last_errors: names of the active errors, and of the errors that ended the last motion.
+    """
+
+    time: int
+    floats: NDArray[np.float32]
+    generator: int
+    controller: int
+    mode: int
+    success_rate: float
+    errors: tuple[str, ...]
+    last_errors: tuple[str, ...]
+
+    def __getitem__(self, field: str) -> NDArray[np.float64]:
+        return self.floats[FIELDS[field]].astype(np.float64)
+
+
+def read_state(data: bytes) -> RobotState:
+    """Read a state message.
+
+    Raises:
+        WireError: the message has another size, or numbers that are not finite.
+    """
+    if len(data) != STATE_SIZE:
+        raise WireError(f"a robot state of {len(data)} bytes; protocol 10 has {STATE_SIZE}")
+    generator, controller = _MODES.unpack_from(data, _TAIL)
+    mode, success = _REST.unpack_from(data, STATE_SIZE - _REST.size)
+    floats = np.frombuffer(data, "<f4", COUNT, 8)
+    if not np.isfinite(floats).all():
+        raise WireError("a robot state has numbers that are not finite")
+    flags = data[_TAIL + _MODES.size : STATE_SIZE - _REST.size]
+    n = len(ERRORS)
+    return RobotState(
+        struct.unpack_from("<Q", data)[0], floats, generator, controller, mode, success,
+        tuple(e for e, on in zip(ERRORS, flags[:n], strict=True) if on),
+        tuple(e for e, on in zip(ERRORS, flags[n:], strict=True) if on),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RobotCommand:
+    """A command that answers one state message; only the fields of the motion's modes count."""
+
+    time: int  # identifier of the state
+    q: tuple[float, ...] = (0.0,) * 7
+    dq: tuple[float, ...] = (0.0,) * 7
+    O_T_EE: tuple[float, ...] = (0.0,) * 16
+    O_dP_EE: tuple[float, ...] = (0.0,) * 6
+    elbow: tuple[float, ...] = (0.0,) * 2
+    valid_elbow: bool = False
+    motion_finished: bool = False
+    torque: tuple[float, ...] = (0.0,) * 7
+    torque_finished: bool = False
+
+    def pack(self) -> bytes:
+        return COMMAND.pack(
+            self.time, *self.q, *self.dq, *self.O_T_EE, *self.O_dP_EE, *self.elbow, self.valid_elbow,
+            self.motion_finished, *self.torque, self.torque_finished,
+        )  # fmt: skip
+
+
+def read_command(data: bytes) -> RobotCommand:
+    """Read a command message.
+
+    Raises:
+        WireError: the message has another size, or numbers that are not finite.
+    """
+    if len(data) != COMMAND.size:
+        raise WireError(f"a command of {len(data)} bytes; protocol 10 has {COMMAND.size}")
+    v = COMMAND.unpack(data)
+    if not np.isfinite(v[1:39]).all() or not np.isfinite(v[41:48]).all():
+        raise WireError("a command has numbers that are not finite")
+    return RobotCommand(
+        v[0], v[1:8], v[8:15], v[15:31], v[31:37], v[37:39], bool(v[39]), bool(v[40]), v[41:48], bool(v[48])
+    )

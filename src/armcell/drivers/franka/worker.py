@@ -1,0 +1,254 @@
+"""Subprocess that moves one Franka arm at 1 kHz, away from armcell's interpreter lock.
+
+`python worker_main.py FD HOST WATCHDOG` starts it: FD is a stream socket with messages of `frames`.
+Orders: beat, setup, recover, trajectory (its rows precede it), point, cancel, end.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import socket
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from armcell.drivers.franka import frames
+from armcell.drivers.franka.client import FciClient, FciError
+from armcell.drivers.franka.streaming import Points, Rows, Setpoints
+from armcell.drivers.franka.wire.commands import (
+    STATUS,
+    Command,
+    MoveController,
+    MoveGenerator,
+    MoveRequest,
+    MoveStatus,
+    WireError,
+)
+from armcell.drivers.franka.wire.state import GeneratorMode, RobotCommand, RobotMode, RobotState, read_state
+
+REPORT = 4  # [ms] between the states that armcell receives
+START_DISTANCE = 0.05  # [rad] largest distance of a motion's start from the arm
+START_TIME = 2.0  # [s] in which the robot must be ready for the next motion
+ACCEPTED = (MoveStatus.SUCCESS, MoveStatus.STARTED)
+REJECTED = {
+    MoveStatus.NOT_POSSIBLE: "the robot rejects a motion in its current mode",
+    MoveStatus.INVALID_ARGUMENT: "the robot rejects the motion's parameters",
+    MoveStatus.EMERGENCY_ABORTED: "user stop",
+}
+
+
+class Worker:
+    """One arm: receives orders, answers every state of the robot, and reports states and results."""
+
+    def __init__(self, link: socket.socket, client: FciClient, watchdog: float):
+        self._link, self._client, self._watchdog = link, client, watchdog
+        self._received, self._rows = bytearray(), b""
+        self._answers: dict[int, Callable[[bytes], None]] = {}
+        self._beaten, self._pace = time.monotonic(), 1.0
+        self._open = True
+        self._state: RobotState | None = None
+        self._setpoints: Setpoints | None = None
+        self._waiting: tuple[float, Rows | Points] | None = None  # source of a motion that has not started
+        self._points: Points | None = None
+        self._number, self._streaming = 0, False
+        self._moving, self._ending = False, False
+        client.tcp.setblocking(False)
+        client.udp.setblocking(False)
+        link.setblocking(True)
+
+    def run(self) -> None:
+        """Serve until armcell ends the link, then stop the arm."""
+        sockets = [self._client.udp, self._client.tcp, self._link]
+        try:
+            while self._open:
+                ready, _, _ = select.select(sockets, [], [], 0.02)
+                if self._client.udp in ready:
+                    self._read_states()
+                if self._client.tcp in ready:
+                    for identifier, content in self._client.answers():
+                        self._answers.pop(identifier, lambda _: None)(content)
+                if self._link in ready:
+                    self._read_orders()
+                self._check_watchdog()
+        except FciError as error:
+            self._event(lost=str(error))
+        finally:
+            if self._moving:
+                with suppress(OSError):
+                    self._client.send(Command.STOP_MOVE)
+            self._client.close()
+
+    # --- armcell ---
+    def _event(self, **event: Any) -> None:
+        self._write(frames.pack_json(frames.EVENT, event))
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._link.sendall(data)
+        except OSError:
+            self._open = False
+
+    def _read_orders(self) -> None:
+        self._open = frames.read_into(self._link, self._received)
+        while (message := frames.take(self._received)) is not None:
+            kind, content = message
+            if kind == frames.ROWS:
+                self._rows = content
+            else:
+                self._obey(json.loads(content))
+
+    def _obey(self, order: dict[str, Any]) -> None:
+        match order["do"]:
+            case "beat":
+                self._beaten = time.monotonic()
+            case "pace":
+                self._pace = order["pace"]
+            case "trajectory":
+                rows = np.frombuffer(self._rows, dtype="<f8").reshape(-1, 7)
+                self._begin(Rows(rows), order["number"], streaming=False)
+            case "point":
+                self._take_point(order)
+            case "cancel":
+                self._cancel()
+            case "ask":
+                self._ask(order)
+            case "end":
+                self._open = False
+
+    def _ask(self, order: dict[str, Any]) -> None:
+        """Send a command to the robot and report its status."""
+
+        def report(content: bytes) -> None:
+            self._event(answer=order["id"], status=STATUS.unpack_from(content)[0])
+
+        self._send(Command(order["command"]), bytes.fromhex(order["payload"]), report)
+
+    def _send(self, command: Command, payload: bytes, then: Callable[[bytes], None]) -> None:
+        try:
+            self._answers[self._client.send(command, payload)] = then
+        except OSError as error:
+            raise FciError("closed", f"the connection broke: {error.strerror}") from None
+
+    # --- motions ---
+    def _begin(self, source: Rows | Points, number: int, streaming: bool) -> None:
+        if self._moving:
+            self._cancel()
+        self._number, self._streaming = number, streaming
+        self._waiting = time.monotonic(), source
+        self._beaten = time.monotonic()
+
+    def _take_point(self, order: dict[str, Any]) -> None:
+        point = order["at"], np.array(order["q"]), np.array(order["v"])
+        if self._points is None or self._points.ended or not self._streaming:
+            self._points = Points()
+            self._points.add(*point)
+            self._begin(self._points, 0, streaming=True)
+        else:
+            self._points.add(*point)
+
+    def _start(self, state: RobotState) -> None:
+        """Start the waiting motion once the robot is idle."""
+        assert self._waiting is not None
+        since, source = self._waiting
+        if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
+            if time.monotonic() - since > START_TIME:
+                self._waiting = None
+                self._result(f"the robot is not ready: mode {RobotMode(state.mode).name}")
+            return
+        self._waiting = None
+        setpoints = Setpoints(source, self._pace)
+        off = setpoints.start_error(state["q_d"])
+        if off > START_DISTANCE:
+            self._result(f"the motion starts {off:.3f} rad from the arm")
+            return
+        self._setpoints, self._moving, self._ending = setpoints, True, False
+        request = MoveRequest(MoveController.JOINT_IMPEDANCE, MoveGenerator.JOINT_POSITION)
+        number = self._number
+        identifier = self._client._identifier + 1
+
+        def answered(content: bytes) -> None:
+            status = MoveStatus(STATUS.unpack_from(content)[0])
+            if status is MoveStatus.STARTED:
+                self._answers[identifier] = answered  # a second answer follows at the motion's end
+            else:
+                self._ended(status, number)
+
+        self._send(Command.MOVE, request.pack(), answered)
+
+    def _ended(self, status: MoveStatus, number: int) -> None:
+        self._moving, self._setpoints = False, None
+        if self._streaming:
+            self._points = None
+        if status is MoveStatus.SUCCESS:
+            self._result("done", number)
+        elif status is MoveStatus.PREEMPTED:
+            self._result("cancelled", number)
+        else:
+            errors = ", ".join(self._state.last_errors) if self._state is not None else ""
+            self._result(REJECTED.get(status, f"the robot stopped the motion: {errors}"), number)
+
+    def _result(self, text: str, number: int | None = None) -> None:
+        self._event(number=self._number if number is None else number, result=text)
+
+    def _cancel(self) -> None:
+        if self._waiting is not None:
+            self._waiting = None
+            self._result("cancelled")
+        if self._moving and not self._ending:
+            self._ending, self._setpoints = True, None
+            self._send(Command.STOP_MOVE, b"", lambda _: None)
+
+    def _check_watchdog(self) -> None:
+        if (self._moving or self._waiting) and time.monotonic() - self._beaten > self._watchdog:
+            self._cancel()
+
+    # --- the robot ---
+    def _read_states(self) -> None:
+        messages = self._client.states()
+        if not messages:
+            return
+        now, before = time.monotonic(), self._state
+        try:
+            state = max((read_state(m) for m in messages), key=lambda s: s.time)
+        except WireError as error:
+            self._event(note=str(error))
+            return
+        if before is not None and state.time <= before.time:
+            return
+        ticks = 1 if before is None else state.time - before.time
+        self._state = state
+        if self._setpoints is not None:
+            self._stream(state, ticks, now)
+        elif self._waiting is not None:
+            self._start(state)
+        report = before is None or state.time // REPORT != before.time // REPORT or state.mode != before.mode
+        if report:
+            raw = max(messages, key=lambda m: m[:8][::-1])
+            clock = self._setpoints.source.clock if self._setpoints is not None else 0.0
+            self._write(frames.pack(frames.STATE, frames.PROGRESS.pack(now, self._number, clock) + raw))
+
+    def _stream(self, state: RobotState, ticks: int, now: float) -> None:
+        setpoints = self._setpoints
+        if setpoints is None or state.generator != GeneratorMode.JOINT_POSITION:
+            return
+        q = setpoints.next(ticks, self._pace, now, state["q_d"], state["dq_d"], state["ddq_d"])
+        command = RobotCommand(state.time, q=tuple(q.tolist()), motion_finished=setpoints.finished)
+        self._client.command(command.pack())
+
+
+def main(descriptor: str, host: str, watchdog: str) -> None:
+    link = socket.socket(fileno=int(descriptor))
+    with suppress(PermissionError, AttributeError):  # the robot stops after 20 late answers
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(11))
+    try:
+        client = FciClient(host)
+    except FciError as error:
+        link.sendall(frames.pack_json(frames.EVENT, {"failed": str(error)}))
+        return
+    link.sendall(frames.pack_json(frames.EVENT, {"ready": True}))
+    Worker(link, client, float(watchdog)).run()

@@ -1,0 +1,24 @@
+"""Mode `real`: one driver for real arms of any kind, and the interface of a robot kind."""
+
+from armcell.drivers.real.arm import RealArm, RealGripper
+from armcell.drivers.real.block import real_settings
+from armcell.drivers.real.driver import RealDriver
+from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_numbers
+from armcell.drivers.real.kinds import RobotKind, identify_all, kind_of, robot_kinds
+from armcell.drivers.real.settings import ArmSettings, RealSettings
+
+__all__ = [
+    "ArmSettings",
+    "NetworkReport",
+    "RealArm",
+    "RealDriver",
+    "RealGripper",
+    "RealSettings",
+    "RobotIdentity",
+    "RobotKind",
+    "check_numbers",
+    "identify_all",
+    "kind_of",
+    "real_settings",
+    "robot_kinds",
+]

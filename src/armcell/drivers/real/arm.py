@@ -1,0 +1,187 @@
+"""One real arm and its gripper, as the driver of mode `real` commands them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, JointTrajectory
+from armcell.drivers.following import Following
+from armcell.drivers.guarding import ArmSample
+from armcell.drivers.real.identity import RobotIdentity
+from armcell.drivers.safety import Fault
+from armcell.model import Gripper
+
+Array = NDArray[np.float64]
+
+
+class RealGripper(Protocol):
+    """A connected gripper of a real arm.
+
+    Attributes:
+        hint: remedy for a gripper that no longer answers.
+    """
+
+    hint: str
+
+    def drive(self, width: float, force: float) -> None:
+        """Move the gripper toward a width [m] with a limited force per finger [N]; width 0 grasps."""
+        ...
+
+    def read(self) -> tuple[float, bool]:
+        """Return the gripper's width [m] and whether it holds an object."""
+        ...
+
+    @property
+    def silent(self) -> float:
+        """Time since the gripper's last answer [s]."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class RealArm(ABC):
+    """One real arm: its connection, state, motion, and faults. The constructor performs no I/O.
+
+    `RealDriver` calls `connect` once, `beat` every 10 ms from its own thread, and `close` at the end. The arm
+    calls `on_state`, which it receives from its `RobotKind`, after each new state, from any thread.
+
+    Attributes:
+        name: planning group of the arm.
+        joint_names: its joints, in the order of the controller.
+        identity: identity of the connected robot.
+        step: interval between streamed setpoints [s].
+        T_link_base: pose of the controller's base frame in the model's base link.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    identity: RobotIdentity
+    step: float
+    T_link_base: SE3 = SE3.identity()
+
+    # --- connection ---
+    @abstractmethod
+    def connect(self) -> None:
+        """Connect to the robot and get it ready for commands; the arm does not move.
+
+        Raises:
+            InputError: the connection failed; the message states the cause and the remedy.
+        """
+
+    @abstractmethod
+    def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
+        """Connect to the gripper that the arm's settings name; None if they name no gripper.
+
+        Raises:
+            InputError: the gripper does not answer.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop the arm if it moves and close all connections; also after a failed `connect`."""
+
+    @abstractmethod
+    def beat(self) -> None:
+        """Send a sign of life, without which the robot stops itself; must not raise or block."""
+
+    def start_round_trips(self) -> Callable[[], float]:
+        """Start to measure the network; return a function for the shortest recent round trip [s].
+
+        The function returns NaN while nothing has been measured. `close` ends the measurement.
+        """
+        return lambda: float("nan")
+
+    # --- state ---
+    @property
+    @abstractmethod
+    def time_of_state(self) -> float:
+        """Time at which the robot measured its latest state [s, this computer's monotonic clock]."""
+
+    @abstractmethod
+    def measured_at(self, when: float) -> tuple[Array, Array]:
+        """Return positions [rad] and velocities [rad/s], each (n,), at a monotonic time [s].
+
+        Values are interpolated between two states and clamped at the ends of the history.
+        """
+
+    @abstractmethod
+    def setpoint(self) -> tuple[Array, Array]:
+        """Return the positions [rad] and velocities [rad/s], each (n,), that the robot tracks now."""
+
+    @abstractmethod
+    def sample(self) -> ArmSample:
+        """Return the latest measurement, for the comparison with the arm's twin."""
+
+    @property
+    @abstractmethod
+    def scaling(self) -> float:
+        """Speed fraction, 0 to 1, that speed slider and pause allow."""
+
+    @abstractmethod
+    def set_slider(self, fraction: float) -> None:
+        """Set the robot's speed slider, 0 to 1; must not raise while the link is lost."""
+
+    @property
+    @abstractmethod
+    def modes(self) -> tuple[int, int]:
+        """Robot mode and safety mode, in the numbers of `ur_dashboard_msgs`."""
+
+    @abstractmethod
+    def force(self) -> tuple[Array, Array, Array]:
+        """Return force [N] and torque [Nm] on the tool, and the reference point [m]; controller's base."""
+
+    @abstractmethod
+    def zero_force(self) -> None:
+        """Zero the force measurement; called only while nothing touches the hand."""
+
+    # --- faults ---
+    @abstractmethod
+    def fault(self) -> Fault | None:
+        """Return the arm's current fault, or None; called often, from several threads."""
+
+    @abstractmethod
+    def halt(self) -> None:
+        """Stop the arm, discard all goals, and hold the measured pose; must not raise or block."""
+
+    @abstractmethod
+    def prepare_resume(self) -> None:
+        """Check before a resume that the same robot answers and may be driven.
+
+        Raises:
+            InputError: the check failed; the message states the remedy.
+        """
+
+    @abstractmethod
+    def restart(self) -> None:
+        """Reconnect if the link is lost, clear the stop, and accept commands again; nothing moves.
+
+        Raises:
+            InputError: the arm stays stopped; the message states the remedy.
+        """
+
+    # --- motion ---
+    @abstractmethod
+    def follow(self, trajectory: JointTrajectory) -> Following:
+        """Start a trajectory of the arm's joints that the robot plays itself, and return its handle.
+
+        A robot without such a function streams the setpoints in a thread of its own: see `motion.Streamed`.
+        """
+
+    @abstractmethod
+    def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
+        """Stream a setpoint to pass at a given time; setpoints with one time keep arms synchronized.
+
+        Args:
+            q: joint positions (n,) [rad].
+            v: joint velocities (n,) [rad/s].
+            at: time to reach `q` [s, this computer's monotonic clock].
+        """
+
+    @abstractmethod
+    def cancel(self) -> None:
+        """End the running motion and hold the position; the arm stays ready for the next motion."""

@@ -1,0 +1,73 @@
+"""Identity of real robots: serial number and calibration, and the quality of their network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from armcell.core import InputError
+from armcell.drivers.real.settings import ArmSettings
+
+
+class RobotIdentity(Protocol):
+    """A robot's identity as its controller reports it; `str()` describes it for the operator."""
+
+    @property
+    def serial(self) -> str: ...
+
+    @property
+    def calibration(self) -> str: ...  # checksum; equal only for the same robot and calibration
+
+
+@dataclass(frozen=True)
+class NetworkReport:
+    """Statistics of one network measurement; times in [s]."""
+
+    round_trip: float  # median
+    worst_round_trip: float
+    period: float  # median interval between states
+    worst_gap: float  # longest interval between two states
+    frequency: float  # requested [Hz]
+
+    def __str__(self) -> str:
+        return (
+            f"round trip {self.round_trip * 1000:.1f} ms (worst {self.worst_round_trip * 1000:.1f}), "
+            f"state every {self.period * 1000:.1f} ms (worst gap {self.worst_gap * 1000:.1f})"
+        )
+
+
+def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
+    """Check the serial number and calibration of a robot, where the cell file states them.
+
+    Raises:
+        InputError: the robot is not the one in the cell file.
+    """
+    for what, want, have in (
+        ("serial number", arm.serial, found.serial),
+        ("calibration", arm.calibration, found.calibration),
+    ):
+        if want is not None and want != have:
+            raise InputError(
+                f"arm {name!r}: the robot at {arm.host} has {what} {have}, the cell file says {want}",
+                cure="the address leads to another robot: check cables and addresses (are the arms swapped?)",
+            )
+
+
+def check_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotIdentity]) -> None:
+    """Check that no arm answers with the serial number or calibration of another arm.
+
+    Raises:
+        InputError: the arms' addresses are swapped.
+    """
+    for arm, identity in found.items():
+        for other, settings in wanted.items():
+            if other != arm and (
+                (settings.serial is not None and settings.serial == identity.serial)
+                or (settings.calibration is not None and settings.calibration == identity.calibration)
+            ):
+                raise InputError(
+                    f"the arms are swapped: {wanted[arm].host}, the address of {arm!r}, is answered by "
+                    f"{other!r} (serial {identity.serial})",
+                    cure=f"exchange the addresses of {arm!r} and {other!r} in the cell file, or the cables",
+                )

@@ -1,0 +1,169 @@
+"""Kinds of real robots: what a vendor contributes to mode `real`, registered by name."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import InputError, Registry
+from armcell.drivers.real.arm import RealArm
+from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_swapped
+from armcell.drivers.real.settings import ArmSettings, RealSettings
+from armcell.model import RobotModel
+
+Array = NDArray[np.float64]
+
+
+A = TypeVar("A", bound=ArmSettings)
+I = TypeVar("I", bound=RobotIdentity)
+
+
+class RobotKind(ABC, Generic[A, I]):
+    """What mode `real`, the bring-up and the twin need from the vendor of an arm.
+
+    Attributes:
+        arm_settings: model of an arm's block in the cell file.
+        joints: number of joints of an arm.
+        backends: valid values of `real: backend:`, the default first.
+        gripper_hint: how to configure a gripper in the cell file.
+    """
+
+    arm_settings: ClassVar[type[ArmSettings]]
+    joints: ClassVar[int]
+    backends: ClassVar[tuple[str, ...]] = ("own",)
+    gripper_hint: ClassVar[str]
+
+    def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
+        """Check the arms of this kind against each other and fill in default values.
+
+        Raises:
+            InputError: two arms contradict each other, or a value is invalid.
+        """
+        return dict(arms)
+
+    def check_backend(self, backend: str) -> None:
+        """Check that the libraries of a backend are installed.
+
+        Raises:
+            InputError: a library is missing; the error names the extra to install.
+        """
+        return None
+
+    def control(self, backend: str) -> str:
+        """Describe in a few words what moves the arms: "our program"."""
+        return backend
+
+    # --- identity and readiness; nothing moves ---
+    @abstractmethod
+    def identify(self, arm: A) -> I:
+        """Query a robot's identity and state.
+
+        Raises:
+            InputError: no robot answers, or the robot is not of this kind.
+        """
+
+    @abstractmethod
+    def check_identity(self, name: str, arm: A, found: I) -> None:
+        """Check that a robot is the one in the cell file; see `check_numbers` for the common part.
+
+        Raises:
+            InputError: it is another robot.
+        """
+
+    @abstractmethod
+    def check_ready(self, name: str, found: I) -> None:
+        """Check that a robot can be driven now.
+
+        Raises:
+            InputError: it cannot; the message states the remedy.
+        """
+
+    @abstractmethod
+    def calibrated(self, model: RobotModel, group: str, found: I) -> RobotModel:
+        """Return the model with an arm's factory calibration.
+
+        Raises:
+            InputError: the calibration does not fit the model, or robots of this kind report none.
+        """
+
+    @abstractmethod
+    def make_arm(
+        self, name: str, joint_names: tuple[str, ...], arm: A, limits: RealSettings, found: I,
+        on_state: Callable[[], None],
+    ) -> RealArm:  # fmt: skip
+        """Return an arm that is not yet connected.
+
+        Args:
+            name: planning group of the arm.
+            limits: supervision limits and backend of the block `real`.
+            on_state: the arm calls it after each new state.
+        """
+
+    # --- bring-up ---
+    @abstractmethod
+    def measure_network(self, arm: A) -> NetworkReport:
+        """Measure round trips and state intervals of a connection; nothing moves."""
+
+    @abstractmethod
+    def power_on(self, name: str, arm: A) -> str:
+        """Power an arm on and release its brakes, or ask the operator to; return the result in words.
+
+        Raises:
+            InputError: the arm is not ready afterwards; the message states the remedy.
+        """
+
+    @abstractmethod
+    def measured_positions(self, arm: A) -> Array:
+        """Return the measured joint positions (n,) [rad] of an arm that is not connected otherwise."""
+
+    @abstractmethod
+    def flange_position(self, found: I, q: Array) -> Array:
+        """Return the flange position (3,) [m] in the model's base link, by the robot's own geometry.
+
+        Args:
+            q: joint positions (n,) [rad].
+        """
+
+
+robot_kinds: Registry[RobotKind[Any, Any]] = Registry("kind of real robot", "armcell.drivers")
+"""Robot kinds by the name that a cell file states in `real: {kind: ...}`."""
+
+
+def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
+    """Return the robot kind of an arm.
+
+    Raises:
+        UnknownNameError: no kind with this name is installed.
+    """
+    return robot_kinds[arm.kind]
+
+
+def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
+    """Identify the robots of all arms, and check that their addresses are not swapped.
+
+    Raises:
+        InputError: a robot does not answer, or the arms' addresses are swapped.
+    """
+    found = {name: kind_of(arm).identify(arm) for name, arm in settings.arms.items()}
+    check_swapped(settings.arms, found)
+    return found
+
+
+def check_distinct(arms: Mapping[str, ArmSettings], what: str, key: str) -> None:
+    """Check that no two arms have the same value of a setting.
+
+    Raises:
+        InputError: two arms have the same value.
+    """
+    owners: dict[Any, str] = {}
+    for name, arm in arms.items():
+        other = owners.setdefault(getattr(arm, key), name)
+        if other != name:
+            raise InputError(
+                f"arms {other!r} and {name!r} have the same {what} {getattr(arm, key)}",
+                element="real/arms", cure=f"every arm needs its own {what}",
+            )  # fmt: skip

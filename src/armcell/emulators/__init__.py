@@ -1,0 +1,1 @@
+"""Emulated robot controllers, which speak the vendors' own protocols."""

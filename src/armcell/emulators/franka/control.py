@@ -1,0 +1,78 @@
+"""Controllers of the emulated arm: joint impedance, Cartesian impedance, and stops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.emulators.franka.generators import Frames, Reference
+from armcell.emulators.franka.kinematics import JOINTS, rotation_log
+from armcell.emulators.franka.plant import PERIOD, FrankaPlant
+
+Array = NDArray[np.float64]
+
+JOINT_STIFFNESS = (3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0)  # [Nm/rad] Franka's default
+CARTESIAN_STIFFNESS = (3000.0, 3000.0, 3000.0, 300.0, 300.0, 300.0)  # [N/m], [Nm/rad] Franka's default
+CARTESIAN_DAMPING = (160.0, 160.0, 160.0, 9.0, 9.0, 9.0)  # [N s/m], [Nm s/rad] at the default stiffness
+NULLSPACE_STIFFNESS = 50.0  # [Nm/rad] of the elbow under Cartesian impedance
+DAMPING_RATIO = 1.0
+
+
+@dataclass
+class Impedance:
+    """Stiffness and damping of the internal controllers."""
+
+    joint: Array = field(default_factory=lambda: np.array(JOINT_STIFFNESS))
+    cartesian: Array = field(default_factory=lambda: np.array(CARTESIAN_STIFFNESS))
+    damping: Array = field(default_factory=lambda: np.full(JOINTS, 50.0))
+
+    def fit(self, inertia: Array) -> None:
+        """Set the joint damping for an inertia (7,) [kg m^2]."""
+        self.damping = 2.0 * DAMPING_RATIO * np.sqrt(self.joint * inertia)
+
+
+def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedance) -> Array:
+    """Return the torques (7,) [Nm] of a spring and damper to the joint reference, with feedforward."""
+    q, dq = plant.read()
+    spring = impedance.joint * (reference.q - q) + impedance.damping * (reference.dq - dq)
+    return spring + plant.inertial_torque(reference.ddq) + plant.coriolis() + plant.friction()
+
+
+def cartesian_impedance(
+    plant: FrankaPlant, frames: Frames, reference: Reference, impedance: Impedance
+) -> Array:
+    """Return the torques (7,) [Nm] of a spring and damper to the end effector's reference."""
+    q, dq = plant.read()
+    wanted = frames.pose(reference.q)
+    T, J = frames.pose_and_jacobian(q)
+    off = np.concatenate([wanted[:3, 3] - T[:3, 3], rotation_log(wanted[:3, :3] @ T[:3, :3].T)])
+    slip = J @ (reference.dq - dq)
+    damping = np.array(CARTESIAN_DAMPING) * np.sqrt(impedance.cartesian / np.array(CARTESIAN_STIFFNESS))
+    wrench = impedance.cartesian * off + damping * slip
+    elbow = NULLSPACE_STIFFNESS * (reference.q - q) + 10.0 * (reference.dq - dq)
+    elbow = elbow - J.T @ np.linalg.solve(J @ J.T + 1e-9 * np.eye(6), J @ elbow)
+    return J.T @ wrench + elbow + plant.inertial_torque(reference.ddq) + plant.coriolis() + plant.friction()
+
+
+class Brake:
+    """Brings a moving reference to rest along its direction, all joints at the same time."""
+
+    def __init__(self, reference: Reference, deceleration: Array):
+        self._reference = reference
+        self._dq = reference.dq.copy()
+        duration = float((np.abs(self._dq) / deceleration).max())
+        self._left, self._duration = duration, duration
+
+    def step(self) -> bool:
+        """Advance by 1 ms; return whether the reference is at rest."""
+        r = self._reference
+        self._left = max(self._left - PERIOD, 0.0)
+        if self._left == 0.0 or self._duration == 0.0:
+            r.rest(r.q)
+            return True
+        r.dq = self._dq * (self._left / self._duration)
+        r.ddq = -self._dq / self._duration
+        r.q = r.q + r.dq * PERIOD
+        return False

@@ -1,0 +1,133 @@
+"""Emulated Franka controllers with all network ports."""
+
+from __future__ import annotations
+
+import selectors
+import struct
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import BinaryIO
+
+from armcell.core.checks import checked
+from armcell.drivers.franka.wire.limits import limits_of
+from armcell.emulators import rack
+from armcell.emulators.franka.command_server import CommandServer
+from armcell.emulators.franka.hand import Hand, HandServer
+from armcell.emulators.franka.kinematics import urdf
+from armcell.emulators.franka.operator_server import OperatorServer
+from armcell.emulators.franka.plant import PERIOD, FrankaPlant
+from armcell.emulators.franka.robot import Robot
+from armcell.emulators.network import Network
+from armcell.model import load_robot
+from armcell.scene import PlanningScene
+from armcell.sim import PhysicsSettings, SimWorld
+
+TRACE, _TRACE_RECORD = struct.Struct("<B16d"), struct.Struct("<16d")
+"""Trace record: arm index, monotonic time and robot time [s], actual and desired positions (7,) [rad]."""
+
+ANSWER_TIME = 0.0005  # [s] in which a client must be able to answer a state
+
+
+@dataclass(frozen=True)
+@checked()
+class ControllerSettings:
+    """Settings of one emulated controller."""
+
+    model: str = "fr3"
+    host: str = "127.0.0.3"
+    locked: bool = False  # brakes locked
+    active: bool = True  # the Franka Control Interface is active
+    homed: bool = True  # the hand
+
+
+def free_arm() -> PlanningScene:
+    """Return the scene of an arm with a hand at its home position, without objects."""
+    model = load_robot("panda")
+    home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
+    return PlanningScene.of(model, [home[name] for name in model.joint_names])
+
+
+def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
+    """Return a physics world of a scene whose arms are driven by torques at 1 kHz."""
+    settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
+    return SimWorld(scene, settings)
+
+
+class FrankaController:
+    """One emulated controller with its robot, hand and ports, stepped at 1 kHz."""
+
+    def __init__(self, settings: ControllerSettings, selector: selectors.BaseSelector, plant: FrankaPlant,
+                 group: str):  # fmt: skip
+        self.settings, self.plant = settings, plant
+        self.network = Network(selector)
+        self.period, self.answer_time = PERIOD, ANSWER_TIME
+        limits = limits_of(settings.model)
+        self.robot = Robot(limits, plant)
+        if settings.locked:
+            self.robot.brakes(True)
+        self.hand = Hand(plant)
+        self.hand.homed = settings.homed
+        host = settings.host
+        try:
+            self.commands = CommandServer(
+                self.robot, self.network, host, urdf(plant.world.robot, group, limits)
+            )
+            self.commands.set_active(settings.active)
+            self._hand_server = HandServer(self.hand, self.network, host)
+            self.operator = OperatorServer(self.robot, self.hand, self.commands, self, self.network, host)
+        except BaseException:
+            self.network.close()
+            raise
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a client is connected, or only an injected network fault disconnects it."""
+        return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
+
+    def step(self) -> None:
+        """Run one control cycle of the robot, the hand and the ports."""
+        self.robot.step(self.commands.commands())
+        self.commands.send_state()
+        self._hand_server.step()
+        self.network.flush()
+
+    def reset(self) -> None:
+        """Reset the arm, the hand and all objects to their start."""
+        self.plant.reset()
+        self.hand.follow_reset()
+        self.robot.follow_reset()
+        self.robot.announce("the arm and its world are back at their start")
+
+    def trace(self) -> bytes:
+        r = self.robot
+        return _TRACE_RECORD.pack(time.monotonic(), r.time * PERIOD, *r.q, *r.reference.q)
+
+    def close(self) -> None:
+        self.network.close()
+
+
+class Rack(rack.Rack[FrankaController]):
+    """Emulated Franka controllers in one thread, each with its own plant.
+
+    Args:
+        groups: planning group of each plant's arm.
+        trace: file for records in the format `TRACE`.
+        reset_between_runs: reset arms and objects to their start once all clients have disconnected.
+    """
+
+    def __init__(
+        self,
+        settings: Sequence[ControllerSettings],
+        plants: Sequence[FrankaPlant],
+        groups: Sequence[str],
+        trace: BinaryIO | None = None,
+        reset_between_runs: bool = False,
+    ):
+        super().__init__([], selectors.DefaultSelector(), trace, reset_between_runs)
+        try:
+            for each, plant, group in zip(settings, plants, groups, strict=True):
+                self.controllers.append(FrankaController(each, self._selector, plant, group))
+        except BaseException:
+            self.close()
+            raise

@@ -1,0 +1,177 @@
+"""Physics of one Franka arm: joints driven by torques, hand, and external torques."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import InputError
+from armcell.emulators.franka.kinematics import JOINTS, ArmKinematics, arm_joints
+from armcell.sim import SimWorld
+
+Array = NDArray[np.float64]
+
+PERIOD = 0.001  # [s]
+FILTER = 30.0  # [Hz] cutoff of the external torques' low-pass filter
+
+
+class FrankaPlant:
+    """One arm of a physics world, driven by joint torques at 1 kHz.
+
+    Args:
+        world: a world with `arm_control: "torque"` whose time step divides 1 ms.
+        group: planning group of the arm.
+    Raises:
+        InputError: the group is not a Franka arm, or the world cannot be driven at 1 kHz by torques.
+    """
+
+    def __init__(self, world: SimWorld, group: str):
+        self.world = world
+        self.names = arm_joints(world.robot, group)
+        self._steps = round(PERIOD / world.timestep)
+        if self._steps < 1 or abs(self._steps * world.timestep - PERIOD) > 1e-9:
+            raise InputError(f"the world's time step of {world.timestep} s does not divide 1 ms")
+        joints = [world.robot.joints[n] for n in self.names]
+        self.kinematics = ArmKinematics(joints)
+        grippers = [g for g in world.robot.grippers.values() if g.arm_group == group]
+        self.hand = grippers[0] if grippers else None
+        self.links = set(world.robot.group(group).link_names) | {joints[0].parent}
+        if self.hand is not None:
+            self.links |= set(self.hand.hand_links)
+        self._base, self._tip = joints[0].parent, joints[-1].child
+        self._dofs = world.built.dofs[world.robot.columns(self.names)]
+        self._qpos = world.built.qpos[world.robot.columns(self.names)]
+        self._payload = 0.0  # [kg] unknown to the controller
+        self._offset = np.zeros(JOINTS)
+        self.push = np.zeros(3)  # [N] force of a person on the last link, world frame
+        self.follow_reset()
+
+    def reset(self) -> None:
+        """Reset the arm and all objects to their start."""
+        self.world.reset()
+        self.follow_reset()
+
+    def follow_reset(self) -> None:
+        self._filtered, self._seen = np.zeros(JOINTS), 0
+        self.push = np.zeros(3)
+        if self.hand is not None:
+            movable = tuple(self.world.built.object_qpos)
+            for link in self.hand.hand_links:
+                self.world.monitor.allow(link, movable)
+
+    # --- measurements ---
+    def read(self) -> tuple[Array, Array]:
+        """Return measured joint positions [rad] and velocities [rad/s], each (7,)."""
+        data = self.world._data
+        return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
+
+    def torques(self) -> Array:
+        """Return the measured joint torques (7,) [Nm], with the links' weight."""
+        data = self.world._data
+        return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
+
+    def external(self) -> Array:
+        """Return the external torques (7,) [Nm] by which measured torques exceed the robot's own dynamics.
+
+        Forces of the robot on its environment are positive. The configured load is not subtracted.
+        """
+        return self._filtered
+
+    def inertial_torque(self, acceleration: Array) -> Array:
+        """Return the torques (7,) [Nm] for joint accelerations [rad/s^2] of the arm and its hand."""
+        model, data = self.world.mj_model, self.world._data
+        wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
+        wanted[self._dofs] = acceleration
+        mujoco.mj_mulM(model, data, torque, wanted)
+        return torque[self._dofs]
+
+    def coriolis(self) -> Array:
+        """Return the Coriolis and centrifugal torques (7,) [Nm] at the current state."""
+        data, dofs = self.world._data, self._dofs
+        return data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs] - self._weight()
+
+    def friction(self) -> Array:
+        """Return the torques (7,) [Nm] that compensate the joints' viscous friction."""
+        data, dofs = self.world._data, self._dofs
+        return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
+
+    def inertia(self) -> Array:
+        """Return the diagonal of the joint-space inertia matrix (7,) [kg m^2] at the current state."""
+        model, data = self.world.mj_model, self.world.mj_data
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        return np.diag(full)[self._dofs].copy()
+
+    def _weight(self) -> Array:
+        """Return the torques (7,) [Nm] that carry the unknown payload."""
+        if not self._payload:
+            return np.zeros(JOINTS)
+        return self._tip_torque(-self._payload * np.asarray(self.world.settings.gravity))
+
+    def _tip_torque(self, force: Array) -> Array:
+        """Return the joint torques (7,) [Nm] of a force (3,) [N], world frame, at the last link's center."""
+        jacobian = np.zeros((3, self.world.mj_model.nv))
+        body = self.world.built.body[self._tip]
+        mujoco.mj_jacBodyCom(self.world.mj_model, self.world._data, jacobian, None, body)
+        return jacobian[:, self._dofs].T @ force
+
+    def load_torque(self, mass: float, center: Array) -> Array:
+        """Return the torques (7,) [Nm] that carry a mass [kg] at a point of the flange frame (3,) [m]."""
+        self.kinematics.at(self.read()[0])
+        at = self.kinematics.flange()
+        R = self.world.link_pose(self._base).rotation.matrix
+        up = R.T @ -np.asarray(self.world.settings.gravity) * mass
+        return self.kinematics.jacobian(at[:3, :3] @ center + at[:3, 3])[:3].T @ up
+
+    def touched(self) -> list[tuple[str, str]]:
+        """Return the unexpected pairs of touching bodies since the last call, a link of the arm first."""
+        new = self.world.monitor.unwanted[self._seen :]
+        self._seen += len(new)
+        pairs = [(t.body_a, t.body_b) if t.body_a in self.links else (t.body_b, t.body_a) for t in new]
+        return [p for p in pairs if p[0] in self.links]
+
+    def contact(self) -> str:
+        """Return the bodies of the strongest contact of the arm, such as "panda_hand on wall"."""
+        mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
+        if not mine:
+            return "no contact"
+        most = max(mine, key=lambda c: c.force)
+        return f"{most.body_a} on {most.body_b}"
+
+    # --- commands ---
+    def apply(self, torque: Array) -> None:
+        """Apply joint torques (7,) [Nm] on top of gravity compensation."""
+        self.world.set_arm_torque(self.names, torque)
+
+    def step(self) -> None:
+        """Advance the world by 1 ms."""
+        body = self.world.built.body[self._tip]
+        self.world._data.xfrc_applied[body, :3] = self.push
+        self.world.step(self._steps)
+        data = self.world._data
+        felt = data.qfrc_constraint[self._dofs].copy()
+        if self.push.any():
+            felt += self._tip_torque(self.push)
+        share = 1.0 - np.exp(-2.0 * np.pi * FILTER * PERIOD)
+        self._filtered = self._filtered + share * (self._weight() - felt - self._filtered)
+
+    # --- faults ---
+    def displace(self, q: ArrayLike) -> None:
+        """Move the joints (7,) [rad] to other positions, as a person guiding the arm would."""
+        positions = np.array(self.world.joint_state().positions)
+        positions[self.world.robot.columns(self.names)] = q
+        self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
+
+    def payload(self, mass: float) -> None:
+        """Attach a mass [kg] to the last link without the controller's knowledge."""
+        self.world.add_load(self._tip, mass)
+        self._payload += mass
+
+    def block(self, joint: int) -> None:
+        """Block a joint (0 to 6) at its position, at any torque."""
+        self.world.block(self.names[joint])
+
+    def offset(self, joint: int, angle: float) -> None:
+        """Add an error [rad] to a joint's measured position, as a wrong zero of its encoder would."""
+        self._offset[joint] = angle

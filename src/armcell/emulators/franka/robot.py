@@ -1,0 +1,522 @@
+"""The emulated arm: modes, motions, parameters, errors and recovery, stepped at 1 kHz, without network."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.drivers.franka.wire import limits as wire_limits
+from armcell.drivers.franka.wire.commands import (
+    MoveController,
+    MoveGenerator,
+    MoveRequest,
+    MoveStatus,
+    RecoveryStatus,
+    SetterStatus,
+    StopStatus,
+)
+from armcell.drivers.franka.wire.limits import FrankaLimits
+from armcell.drivers.franka.wire.state import ControllerMode, GeneratorMode, RobotCommand, RobotMode
+from armcell.emulators.franka.control import Brake, Impedance, cartesian_impedance, joint_impedance
+from armcell.emulators.franka.generators import (
+    Cartesian,
+    Follow,
+    Frames,
+    Generator,
+    Interpolation,
+    JointPosition,
+    JointVelocity,
+    Reference,
+    Reflex,
+    elbow_of,
+)
+from armcell.emulators.franka.kinematics import JOINTS, rotation_log
+from armcell.emulators.franka.plant import PERIOD, FrankaPlant
+
+log = logging.getLogger(__name__)
+Array = NDArray[np.float64]
+
+MAX_LOST = 20  # missing commands in a row that end a motion
+WINDOW = 100  # commands of the success rate
+FIRST_COMMAND = 1000  # [ms] in which a motion's first command must arrive
+RECOVERY = 200  # [ms] that automatic recovery takes; a real arm needs longer
+STOP_DECELERATION = 15.0  # [rad/s^2] of reflexes and stops
+LIMIT_MARGIN = 0.005  # [rad] beyond a position limit at which an arm has violated it
+MOVING = 1e-3  # [rad/s^2] desired acceleration above which the thresholds for acceleration apply
+GUIDING_DAMPING = 2.0  # [Nm s/rad]
+T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degrees, 103.4 mm ahead
+    [
+        [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+        [-np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.1034],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+
+
+@dataclass
+class Thresholds:
+    """Contact (lower) and collision (upper) thresholds: torques (7,) [Nm], forces (6,) [N, Nm].
+
+    The defaults are those of Franka's ROS packages.
+    """
+
+    torque: dict[str, Array] = field(default_factory=lambda: _both((25, 25, 22, 20, 19, 17, 14), 10.0))
+    force: dict[str, Array] = field(default_factory=lambda: _both((30, 30, 30, 25, 25, 25), 10.0))
+
+
+def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
+    low, high = np.array(lower, dtype=float), np.array(lower, dtype=float) + more
+    return {"lower": low, "upper": high, "lower_acceleration": low, "upper_acceleration": high}
+
+
+@dataclass
+class Load:
+    """Configured load: mass [kg], center in the flange frame (3,) [m], inertia (9,) [kg m^2]."""
+
+    mass: float = 0.0
+    center: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros(9))
+
+
+@dataclass(eq=False)
+class Motion:
+    """A running motion."""
+
+    request: MoveRequest
+    answer: Callable[[MoveStatus], None]
+    generator: Generator
+    started: bool = False
+    waited: int = 0
+    lost: int = 0
+    ending: MoveStatus | None = None  # answer once the arm is at rest
+
+
+class Robot:
+    """State and behavior of one emulated arm, without network access.
+
+    Attributes:
+        time: [ms] since the start; the identifier of the state message.
+        errors, last_errors: active errors, and the errors that ended the last motion.
+        success_rate: fraction of the last 100 commands that arrived in time; 0 without a motion.
+        listeners: called with a text for each event.
+    """
+
+    def __init__(self, limits: FrankaLimits, plant: FrankaPlant):
+        self.limits, self.plant = limits, plant
+        self.time = 0
+        self.mode = RobotMode.IDLE
+        self.errors: set[str] = set()
+        self.last_errors: set[str] = set()
+        self.listeners: list[Callable[[str], None]] = []
+        self.NE_T_EE, self.EE_T_K = np.eye(4), np.eye(4)
+        self.thresholds, self.impedance, self.load = Thresholds(), Impedance(), Load()
+        self.T_F_NE = T_F_NE if plant.hand is not None else np.eye(4)
+        self.guiding_axes = (True,) * 7
+        self.motion: Motion | None = None
+        self.reference = Reference(plant.read()[0].copy())
+        self._brake: Brake | None = None
+        self._recovered: tuple[int, Callable[[RecoveryStatus], None]] | None = None  # time and answer
+        self._arrived: deque[bool] = deque(maxlen=WINDOW)
+        self.torque, self.torque_rate = np.zeros(JOINTS), np.zeros(JOINTS)  # desired [Nm], [Nm/s]
+        self._commanded_torque = np.zeros(JOINTS)
+        self.joint_contact, self.joint_collision = np.zeros(JOINTS), np.zeros(JOINTS)
+        self.cartesian_contact, self.cartesian_collision = np.zeros(6), np.zeros(6)
+        self._update_frames()
+        self.measure()
+
+    # --- frames and measurements ---
+    def _update_frames(self) -> None:
+        self.F_T_EE = self.T_F_NE @ self.NE_T_EE
+        self.frames = Frames(self.plant.kinematics, self.F_T_EE)
+
+    def measure(self) -> None:
+        """Update the measured state from physics."""
+        self.q, self.dq = (x.copy() for x in self.plant.read())
+        self.O_T_EE_d = self.frames.pose(self.reference.q)
+        self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
+        T_O_K = self.O_T_EE @ self.EE_T_K
+        carried = self.load_torque()
+        self.tau_ext = self.plant.external() - carried
+        J = self.plant.kinematics.jacobian(T_O_K[:3, 3]) if carried.any() or self.EE_T_K[:3, 3].any() else J
+        gram = J @ J.T
+        singular = np.linalg.det(gram) < 1e-8
+        self.O_F_K = np.zeros(6) if singular else np.linalg.solve(gram, J @ self.tau_ext)
+        R = T_O_K[:3, :3].T
+        self.K_F_K = np.concatenate([R @ self.O_F_K[:3], R @ self.O_F_K[3:]])
+
+    def load_torque(self) -> Array:
+        """Return the torques (7,) [Nm] that carry the configured load."""
+        if self.load.mass == 0.0:
+            return np.zeros(JOINTS)
+        torque = self.plant.load_torque(self.load.mass, self.load.center)
+        self.frames.pose(self.q)  # the kinematics are shared: restore them to the measured state
+        return torque
+
+    # --- one millisecond ---
+    def step(self, commands: Sequence[RobotCommand]) -> None:
+        """Run one control cycle with the commands that have arrived since the last one."""
+        command = next((c for c in reversed(commands) if c.time == self.time), None)
+        self.time += 1
+        self._end_recovery()
+        try:
+            self._advance(command)
+        except Reflex as reflex:
+            self.abort(reflex)
+        before = self.torque
+        self.torque = self._control()
+        self.torque_rate = (self.torque - before) / PERIOD
+        self.plant.apply(np.clip(self.torque, -self.limits.torque, self.limits.torque))
+        self.plant.step()
+        self.measure()
+        try:
+            self._supervise()
+        except Reflex as reflex:
+            self.abort(reflex)
+
+    def _advance(self, command: RobotCommand | None) -> None:
+        motion = self.motion
+        if self._brake is not None:
+            if self._brake.step():
+                self._brake = None
+                if motion is not None and motion.ending is not None:
+                    self._finish(motion.ending)
+                elif self.mode is RobotMode.REFLEX:
+                    self.reference.rest(self.q)  # a reflex presses against nothing
+            return
+        if motion is None:
+            if self.mode in (RobotMode.GUIDING, RobotMode.OTHER):
+                self.reference.rest(self.q)
+            return
+        if not motion.started:
+            motion.waited += 1
+            if command is None and not motion.generator.patient:
+                if motion.waited > FIRST_COMMAND:
+                    raise Reflex("communication_constraints_violation", "no first command")
+                return
+            motion.started = True
+        self._count(motion, command)
+        if isinstance(motion.generator, Follow):
+            self._follow()
+        if motion.request.controller is MoveController.EXTERNAL and command is not None:
+            self._take_torque(command)
+        motion.generator.step(command)
+        if command is not None and (command.motion_finished or command.torque_finished):
+            self._finish_command(motion)
+
+    def _count(self, motion: Motion, command: RobotCommand | None) -> None:
+        self._arrived.append(command is not None or motion.generator.patient)
+        motion.lost = 0 if self._arrived[-1] else motion.lost + 1
+        if motion.lost >= MAX_LOST:
+            raise Reflex("communication_constraints_violation", f"{MAX_LOST} commands missing in a row")
+
+    def _follow(self) -> None:
+        self.reference.q, self.reference.dq, self.reference.ddq = self.q, self.dq, np.zeros(JOINTS)
+
+    def _take_torque(self, command: RobotCommand) -> None:
+        torque = np.array(command.torque)
+        if np.any(np.abs(torque) > self.limits.torque):
+            raise Reflex("tau_J_range_violation")
+        if np.any(np.abs(torque - self._commanded_torque) > self.limits.torque_rate * PERIOD * 1.001):
+            raise Reflex("controller_torque_discontinuity")
+        self._commanded_torque = torque
+
+    def _finish_command(self, motion: Motion) -> None:
+        """End a motion by the client's word; position and velocity commands must be at rest by then."""
+        motion.ending = MoveStatus.SUCCESS
+        moving = bool(np.any(np.abs(self.reference.dq) > 1e-4))
+        streamed = not motion.generator.patient and not isinstance(motion.generator, Follow)
+        if streamed and np.any(np.abs(self.reference.dq) / PERIOD > 1.5 * self.limits.acceleration):
+            name = "cartesian_motion_generator_velocity_discontinuity"
+            raise Reflex(
+                name if motion.generator.cartesian else "joint_motion_generator_velocity_discontinuity",
+                "the motion finished while moving",
+            )
+        if moving:
+            self._brake = Brake(self.reference, self.limits.acceleration)
+        else:
+            self.reference.rest(self.reference.q)
+            self._finish(MoveStatus.SUCCESS)
+
+    def _control(self) -> Array:
+        external = self.motion is not None and self.motion.request.controller is MoveController.EXTERNAL
+        if external and self._brake is None:
+            return self._commanded_torque + self.load_torque() + self.plant.friction()
+        if self.mode is RobotMode.GUIDING:
+            return self.load_torque() - GUIDING_DAMPING * self.dq
+        cartesian = self.motion is not None and (
+            self.motion.request.controller is MoveController.CARTESIAN_IMPEDANCE
+        )
+        if cartesian and self._brake is None:
+            torque = cartesian_impedance(self.plant, self.frames, self.reference, self.impedance)
+        else:
+            torque = joint_impedance(self.plant, self.reference, self.impedance)
+        return torque + self.load_torque()
+
+    def _supervise(self) -> None:
+        """Check the measured state. Raises Reflex."""
+        accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
+        kind = "_acceleration" if accelerating else ""
+        torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
+        self.joint_contact = (torque > self.thresholds.torque["lower" + kind]).astype(float)
+        self.cartesian_contact = (force > self.thresholds.force["lower" + kind]).astype(float)
+        if self.mode is not RobotMode.MOVE:
+            return
+        joint = torque > self.thresholds.torque["upper" + kind]
+        cartesian = force > self.thresholds.force["upper" + kind]
+        if cartesian.any():
+            self.cartesian_collision = cartesian.astype(float)
+            raise Reflex("cartesian_reflex", self.plant.contact())
+        if joint.any():
+            self.joint_collision = joint.astype(float)
+            raise Reflex("joint_reflex", self.plant.contact())
+        own = self.plant.links
+        if (pair := next((p for p in self.plant.touched() if p[1] in own), None)) is not None:
+            raise Reflex("self_collision_avoidance_violation", f"{pair[0]} and {pair[1]}")
+        if self.outside_limits():
+            raise Reflex("joint_position_limits_violation")
+        if np.any(np.abs(self.dq) > 1.2 * self.limits.velocity):
+            raise Reflex("joint_velocity_violation")
+        self._check_deviation()
+
+    def _check_deviation(self) -> None:
+        motion = self.motion
+        if motion is None or isinstance(motion.generator, Follow):
+            return
+        wanted = self.O_T_EE_d
+        translation, rotation, elbow = motion.request.path_deviation
+        off = float(np.linalg.norm(wanted[:3, 3] - self.O_T_EE[:3, 3]))
+        turned = float(np.linalg.norm(rotation_log(wanted[:3, :3] @ self.O_T_EE[:3, :3].T)))
+        if off > translation or turned > rotation or abs(self.reference.q[2] - self.q[2]) > elbow:
+            raise Reflex("max_path_pose_deviation_violation", f"{off:.4f} m, {turned:.4f} rad")
+
+    def outside_limits(self) -> bool:
+        """Whether a joint is beyond its position limits."""
+        low, high = self.limits.lower - LIMIT_MARGIN, self.limits.upper + LIMIT_MARGIN
+        return bool(np.any((self.q < low) | (self.q > high)))
+
+    # --- motions ---
+    def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:
+        """Start a motion; `answer` is called when it starts, and again when it ends."""
+        if self.mode is not RobotMode.IDLE or self.motion is not None:
+            answer(MoveStatus.NOT_POSSIBLE)
+            return
+        external = request.controller is MoveController.EXTERNAL
+        interpolates = request.interpolate and request.generator is not MoveGenerator.JOINT_POSITION
+        if interpolates or (request.generator is MoveGenerator.NONE and not external):
+            answer(MoveStatus.INVALID_ARGUMENT)
+            return
+        self._brake = None
+        self.reference.rest(self.reference.q)
+        self.last_errors = set()
+        self._clear_contacts()
+        self.impedance.fit(self.plant.inertia())
+        self._arrived.clear()
+        self._commanded_torque = np.zeros(JOINTS)
+        self.motion = Motion(request, answer, self._generator(request))
+        self.mode = RobotMode.MOVE
+        answer(MoveStatus.STARTED)
+        if self.outside_limits():
+            self.abort(Reflex("joint_position_limits_violation", "at the start"))
+
+    def _generator(self, request: MoveRequest) -> Generator:
+        match request.generator:
+            case MoveGenerator.JOINT_POSITION if request.interpolate:
+                return Interpolation(self.limits, self.reference, request.max_velocity)
+            case MoveGenerator.JOINT_POSITION:
+                return JointPosition(self.limits, self.reference)
+            case MoveGenerator.JOINT_VELOCITY:
+                return JointVelocity(self.limits, self.reference)
+            case MoveGenerator.NONE:
+                return Follow()
+        velocity = request.generator is MoveGenerator.CARTESIAN_VELOCITY
+        return Cartesian(self.limits, self.reference, self.frames, velocity)
+
+    def _finish(self, status: MoveStatus) -> None:
+        motion, self.motion = self.motion, None
+        if self.mode is RobotMode.MOVE:
+            self.mode = RobotMode.IDLE
+        if motion is not None:
+            motion.answer(status)
+
+    def stop(self) -> StopStatus:
+        """Stop a motion by the client's command."""
+        if self.motion is not None:
+            if isinstance(self.motion.generator, Follow):
+                self._follow()
+            self.motion.ending = MoveStatus.PREEMPTED
+            self._slow_down()
+        return StopStatus.SUCCESS
+
+    def _slow_down(self) -> None:
+        self._brake = Brake(self.reference, np.full(JOINTS, STOP_DECELERATION))
+
+    def abort(self, reflex: Reflex, status: MoveStatus = MoveStatus.REFLEX_ABORTED) -> None:
+        """End the motion by an error and come to rest."""
+        if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED, RobotMode.OTHER):
+            return
+        self.announce(f"reflex: {reflex}")
+        if isinstance(getattr(self.motion, "generator", None), Follow):
+            self._follow()
+        self.errors.add(reflex.error)
+        self.last_errors = {reflex.error}
+        self.mode = RobotMode.REFLEX
+        self._slow_down()
+        self._finish(status)
+
+    def recover(self, answer: Callable[[RecoveryStatus], None]) -> None:
+        """Clear the errors by the client's command, if no person must do so; it takes `RECOVERY` ms."""
+        if self.mode in (RobotMode.OTHER, RobotMode.USER_STOPPED, RobotMode.AUTOMATIC_ERROR_RECOVERY):
+            answer(RecoveryStatus.NOT_POSSIBLE)
+        elif self.outside_limits():
+            answer(RecoveryStatus.MANUAL_RECOVERY_REQUIRED)
+        elif self.mode is RobotMode.REFLEX:
+            self.mode = RobotMode.AUTOMATIC_ERROR_RECOVERY
+            self._recovered = self.time + RECOVERY, answer
+        else:
+            answer(RecoveryStatus.SUCCESS)
+
+    def _end_recovery(self) -> None:
+        if self._recovered is None:
+            return
+        due, answer = self._recovered
+        if self.mode is not RobotMode.AUTOMATIC_ERROR_RECOVERY:
+            self._recovered = None
+            answer(RecoveryStatus.EMERGENCY_ABORTED)
+        elif self.time >= due:
+            self._recovered = None
+            self.errors.clear()
+            self._clear_contacts()
+            self._brake = None
+            self.reference.rest(self.q)
+            self.mode = RobotMode.IDLE
+            answer(RecoveryStatus.SUCCESS)
+
+    def _clear_contacts(self) -> None:
+        self.joint_collision, self.cartesian_collision = np.zeros(JOINTS), np.zeros(6)
+
+    # --- the operator ---
+    def user_stop(self, pressed: bool) -> None:
+        """Press or release the user stop."""
+        if pressed and self.mode is not RobotMode.USER_STOPPED:
+            self.announce("user stop pressed")
+            self.mode = RobotMode.USER_STOPPED
+            self._slow_down()
+            self._finish(MoveStatus.EMERGENCY_ABORTED)
+        elif not pressed and self.mode is RobotMode.USER_STOPPED:
+            self.announce("user stop released")
+            self.errors.clear()
+            self.reference.rest(self.q)
+            self.mode = RobotMode.IDLE
+
+    def brakes(self, locked: bool) -> None:
+        """Lock or unlock the brakes, as in Desk."""
+        if locked:
+            self._slow_down()
+            self._finish(MoveStatus.ABORTED)
+            self.mode = RobotMode.OTHER
+        elif self.mode is RobotMode.OTHER:
+            self.reference.rest(self.q)
+            self.mode = RobotMode.IDLE
+
+    def guide(self, on: bool) -> None:
+        """Press or release the pilot's enabling button: the arm is moved by hand."""
+        if on and self.mode is RobotMode.IDLE:
+            self.mode = RobotMode.GUIDING
+        elif not on and self.mode is RobotMode.GUIDING:
+            self.reference.rest(self.q)
+            self.mode = RobotMode.IDLE
+
+    def displace(self, q: ArrayLike) -> None:
+        """Put the arm at joint positions (7,) [rad] at once."""
+        self.plant.displace(q)
+        self.follow_reset()
+
+    def follow_reset(self) -> None:
+        """Continue at rest from the plant's state after a reset or a displacement."""
+        self._finish(MoveStatus.ABORTED)
+        self._brake = None
+        self.errors.clear()
+        self._clear_contacts()
+        self.measure()
+        self.reference.rest(self.q)
+        if self.mode is RobotMode.REFLEX:
+            self.mode = RobotMode.IDLE
+
+    def announce(self, text: str) -> None:
+        log.info("%s", text)
+        for listener in self.listeners:
+            listener(text)
+
+    # --- parameters ---
+    @property
+    def may_set(self) -> SetterStatus:
+        """Whether parameters can be set now: not during a motion."""
+        return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
+
+    def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
+        """Set the load [kg], its center in the flange frame (3,) [m] and inertia (9,) [kg m^2]."""
+        center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
+        tensor = inertia.reshape(3, 3)
+        heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD
+        if not (mass >= 0.0 and np.allclose(tensor, tensor.T)) or heavy:
+            return SetterStatus.INVALID_ARGUMENT
+        if np.linalg.norm(center) > 0.5 or np.linalg.eigvalsh(tensor)[0] < -1e-9:
+            return SetterStatus.INVALID_ARGUMENT
+        self.load = Load(mass, center, inertia)
+        return SetterStatus.SUCCESS
+
+    def set_frame(self, name: str, values: Sequence[float]) -> SetterStatus:
+        """Set NE_T_EE or EE_T_K from 16 column-major numbers."""
+        T = np.array(values).reshape(4, 4).T
+        valid = np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-4) and np.linalg.det(T[:3, :3]) > 0
+        if not valid or not np.allclose(T[3], (0, 0, 0, 1)):
+            return SetterStatus.INVALID_ARGUMENT
+        setattr(self, name, T)
+        self._update_frames()
+        return SetterStatus.SUCCESS
+
+    def set_stiffness(self, joint: bool, values: Sequence[float]) -> SetterStatus:
+        """Set the joint (7) [Nm/rad] or Cartesian (6) [N/m, Nm/rad] stiffness, within Franka's limits."""
+        stiffness = np.array(values)
+        top = np.full(JOINTS, 14250.0) if joint else np.array([3000.0] * 3 + [300.0] * 3)
+        low = np.zeros(JOINTS) if joint else np.array([10.0] * 3 + [1.0] * 3)
+        if np.any(stiffness < low) or np.any(stiffness > top):
+            return SetterStatus.INVALID_ARGUMENT
+        if joint:
+            self.impedance.joint = stiffness
+        else:
+            self.impedance.cartesian = stiffness
+        return SetterStatus.SUCCESS
+
+    def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
+        """Set the 52 contact and collision thresholds, in the order of SetCollisionBehavior."""
+        numbers = np.array(values)
+        names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
+        if np.any(numbers < 0.0):
+            return SetterStatus.INVALID_ARGUMENT
+        self.thresholds.torque = dict(zip(names, numbers[:28].reshape(4, 7), strict=True))
+        self.thresholds.force = dict(zip(names, numbers[28:].reshape(4, 6), strict=True))
+        return SetterStatus.SUCCESS
+
+    # --- modes of the state message ---
+    @property
+    def generator_mode(self) -> GeneratorMode:
+        return GeneratorMode.IDLE if self.motion is None else GeneratorMode(self.motion.request.generator + 1)
+
+    @property
+    def controller_mode(self) -> ControllerMode:
+        return ControllerMode.OTHER if self.motion is None else ControllerMode(self.motion.request.controller)
+
+    @property
+    def success_rate(self) -> float:
+        return sum(self._arrived) / len(self._arrived) if self.motion is not None and self._arrived else 0.0
+
+    @property
+    def elbow(self) -> Array:
+        return elbow_of(self.q)

@@ -1,0 +1,145 @@
+"""Emulated controllers that run in one thread, paced by wall time."""
+
+from __future__ import annotations
+
+import selectors
+import threading
+import time
+from collections.abc import Sequence
+from typing import BinaryIO, Generic, Protocol, TypeVar
+
+from armcell import _interrupts
+from armcell.emulators.network import Network
+
+IDLE = 1.0  # [s] without a client before a run counts as ended
+MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
+
+
+class Controller(Protocol):
+    """An emulated controller with its ports.
+
+    Attributes:
+        period: control period [s].
+        answer_time: shortest time [s] from one control step to the next, in which a client can answer; a
+            late emulator catches up only as far as this allows.
+    """
+
+    network: Network
+    period: float
+    answer_time: float
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a client is connected, or only an injected network fault disconnects it."""
+        ...
+
+    def step(self) -> None:
+        """Run one control step of the robot and the ports."""
+        ...
+
+    def reset(self) -> None:
+        """Put the arm and its world back to their start."""
+        ...
+
+    def trace(self) -> bytes:
+        """Return the record of the last control step for a trace file."""
+        ...
+
+    def close(self) -> None: ...
+
+
+AnyController = TypeVar("AnyController", bound=Controller)
+
+
+class Rack(Generic[AnyController]):
+    """Several emulated controllers that run in one thread, paced by wall time.
+
+    Args:
+        controllers: controllers with the same control period, on one selector.
+        trace: file for the controllers' records: index of the controller (one byte), then its record.
+        reset_between_runs: reset arms and objects to their start once all clients have disconnected.
+    """
+
+    def __init__(
+        self,
+        controllers: Sequence[AnyController],
+        selector: selectors.BaseSelector,
+        trace: BinaryIO | None = None,
+        reset_between_runs: bool = False,
+    ):
+        self._trace, self._reset_between_runs = trace, reset_between_runs
+        self._used_at: float | None = None  # [s] time of the last client; None: no client since a reset
+        self._selector = selector
+        self.controllers = list(controllers)
+        self.lost = 0.0  # [s] of wall time that the emulation skipped
+        self._stop = threading.Event()
+        self._opened = False
+
+    def open(self) -> None:
+        """Open the ports; `run` serves clients that connect. `run` also calls this method."""
+        if not self._opened:
+            self._opened = True
+            for controller in self.controllers:
+                controller.step()  # triggers compilation on a machine's first run, before clients wait
+            for controller in self.controllers:
+                controller.network.open()
+
+    def run(self) -> None:
+        """Serve clients until `stop`.
+
+        The controllers' cycles are evenly offset within a period, because real controllers are not
+        synchronized either.
+        """
+        self.open()
+        turn, due = 0, time.monotonic()
+        part = self.controllers[0].period / len(self.controllers)
+        while not self._stop.is_set():
+            _interrupts.check()
+            now = time.monotonic()
+            if now >= due:
+                controller = self.controllers[turn]
+                controller.step()
+                if self._trace is not None:
+                    self._trace.write(bytes([turn]) + controller.trace())
+                if self._reset_between_runs:
+                    self._reset_when_idle(now)
+                turn, due = (turn + 1) % len(self.controllers), due + part
+                earliest = time.monotonic() + controller.answer_time
+                if now - due > MAX_LAG:
+                    self.lost += now - due
+                    due = now
+                if controller.answer_time > 0.0 and due < earliest:
+                    due = earliest
+            wait = max(due - time.monotonic(), 0.0)
+            frozen = any(c.network.faults.frozen for c in self.controllers)
+            if frozen:  # unread data would wake the selector immediately
+                time.sleep(min(wait, 0.002))
+            for key, _ in self._selector.select(0.0 if frozen else wait):
+                key.data()
+
+    def _reset_when_idle(self, now: float) -> None:
+        if any(c.in_use for c in self.controllers):
+            self._used_at = now
+        elif self._used_at is not None and now - self._used_at > IDLE:
+            self._used_at = None
+            for controller in self.controllers:
+                controller.reset()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def close(self) -> None:
+        for controller in self.controllers:
+            controller.close()
+        self._selector.close()
+
+    def __enter__(self) -> Rack[AnyController]:
+        self.open()
+        self._thread = threading.Thread(target=self.run, name="emulated-controllers", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.stop()
+        self._thread.join(timeout=5.0)
+        self.close()

@@ -1,0 +1,126 @@
+"""URScript functions of the emulated controller: inputs, outputs and registers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.urscript.machine import ProgramError
+
+CONFIGURABLE, TOOL = 8, 16  # first bit of the configurable pins, and of the tool's pins
+
+
+def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
+    return _digital(robot) | _analog(robot) | _registers(robot)
+
+
+class DigitalOutputs(list):
+    """Legacy URScript variable `digital_out[n]`: assigning an item sets the digital output."""
+
+    def __init__(self, robot: Robot):
+        super().__init__([False] * 18)
+        self._robot = robot
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        self._robot.set_digital_out(_bit(index, 18), bool(value))
+
+    def __getitem__(self, index: Any) -> bool:
+        return bool(self._robot.digital_out >> _bit(index, 18) & 1)
+
+
+def _bit(index: Any, count: int, first: int = 0) -> int:
+    if not 0 <= int(index) < count:
+        raise ProgramError(f"there is no pin {int(index)} (0 to {count - 1})")
+    return int(index) + first
+
+
+def _digital(r: Robot) -> dict[str, Callable[..., Any]]:
+    def setter(count: int, first: int = 0) -> Callable[..., None]:
+        return lambda n, on: r.set_digital_out(_bit(n, count, first), bool(on))
+
+    def output(count: int, first: int = 0) -> Callable[..., bool]:
+        return lambda n: bool(r.digital_out >> _bit(n, count, first) & 1)
+
+    def entry(count: int, first: int = 0) -> Callable[..., bool]:
+        return lambda n: bool(r.digital_in >> _bit(n, count, first) & 1)
+
+    table: dict[str, Callable[..., Any]] = {
+        "set_digital_out": setter(18),  # the legacy names number all pins consecutively
+        "get_digital_out": output(18),
+        "get_digital_in": entry(18),
+    }
+    for name, count, first in (("standard", 8, 0), ("configurable", 8, CONFIGURABLE), ("tool", 2, TOOL)):
+        table[f"set_{name}_digital_out"] = setter(count, first)
+        table[f"get_{name}_digital_out"] = output(count, first)
+        table[f"get_{name}_digital_in"] = entry(count, first)
+        table[f"set_{name}_digital_input_action"] = lambda n, action: None
+    return table
+
+
+def _analog(r: Robot) -> dict[str, Callable[..., Any]]:
+    def set_output(n: Any, ratio: float) -> None:
+        r.analog_out[_bit(n, 2)] = min(max(float(ratio), 0.0), 1.0)
+
+    def get_output(n: Any) -> float:
+        return r.analog_out[_bit(n, 2)]
+
+    def tool_input(n: Any) -> float:
+        return 10.0 * r.plant.gripper()[0] if _bit(n, 2) == 0 else 0.0
+
+    def standard_input(n: Any) -> float:
+        _bit(n, 2)
+        return 0.0
+
+    def set_domain(n: Any, domain: int) -> None:
+        r.set_analog_domain(_bit(n, 2), bool(domain))
+
+    return {
+        "set_standard_analog_out": set_output,
+        "set_analog_out": set_output,
+        "get_standard_analog_out": get_output,
+        "get_analog_out": get_output,
+        "get_standard_analog_in": standard_input,
+        "get_tool_analog_in": tool_input,
+        "get_analog_in": lambda n: standard_input(n) if int(n) < 2 else tool_input(int(n) - 2),
+        "set_analog_outputdomain": set_domain,
+        "set_standard_analog_input_domain": lambda n, domain: None,
+        "set_tool_analog_input_domain": lambda n, domain: None,
+        "set_analog_inputrange": lambda n, reach: None,
+        "set_tool_voltage": lambda volts: setattr(r, "tool_voltage", int(volts)),
+        "set_tool_output_mode": lambda mode: None,
+        "set_tool_digital_output_mode": lambda n, mode: None,
+        "get_tool_current": lambda: 0.0,
+        "get_tool_accelerometer_reading": lambda: [0.0, 0.0, 9.81],
+    }
+
+
+def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
+    def write_int(register: int, value: int) -> None:
+        r.output_int[int(register)] = int(value)
+
+    def write_double(register: int, value: float) -> None:
+        r.output_double[int(register)] = float(value)
+
+    def write_bool(register: int, value: bool) -> None:
+        bit = 1 << _bit(register, 128)
+        r.output_bits = (r.output_bits & ~bit) | (bit if value else 0)
+
+    def read_bool(register: int) -> bool:
+        bit = _bit(register, 128)
+        if bit >= 64:
+            return bool(r.inputs.get(f"input_bit_register_{bit}", False))
+        word = "input_bit_registers0_to_31" if bit < 32 else "input_bit_registers32_to_63"
+        return bool(int(r.inputs.get(word, 0)) >> bit % 32 & 1)
+
+    return {
+        "read_input_boolean_register": read_bool,
+        "read_input_integer_register": lambda i: int(r.inputs.get(f"input_int_register_{int(i)}", 0)),
+        "read_input_float_register": lambda i: float(r.inputs.get(f"input_double_register_{int(i)}", 0.0)),
+        "read_output_boolean_register": lambda i: bool(r.output_bits >> _bit(i, 128) & 1),
+        "read_output_integer_register": lambda i: r.output_int[int(i)],
+        "read_output_float_register": lambda i: r.output_double[int(i)],
+        "write_output_boolean_register": write_bool,
+        "write_output_integer_register": write_int,
+        "write_output_float_register": write_double,
+    }

@@ -1,0 +1,72 @@
+"""Events of an emulated controller that it logs and sends on the primary interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from armcell.drivers.ur.wire.modes import SafetyMode
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text message that a program sent with `textmsg`."""
+
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class ProgramState:
+    """Start or end of a URScript program."""
+
+    started: bool
+    name: str
+
+    def __str__(self) -> str:
+        return f"program {self.name!r} {'started' if self.started else 'ended'}"
+
+
+@dataclass(frozen=True)
+class ScriptFault:
+    """Failure of a program to compile, or its end by an error.
+
+    Attributes:
+        line, column: position in the script's text, from 1.
+        code: text that a real controller sends, such as `compile_error_name_not_found:foo:`.
+    """
+
+    text: str
+    line: int
+    column: int
+    code: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class Popup:
+    """Popup message that the controller shows on the pendant."""
+
+    text: str
+    title: str = "Popup"
+    warning: bool = False
+    error: bool = False
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class SafetyChange:
+    """Change of the controller's safety mode."""
+
+    mode: SafetyMode
+
+    def __str__(self) -> str:
+        return f"safety mode {self.mode.name}"
+
+
+Notice = Text | ProgramState | ScriptFault | Popup | SafetyChange

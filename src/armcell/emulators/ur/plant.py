@@ -1,0 +1,262 @@
+"""Simulated arms for the emulated controller: kinematics with servo lag, or MuJoCo physics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armcell.core import SE3, SO3, InputError
+from armcell.drivers.ur.wire.kinematics import pose_of
+from armcell.sim import SimWorld
+
+Array = NDArray[np.float64]
+
+NOTHING = (np.zeros(3), np.zeros(3), np.zeros(3))
+ABOUT_Z = SE3(SO3.exp((0.0, 0.0, np.pi)), np.zeros(3))  # controller's base in the model's base_link
+SERVO_LAG = 0.008  # [s] approximate lag of a UR's joints behind their target
+
+
+class Plant(Protocol):
+    """Simulated joints and gripper of one arm.
+
+    Attributes:
+        resets: number of resets to the start.
+    """
+
+    resets: int
+
+    def reset(self) -> None:
+        """Reset the joints to their initial state, and the whole world if several arms share one."""
+        ...
+
+    def read(self) -> tuple[Array, Array, Array]:
+        """Return joint positions [rad], velocities [rad/s] and efforts [Nm], each (6,)."""
+        ...
+
+    def command(self, q: Array, v: Array, period: float) -> None:
+        """Set the joint targets for one control period [s] from now: positions and velocities (6,)."""
+        ...
+
+    def step(self, dt: float) -> None:
+        """Advance the simulation by a control period [s]; several arms in one world share the time.
+
+        Each of n arms advances the world by 1/n of the period.
+        """
+        ...
+
+    def displace(self, q: ArrayLike) -> None:
+        """Move the joints to other positions, as a person moving the arm by hand would."""
+        ...
+
+    def contact(self, hand: bool = True) -> str | None:
+        """Return a description of an unexpected contact of the arm since the last call, or None.
+
+        Args:
+            hand: whether contacts of the hand count.
+        """
+        ...
+
+    def wrench(self) -> tuple[Array, Array, Array]:
+        """Return the contact force [N] and torque [Nm] on the hand, and the reference point [m].
+
+        All three are (3,) vectors in the base frame.
+        """
+        ...
+
+    def drive_gripper(self, opening: float, force: float) -> None:
+        """Move the gripper to an opening with a limited force.
+
+        Args:
+            opening: 0..1 of the largest opening; 0 grasps.
+            force: 0..1 of the largest force.
+        """
+        ...
+
+    def gripper(self) -> tuple[float, bool]:
+        """Return the opening (0..1 of the largest) and whether the gripper holds an object."""
+        ...
+
+    def object_pose(self, name: str) -> list[float]:
+        """Return an object's world pose: x, y, z [m] and rotation vector [rad].
+
+        Raises:
+            ValueError: no object has this name.
+        """
+        ...
+
+
+class KinematicPlant:
+    """Simulated joints that follow their targets with a UR's servo lag, without physics."""
+
+    def __init__(self, q: ArrayLike):
+        self._start = np.array(q, dtype=float)
+        self.resets = -1
+        self.reset()
+
+    def reset(self) -> None:
+        self.displace(self._start)
+        self._opening, self._wanted = 1.0, 1.0
+        self.resets += 1
+
+    def read(self) -> tuple[Array, Array, Array]:
+        return self._q, self._v, np.zeros(6)
+
+    def command(self, q: Array, v: Array, period: float) -> None:
+        self._target = q
+
+    def step(self, dt: float) -> None:
+        moved = self._q + (self._target - self._q) * (1.0 - np.exp(-dt / SERVO_LAG))
+        self._v = (moved - self._q) / dt
+        self._q = moved
+        self._opening += float(np.clip(self._wanted - self._opening, -dt, dt))
+
+    def displace(self, q: ArrayLike) -> None:
+        self._q, self._v = np.array(q, dtype=float), np.zeros(6)
+        self._target = self._q.copy()
+
+    def contact(self, hand: bool = True) -> str | None:
+        return None
+
+    def wrench(self) -> tuple[Array, Array, Array]:
+        return NOTHING
+
+    def drive_gripper(self, opening: float, force: float) -> None:
+        self._wanted = float(np.clip(opening, 0.0, 1.0))
+
+    def gripper(self) -> tuple[float, bool]:
+        return self._opening, False
+
+    def object_pose(self, name: str) -> list[float]:
+        raise ValueError("there is no world")
+
+
+class SharedWorld:
+    """A physics world with one or several arms, each driven by its own emulated controller.
+
+    Between two commands of a controller, joint targets are interpolated linearly, as in a real drive.
+    """
+
+    def __init__(self, world: SimWorld, groups: Sequence[str]):
+        self.world = world
+        self.plants = [WorldPlant(self, group) for group in groups]
+        self._owed = 0.0  # [s]
+
+    def reset(self) -> None:
+        """Reset all arms and objects of the world to their initial state."""
+        self.world.reset()
+        for plant in self.plants:
+            plant.follow_reset()
+
+    def advance(self, dt: float) -> None:
+        """Advance the physics world by `dt` [s]; a remainder below one time step is carried over."""
+        self._owed += dt
+        step = self.world.timestep
+        while self._owed >= step - 1e-9:
+            for plant in self.plants:
+                plant.aim(self.world.time + step)
+            self.world.step()
+            self._owed -= step
+
+
+class WorldPlant:
+    """One arm of a physics world, with its gripper, for an emulated controller."""
+
+    def __init__(self, shared: SharedWorld, group: str):
+        self._shared, self.world = shared, shared.world
+        world = self.world
+        self._names: Sequence[str] = world.robot.group(group).joint_names
+        self._columns = world.robot.columns(tuple(self._names))
+        found = [g for g in world.robot.grippers.values() if g.arm_group == group]
+        self._gripper = found[0] if found else None
+        self._force = 0.0
+        self._links = set(world.robot.group(group).link_names)
+        self.tool_link = world.robot.joints[self._names[-1]].child
+        self._base = world.robot.joints[self._names[0]].parent
+        self._hand = set(self._gripper.hand_links) if self._gripper else set()
+        self.resets = -1
+        self.follow_reset()
+
+    def reset(self) -> None:
+        self._shared.reset()
+
+    def follow_reset(self) -> None:
+        """Resume from the initial state after the shared world was reset."""
+        self.resets += 1
+        self._seen, self._force = 0, 0.0
+        self._rest()
+        movable = tuple(self.world.built.object_qpos)
+        for link in self._hand:
+            self.world.monitor.allow(link, movable)  # a gripper may touch movable objects
+
+    def read(self) -> tuple[Array, Array, Array]:
+        state = self.world.joint_state()
+        columns = self._columns
+        if state.velocities is None or state.efforts is None:
+            raise InputError("the shared world tells no speeds and efforts", cure="share a SimWorld")
+        return state.positions[columns], state.velocities[columns], state.efforts[columns]
+
+    def _rest(self) -> None:
+        self._from = self._to = self.read()[0].copy()
+        self._speed, self._begun, self._span = np.zeros(6), self.world.time, 1.0
+
+    def command(self, q: Array, v: Array, period: float) -> None:
+        self._from = self._aimed(self.world.time)
+        self._to, self._speed = np.array(q), np.array(v)
+        self._begun, self._span = self.world.time, period
+
+    def _aimed(self, time: float) -> Array:
+        share = min(max((time - self._begun) / self._span, 0.0), 1.0)
+        return self._from + share * (self._to - self._from)
+
+    def aim(self, time: float) -> None:
+        """Set the arm's joint targets in the physics world, interpolated for a world time [s]."""
+        over = time > self._begun + 1.5 * self._span  # no new command: hold the target
+        self.world.set_arm_target(self._names, self._aimed(time), np.zeros(6) if over else self._speed)
+
+    def step(self, dt: float) -> None:
+        self._shared.advance(dt / len(self._shared.plants))
+
+    def displace(self, q: ArrayLike) -> None:
+        positions = np.array(self.world.joint_state().positions)
+        positions[self._columns] = q
+        self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
+        self._rest()
+
+    def contact(self, hand: bool = True) -> str | None:
+        links = self._links if hand else self._links - self._hand
+        new = self.world.monitor.unwanted[self._seen :]
+        self._seen += len(new)
+        for touch in new:
+            if links & {touch.body_a, touch.body_b}:
+                return f"{touch.body_a} touched {touch.body_b}"
+        return None
+
+    def wrench(self) -> tuple[Array, Array, Array]:
+        if self._gripper is None:
+            return NOTHING
+        felt = self.world.wrench(self._gripper.name)
+        T_base_world = (self.world.link_pose(self._base) @ ABOUT_Z).inv()
+        R = T_base_world.rotation.matrix
+        at = T_base_world.apply(self.world.link_pose(self._gripper.tcp_link).translation)
+        return R @ felt[:3], R @ felt[3:], at
+
+    def drive_gripper(self, opening: float, force: float) -> None:
+        if self._gripper is not None:
+            self._force = max(float(np.clip(force, 0.0, 1.0)) * self._gripper.max_force, 0.5)
+            width = float(np.clip(opening, 0.0, 1.0)) * self._gripper.max_width
+            self.world.set_gripper_target(self._gripper.name, width, self._force)
+
+    def gripper(self) -> tuple[float, bool]:
+        if self._gripper is None:
+            return 0.0, False
+        state = self.world.gripper_state(self._gripper.name)
+        holds = state.held is not None and state.force_per_finger >= 0.8 * self._force > 0.0
+        return float(np.clip(state.width / self._gripper.max_width, 0.0, 1.0)), holds
+
+    def object_pose(self, name: str) -> list[float]:
+        if name not in self.world.built.objects:
+            raise ValueError(f"no object {name!r}")
+        return pose_of(self.world.object_pose(name).matrix)

@@ -1,0 +1,181 @@
+"""Both hands of two arms at one object: measurements, gripper commands and coupled motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import neighbors
+from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome, PlanResult
+from armcell.core.checks import checked, require
+from armcell.execution.admittance import AdmittanceSettings
+from armcell.kinematics import kinematic_tree
+from armcell.planning import CarriedObject, plan_carry
+from armcell.scene import PlanningScene
+from armcell.tasks.arms.coupled import play
+from armcell.tasks.context import StageReport, TaskContext
+from armcell.tasks.steps import DONE, staged
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+@checked()
+class CarrySettings:
+    """Settings of carrying one object with two arms."""
+
+    velocity: float = 0.3  # scaling of the joint limits
+    acceleration: float = 0.15
+    max_speed: float = 0.2  # [m/s] maximum speed of the object
+    max_off: float = 5e-4  # [m] maximum deviation of the hands' relative position; more stops both arms
+    max_turn: float = 1.7453e-3  # [rad] maximum deviation of their relative rotation: 0.1 degree
+    max_squeeze: float = 30.0  # [N] maximum internal force between the hands; more stops both arms
+    approach: float = 0.1  # [m] straight approach
+    planning_time: float = 10.0  # [s] for detours around obstacles; 0: only straight paths
+    settle: float = 0.4  # [s] pause after closing and after opening
+    admittance: AdmittanceSettings = AdmittanceSettings()
+
+    def __post_init__(self) -> None:
+        for name in ("max_off", "max_turn", "max_squeeze", "approach", "max_speed"):
+            require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
+        require(self.planning_time >= 0, f"planning_time is {self.planning_time:g}, it must be at least 0")
+
+
+@dataclass
+class PairHold:
+    """State of both hands since the grippers closed on the object."""
+
+    carried: CarriedObject  # grasps at the set points
+    T_hands: SE3  # measured pose of the second hand in the first
+    T_first_object: SE3  # measured
+    supports: tuple[str, ...]  # bodies on which the object rested
+    q: Array = field(default_factory=lambda: np.zeros(0))  # current set points of both arms
+
+
+class HandPair:
+    """Both hands of two arms at the two ends of an object.
+
+    Args:
+        both: the group of both arms' joints.
+        ends: arm group -> subframe of the object for the arm's TCP.
+    Raises:
+        InputError: not two arms, no such subframe, or the object is fixed.
+    """
+
+    def __init__(
+        self, ctx: TaskContext, both: str, item: str, ends: Mapping[str, str], settings: CarrySettings
+    ):
+        model, found = ctx.scene().model, ctx.scene().object(item)
+        if len(ends) != 2:
+            raise InputError(f"{item!r} is given to {len(ends)} arms, two are needed")
+        for end in ends.values():
+            if end not in found.subframes:
+                raise InputError(
+                    f"object {item!r} has no subframe {end!r}", cure=f"{sorted(found.subframes)}"
+                )
+        if not found.movable:
+            raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+        self.ctx, self.both, self.item, self.ends, self.settings = ctx, both, item, dict(ends), settings
+        self.groups: tuple[str, str] = tuple(ends)  # type: ignore[assignment]
+        self.first, self.second = self.groups
+        self.grippers = {g: model.gripper(arm_group=g) for g in ends}
+        self.tips = {g: self.grippers[g].tcp_link for g in ends}
+        self.names = model.group(both).joint_names
+        self.columns = model.columns(self.names)
+        self.tree = kinematic_tree(model)
+        self.hold: PairHold | None = None
+
+    def other(self, group: str) -> str:
+        """Return the other arm's group."""
+        return next(g for g in self.groups if g != group)
+
+    def tcp_poses_at(self, q: Array) -> dict[str, SE3]:
+        """Return T_world_tcp of both arms at joint positions (n,) of both, by arm group."""
+        full = self.ctx.driver.joint_state().positions.copy()
+        full[self.columns] = q
+        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+
+    def measured_tcp_poses(self) -> dict[str, SE3]:
+        """Return the measured T_world_tcp of both arms, by arm group."""
+        full = self.ctx.driver.joint_state().positions
+        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+
+    def supports(self, scene: PlanningScene) -> tuple[str, ...]:
+        """Return the object's supports, now or at the time of the grasp."""
+        return self.hold.supports if self.hold is not None else tuple(neighbors(scene, self.item))
+
+    def attached(self, scene: PlanningScene) -> PlanningScene:
+        """Return the scene with the object attached to the first hand.
+
+        Contacts of both hands and of the supports with the object are allowed.
+        """
+        first, second = (self.grippers[g] for g in self.groups)
+        supports = self.supports(scene)
+        scene = scene.with_attached(self.item, first.tcp_link, first.hand_links)
+        return scene.with_allowed(self.item, (*second.hand_links, *supports))
+
+    def plan(
+        self, scene: PlanningScene, carried: CarriedObject, start: SE3, poses: Sequence[SE3], seconds: float
+    ) -> PlanResult:
+        """Plan to carry the object from a pose through others; 0 s: only along straight paths."""
+        s, rests_on = self.settings, self.supports(self.ctx.scene())
+        return plan_carry(
+            scene, self.both, carried, start, poses, s.velocity, s.acceleration, s.max_speed, rests_on,
+            seconds, self.ctx.seed, self.ctx.cancel,
+        )  # fmt: skip
+
+    def move_fingers(
+        self, name: str, widths: Mapping[str, float], settle: float, force: Mapping[str, float] | None = None
+    ) -> Outcome:
+        """Command both grippers simultaneously and wait for both.
+
+        Args:
+            widths: [m] by arm group.
+            settle: pause [s] after both have arrived.
+            force: [N] per finger by arm group, for closing on the object; default: the maximum.
+        """
+        ctx, driver = self.ctx, self.ctx.driver
+
+        def act() -> Outcome:
+            for group, width in widths.items():
+                g = self.grippers[group]
+                driver.command_gripper(g.name, width, g.max_force if force is None else force[group])
+            end = driver.now + ctx.settings.gripper_timeout
+            while driver.now < end and not ctx.cancel.is_set():
+                ctx.advance(0.02)
+                forces = dict.fromkeys(widths) if force is None else force
+                if all(self._arrived(g, w, forces[g]) for g, w in widths.items()):
+                    break
+            ctx.advance(settle)
+            return Outcome(ErrorCode.PREEMPTED, "cancelled") if ctx.cancel.is_set() else DONE
+
+        return staged(ctx, StageReport(name), act)
+
+    def _arrived(self, group: str, width: float, force: float | None) -> bool:
+        reading = self.ctx.driver.gripper(self.grippers[group].name)
+        if force is None:
+            return abs(reading.width - width) < 1e-3
+        return reading.held == self.item and reading.force_per_finger >= 0.8 * force
+
+    def play(
+        self, name: str, trajectory: JointTrajectory, report: StageReport | None = None,
+        correct: Callable | None = None, watch: Callable | None = None,
+        evidence: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Outcome:  # fmt: skip
+        """Execute a trajectory of both arms as a stage (see `coupled.play`)."""
+        report = report or StageReport(name, "cartesian")
+        return play(
+            self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching
+        )
+
+    def _touching(self) -> PlanningScene:
+        """Return the measured scene with the hands' contacts allowed and a held object attached."""
+        scene = self.ctx.scene()
+        if self.hold is not None:
+            return self.attached(scene)
+        return scene.with_allowed(self.item, [n for g in self.grippers.values() for n in g.hand_links])

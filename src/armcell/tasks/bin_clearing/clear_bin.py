@@ -1,0 +1,282 @@
+"""Bin clearing: look, pick a piece, release it over the tray, repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from armcell.core import ErrorCode, NamedGoal, Outcome
+from armcell.grasping import AboveSettings, HeapGrasp, grasps_from_above, hand_of
+from armcell.model import Gripper
+from armcell.planning import warm_up
+from armcell.tasks.bin_clearing.settings import ClearSettings
+from armcell.tasks.bin_clearing.stages import (
+    HEAP,
+    HELD,
+    ChooseFromHeap,
+    ChooseReleasePoint,
+    CloseOnHeap,
+    OpenAbove,
+    StillThere,
+    detach_held,
+    holds,
+)
+from armcell.tasks.bin_clearing.work_regions import (
+    Look,
+    RegionView,
+    WorkRegion,
+    add_heap,
+    first_not_empty,
+    floor_of,
+    look_at,
+    lowest_points,
+    table_around,
+)
+from armcell.tasks.context import TaskContext
+from armcell.tasks.pick import Pick, grasp_stages
+from armcell.tasks.search import PartialSolution, Stage
+from armcell.tasks.stages import AppendPlannedMotion, Connect, RunSteps, Straight
+from armcell.tasks.steps import Grip, perform_all
+from armcell.tasks.task import plan_stages
+
+_FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
+
+
+@dataclass
+class ClearCounts:
+    """Counters of a bin clearing run."""
+
+    picks: int = 0  # closed grasps
+    put: int = 0  # objects released over the tray
+    missed: int = 0  # closed without an object, or lost during the lift
+    dropped: int = 0  # lost in transit
+    unplanned: int = 0  # looks without a reachable grasp
+    in_a_row: int = 0  # failures since the last success
+    avoid: list[tuple[float, float, float]] = field(default_factory=list)  # x, y [m], turn [rad]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if isinstance(v, int) and k != "in_a_row"}
+
+
+def clear_bin(
+    ctx: TaskContext,
+    gripper: Gripper,
+    bin: str,
+    tray: str,
+    table: str,
+    look: Look,
+    look_at_tray: Look,
+    settings: ClearSettings = ClearSettings(),
+) -> Outcome:
+    """Pick pieces from a bin and release them over a tray until the bin is empty.
+
+    Uses only images and the gripper's readings. The next image shows dropped objects; objects beside bin or
+    tray are picked up last.
+
+    Args:
+        bin, tray: fixed objects with a level floor, square to the world's axes.
+        table: the fixed object that both stand on.
+        look, look_at_tray: return the newest depth image of each.
+    Returns:
+        SUCCESS if no piece is visible any more, otherwise the reason for giving up. Evidence: `picks`, `put`,
+        `missed`, `dropped`, `unplanned` (counts).
+    Raises:
+        InputError: bin or tray have no level floor or are not aligned with the world axes.
+    """
+    warm_up()
+    s, base = settings, ctx.base
+    bin_region, tray_region = floor_of(base, bin, s), floor_of(base, tray, s)
+    regions = (
+        (look, bin_region),
+        (look, table_around(base, bin, table, (bin, tray), s)),
+        (look_at_tray, table_around(base, tray, table, (bin, tray), s)),
+    )
+    return _BinClearing(ctx, gripper, bin, s).run(regions, look_at_tray, tray_region)
+
+
+class _BinClearing:
+    """State of one bin clearing run."""
+
+    def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: ClearSettings):
+        self.ctx, self.gripper, self.bin, self.settings = ctx, gripper, bin, settings
+        self.counts = ClearCounts()
+
+    def run(
+        self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
+    ) -> Outcome:
+        """Clear the regions in order into the tray."""
+        ctx, s, counts = self.ctx, self.settings, self.counts
+        while True:
+            if ctx.cancel.is_set():
+                return self._end(ErrorCode.PREEMPTED, "cancelled")
+            here = first_not_empty(ctx, regions, s)
+            if isinstance(here, Outcome):
+                return self._end(here.code, here.message)
+            if counts.in_a_row >= s.most_misses or counts.picks >= s.most_picks:
+                last = f"{counts.in_a_row} picks in a row brought nothing"
+                if counts.in_a_row < s.most_misses:
+                    last = f"{counts.picks} picks are all that was allowed"
+                where = f"{here.count} {here.region.name}"
+                return self._end(ErrorCode.FAILURE, f"given up, {last}; pieces still seen: {where}")
+            add_heap(ctx, here)
+            pick = _PickFromHeap(self, here)
+            outcome = pick.run()
+            if outcome.ok:
+                outcome = self._put(pick.grasp, here.region, tray, look_at_tray)
+            if outcome.code is ErrorCode.PREEMPTED:
+                continue
+            if outcome.ok:
+                counts.in_a_row, counts.avoid = 0, counts.avoid[-6:]
+                continue
+            counts.in_a_row += 1
+            ctx.emit("note", f"clearing {self.bin}: {outcome.message}")
+            if outcome.code in _FINAL:
+                return self._end(outcome.code, outcome.message)
+
+    def _end(self, code: ErrorCode, message: str) -> Outcome:
+        return Outcome(code, message, self.counts.as_dict())
+
+    def retreat(self, opening: float) -> None:
+        """Open the fingers, retreat straight up as far as possible, then leave the camera's view.
+
+        The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
+        the hand or the neighboring pieces may have moved since.
+        """
+        ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
+        detach_held(ctx)
+        reading = ctx.driver.gripper(gripper.name)
+        if holds(reading, s.thinnest):
+            width = min(reading.width + t.release_margin, opening)
+            Grip("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
+        touching = ((HEAP, gripper.hand_links), (self.bin, gripper.hand_links))
+        self._try_straight("retreat", s.lift, touching)
+        self._leave_view()
+
+    def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
+        """Move straight up by `rise` [m], or stay if no motion is found."""
+        gripper = self.gripper
+        stage = Straight(
+            name, gripper.arm_group, gripper.tcp_link, self.ctx.settings.near, (0.0, 0.0, rise), allow=allow
+        )
+        solution, _ = plan_stages(self.ctx, [stage], name)
+        if solution is not None:
+            perform_all(self.ctx, solution.steps)
+
+    def _leave_view(self) -> None:
+        """Move the arm to its first named state that is reachable."""
+        ctx, group = self.ctx, self.gripper.arm_group
+        for name in ctx.base.model.named_states.get(group, {}):
+            stage = Connect(f"move to {name}", group, ctx.settings.free, goal=NamedGoal(name))
+            solution, _ = plan_stages(ctx, [stage], f"move to {name}")
+            if solution is not None:
+                perform_all(ctx, solution.steps)
+                return
+
+    def _put(self, grasp: HeapGrasp, source: WorkRegion, tray: WorkRegion, look: Look) -> Outcome:
+        """Release the held object at the lowest point of the tray; FAILURE if the tray is full."""
+        ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
+        seen = look_at(ctx, look, tray, s)
+        if isinstance(seen, Outcome):
+            return seen
+        points = lowest_points(seen, s)
+        if not points or points[0][2] > tray.floor + s.pile:
+            self._put_back(grasp)
+            lowest = f"the lowest place is {1000 * (points[0][2] - tray.floor):.0f} mm up" if points else ""
+            room = f"{lowest}, at most {1000 * s.pile:.0f} mm are allowed" if points else "it is too small"
+            text = f"full: no room {tray.name}, {room}; what was held lies {source.name} again"
+            return Outcome(ErrorCode.FAILURE, f"{text} (empty the tray, or a greater `pile`)")
+        hang = float(grasp.T_object_tcp.translation[2]) - source.floor + s.gap
+        stages: list[Stage] = [
+            ChooseReleasePoint(points, hang, gripper, t.near, t.lower_distance),
+            Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
+            AppendPlannedMotion("lower", "after_lower", "lower"),
+            OpenAbove(gripper, t.release_margin, t.release_settle, s.thinnest),
+            Straight("retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, t.retreat_distance)),
+        ]  # fmt: skip
+        solution, outcome = plan_stages(ctx, stages, f"put {tray.name}")
+        if solution is not None:
+            outcome = perform_all(ctx, solution.steps)
+            if outcome.ok:
+                self.counts.put += 1
+                return outcome
+        if outcome.code is not ErrorCode.PREEMPTED:
+            self.counts.dropped += not holds(ctx.driver.gripper(gripper.name), s.thinnest)
+            detach_held(ctx)
+            Grip("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
+            self._leave_view()
+        return outcome
+
+    def _put_back(self, grasp: HeapGrasp) -> None:
+        """Lower the object along its lift path and release it."""
+        touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
+        self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
+        self.retreat(grasp.opening)
+
+
+class _PickFromHeap(Pick):
+    """Pick of one unknown piece that a camera sees; after a failure, `clear_bin` takes a new image."""
+
+    grasp: HeapGrasp  # the chosen grasp, after `plan`
+
+    def __init__(self, clearing: _BinClearing, here: RegionView):
+        super().__init__(f"pick {here.region.name}", lambda text: None)
+        self._clearing, self._here = clearing, here
+
+    def plan(self) -> tuple[PartialSolution | None, Outcome]:
+        ctx, gripper, s = self._clearing.ctx, self._clearing.gripper, self._clearing.settings
+        counts, t = self._clearing.counts, ctx.settings
+        grasps = self._candidates()
+        if not grasps:
+            counts.unplanned += 1
+            text = f"{self._here.count} pieces {self._here.region.name}, the hand fits around none of them"
+            return None, Outcome(ErrorCode.PLANNING_FAILED, text)
+        stages = grasp_stages(
+            ChooseFromHeap(grasps, gripper, t.near, t.approach_distance), gripper, t,
+            CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
+            Straight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
+                     allow=((HELD, (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))),
+            RunSteps("check grasp", (StillThere(gripper, s.thinnest),)),
+        )  # fmt: skip
+        solution, outcome = plan_stages(ctx, stages, self.label)
+        if solution is None:
+            counts.unplanned += 1
+        else:
+            self.grasp = solution.data["grasp"]
+            counts.picks += 1
+        return solution, outcome
+
+    def _candidates(self) -> list[HeapGrasp]:
+        """Return grasps for the seen pieces; near walls only with less margin around the hand."""
+        clearing, here = self._clearing, self._here
+        s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
+        for how in (s.grasps, _closer(s.grasps, 2), _closer(s.grasps, 3)):
+            grasps = grasps_from_above(
+                here.map, here.labels, here.region.floor, hand, s.force, how, clearing.counts.avoid
+            )
+            if grasps:
+                return grasps
+        return []
+
+    def perform(self, solution: PartialSolution) -> Outcome:
+        return perform_all(self._clearing.ctx, solution.steps)
+
+    def recover(self, outcome: Outcome) -> None:
+        counts, T = self._clearing.counts, self.grasp.T_object_tcp
+        counts.missed += 1
+        y = T.rotation.matrix[:, 1]
+        at = float(T.translation[0]), float(T.translation[1])
+        counts.avoid.append((*at, float(np.arctan2(y[1], y[0]))))
+        self._clearing.retreat(self.grasp.opening)
+
+
+def _closer(settings: AboveSettings, times: int) -> AboveSettings:
+    """Return settings for pieces near a wall: less margin, more orientations, corner contacts."""
+    return replace(
+        settings,
+        room=settings.room / times,
+        turns=times * settings.turns,
+        least_touch=settings.least_touch / 2,
+    )

@@ -1,0 +1,231 @@
+"""Stages and steps of bin clearing: grasp a piece from the heap, close, and release it over the tray.
+
+The held object is unknown, so the steps use only the gripper's readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from armcell.core import SE3, SO3, Box, ErrorCode, Outcome, PlanResult, Shape
+from armcell.drivers import GripperReading
+from armcell.grasping import HeapGrasp
+from armcell.model import Gripper
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.tasks.context import StageReport, TaskContext
+from armcell.tasks.interfaces import holding
+from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.settings import Speed
+from armcell.tasks.stages.grasp import APPROACH, approaches, finger_state
+from armcell.tasks.stages.moves import shifted, straight, with_contacts
+from armcell.tasks.stages.place import DESCENT, descents
+from armcell.tasks.steps import DONE, Grip, not_held, staged
+
+HEAP = "heap"
+"""Name of the camera's points in the bin, in the planning scene."""
+HELD = "held thing"
+"""Name of the held object in the planning scene."""
+WIDEST = 0.06  # [m] largest assumed half length of a held object
+
+
+@stage_types.register("choose_from_heap")
+@dataclass(frozen=True, eq=False)
+class ChooseFromHeap:
+    """Stage that proposes reachable heap grasps with straight descents, in the given order."""
+
+    grasps: Sequence[HeapGrasp]
+    gripper: Gripper
+    speed: Speed
+    distance: float  # [m] of the approach
+    name: str = "grasp"
+    provides = APPROACH
+
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        for grasp in self.grasps:
+            yield from approaches(solution, planning, self.name, HEAP, self.gripper, grasp, self._back)
+
+    def _back(self, at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
+        up = shifted(T_world_tcp, (0.0, 0.0, -self.distance), in_own_frame=True)
+        return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, up, self.speed)
+
+
+@stage_types.register("close_on_heap")
+@dataclass(frozen=True, eq=False)
+class CloseOnHeap:
+    """Stage that closes the hand and attaches the assumed object between the fingers."""
+
+    gripper: Gripper
+    floor: float  # [m, world z] of the bin, lower bound of the object
+    settle: float
+    thinnest: float
+    name: str = "close"
+    requires = ("grasp",)
+    provides = (holding(HELD),)
+
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        grasp: HeapGrasp = solution.data["grasp"]
+        bottom = self.floor + 0.002
+        T_tcp_box = SE3.from_xyz(0.0, 0.0, _below_tcp(grasp, (grasp.top + bottom) / 2))
+        half = min(grasp.reach, WIDEST)
+        box = Box(2 * half, max(grasp.width, 0.004), max(grasp.top - bottom, 0.004))
+        scene = solution.scene.with_state(finger_state(self.gripper, grasp.width))
+        item = CollisionObject.single(
+            HELD, box, scene.frame_pose(self.gripper.tcp_link) @ T_tcp_box, movable=True
+        )
+        scene = scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
+        yield solution.then(
+            GripUntilForce(self.gripper, grasp.force, self.settle, self.thinnest, box, T_tcp_box), scene=scene
+        )
+
+
+def _below_tcp(grasp: HeapGrasp, z: float) -> float:
+    """Return the depth of a height [m, world] below the TCP of a hand that points down."""
+    return float(grasp.T_object_tcp.translation[2]) - z
+
+
+@stage_types.register("choose_release_point")
+@dataclass(frozen=True, eq=False)
+class ChooseReleasePoint:
+    """Stage that proposes release points (x, y, height below them) in the given order."""
+
+    spots: Sequence[tuple[float, float, float]]  # [m, world]
+    hang: float  # [m] extent of the held object below the TCP
+    gripper: Gripper
+    speed: Speed
+    distance: float  # [m] length of the descent
+    turns: int = 8
+    name: str = "spot"
+    provides = DESCENT
+
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        gripper = self.gripper
+        now = solution.scene.frame_pose(gripper.tcp_link).rotation
+        for x, y, under in self.spots:
+            for k in range(self.turns):
+                R = SO3.exp((0.0, 0.0, 2 * np.pi * k / self.turns)) @ now
+                T = SE3(R, np.array([x, y, under + self.hang]))
+                name = f"({x:.2f}, {y:.2f}) at {360 // self.turns * k} deg"
+                up = partial(self._up, T)
+                yield from descents(solution, planning, solution.scene, gripper, T, self.name, name, up)
+
+    def _up(self, T_world_tcp: SE3, at_spot: PlanningScene) -> PlanResult:
+        above = T_world_tcp.shifted(z=self.distance)
+        return straight(at_spot, self.gripper.arm_group, self.gripper.tcp_link, above, self.speed)
+
+
+@stage_types.register("open_above")
+@dataclass(frozen=True, eq=False)
+class OpenAbove:
+    """Stage that opens the hand above the tray and releases its object."""
+
+    gripper: Gripper
+    margin: float  # [m] wider than now
+    settle: float
+    thinnest: float
+    name: str = "open"
+    requires = (holding(HELD),)
+    consumes = (holding(HELD),)
+
+    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+        joint = solution.scene.state[self.gripper.joint_name]
+        width = min(self.gripper.width(joint) + self.margin, self.gripper.max_width)
+        scene = solution.scene.with_detached(HELD).without_object(HELD)
+        yield solution.then(
+            StillThere(self.gripper, self.thinnest),
+            Drop(self.gripper, width, self.settle),
+            scene=with_contacts(
+                scene.with_state(finger_state(self.gripper, width)), ((HEAP, self.gripper.hand_links),)
+            ),
+        )
+
+
+# --- steps ---
+@dataclass(frozen=True, eq=False)
+class GripUntilForce:
+    """Step that closes until the fingers press with a force [N] or meet.
+
+    It adds the object to the planning scene.
+    """
+
+    gripper: Gripper
+    force: float
+    settle: float
+    thinnest: float  # [m]
+    shape: Shape  # assumed shape between the fingers
+    T_tcp_shape: SE3
+    name: str = "close"
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        return staged(ctx, StageReport(self.name), lambda: self._close(ctx))
+
+    def _close(self, ctx: TaskContext) -> Outcome:
+        driver, name = ctx.driver, self.gripper.name
+        driver.command_gripper(name, 0.0, self.force)
+        end = driver.now + ctx.settings.gripper_timeout
+        while driver.now < end and not ctx.cancel.is_set():
+            ctx.advance(0.02)
+            reading = driver.gripper(name)
+            if reading.force_per_finger >= 0.8 * self.force or reading.width <= self.thinnest:
+                break
+        if ctx.cancel.is_set():
+            return Outcome(ErrorCode.PREEMPTED, "cancelled")
+        ctx.advance(self.settle)
+        reading = driver.gripper(name)
+        if not holds(reading, self.thinnest):
+            return Outcome(ErrorCode.CONTROL_FAILED, f"closed on nothing ({reading.width * 1000:.1f} mm)")
+        ctx.change_scene(self._held)
+        width, force = reading.width * 1000, reading.force_per_finger
+        ctx.emit("grasp", f"holds something {width:.0f} mm wide with {force:.0f} N per finger")
+        return DONE
+
+    def _held(self, scene: PlanningScene) -> PlanningScene:
+        T = scene.frame_pose(self.gripper.tcp_link) @ self.T_tcp_shape
+        item = CollisionObject.single(HELD, self.shape, T, movable=True)
+        return scene.with_object(item).with_attached(HELD, self.gripper.tcp_link, self.gripper.hand_links)
+
+
+@dataclass(frozen=True, eq=False)
+class StillThere:
+    """Step that checks whether an object is still between the fingers."""
+
+    gripper: Gripper
+    thinnest: float  # [m]
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        reading = ctx.driver.gripper(self.gripper.name)
+        if holds(reading, self.thinnest):
+            return DONE
+        return not_held(ctx, f"lost it: the fingers are {reading.width * 1000:.1f} mm apart and feel nothing")
+
+
+@dataclass(frozen=True, eq=False)
+class Drop:
+    """Step that opens to a width [m] and removes the held object from the scene."""
+
+    gripper: Gripper
+    width: float
+    settle: float
+
+    def perform(self, ctx: TaskContext) -> Outcome:
+        outcome = Grip("open", self.gripper, self.width, self.gripper.max_force, self.settle).perform(ctx)
+        detach_held(ctx)
+        return outcome
+
+
+def holds(reading: GripperReading, thinnest: float) -> bool:
+    """Return whether an object keeps a closing gripper open."""
+    return reading.width > thinnest and reading.force_per_finger > 1.0
+
+
+def detach_held(ctx: TaskContext) -> None:
+    """Remove the held object from the planning scene."""
+
+    def without_held(scene: PlanningScene) -> PlanningScene:
+        scene = scene.with_detached(HELD) if HELD in scene.attached else scene
+        return scene.without_object(HELD) if HELD in scene.objects else scene
+
+    ctx.change_scene(without_held)

@@ -1,0 +1,165 @@
+"""Work regions of bin clearing: where pieces may lie, and what a depth camera sees there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import Box, CameraImage, ErrorCode, HeightMap, InputError, Outcome, PointCloud
+from armcell.grasping import support_surface
+from armcell.perception import height_map, pieces, unusable
+from armcell.scene import CollisionObject, PlanningScene
+from armcell.tasks.bin_clearing.settings import ClearSettings
+from armcell.tasks.bin_clearing.stages import HEAP
+from armcell.tasks.context import StageReport, TaskContext
+
+Look = Callable[[], CameraImage]
+"""Returns the newest depth image of a camera."""
+Rectangle = tuple[tuple[float, float], tuple[float, float]]
+"""Lowest and highest corner [m, world x and y]."""
+
+
+@dataclass(frozen=True)
+class WorkRegion:
+    """A level region on which objects may lie."""
+
+    name: str
+    rectangle: Rectangle
+    floor: float  # [m, world z]
+    without: tuple[Rectangle, ...] = ()  # parts that other objects occupy
+
+
+@dataclass(frozen=True, eq=False)
+class RegionView:
+    """Result of one look at a work region."""
+
+    region: WorkRegion
+    map: HeightMap
+    labels: NDArray[np.int64]
+
+    @property
+    def count(self) -> int:
+        """Number of seen pieces; touching objects may be one piece, one object several pieces."""
+        return int(self.labels.max()) + 1
+
+
+def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRegion:
+    """Return the floor of a bin or tray without its walls, as a work region.
+
+    Raises:
+        InputError: it is not aligned with the world axes.
+    """
+    item = scene.object(name)
+    frame, size_x, size_y = support_surface(item)
+    R = np.abs(frame.rotation.matrix[:2, :2])
+    if not np.allclose(R, np.eye(2), atol=1e-3) and not np.allclose(R, np.eye(2)[::-1], atol=1e-3):
+        raise InputError(f"object {name!r} stands askew", cure="turn it square to the world's axes")
+    half = R @ np.array([size_x, size_y]) / 2
+    thinnest = [2 * min(s.half_extents[:2]) for s, _ in item.shapes if isinstance(s, Box)]
+    wall = min(thinnest) if len(item.shapes) > 1 else 0.0
+    half = half - wall - settings.resolution
+    low, high = frame.translation[:2] - half, frame.translation[:2] + half
+    corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
+    return WorkRegion(f"in {name}", corner, float(frame.translation[2]))
+
+
+def table_around(
+    scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: ClearSettings
+) -> WorkRegion:
+    """Return the table around a bin or tray, without the objects on it, as a work region."""
+    frame, size_x, size_y = support_surface(scene.object(table))
+    half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2
+    (x0, y0), (x1, y1) = _outline(scene.object(name), s.hand_room)
+    low = np.maximum(frame.translation[:2] - half, (x0, y0))
+    high = np.minimum(frame.translation[:2] + half, (x1, y1))
+    corner = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
+    without = tuple(_outline(scene.object(n), 2 * s.resolution) for n in others)
+    return WorkRegion(f"beside {name}", corner, float(frame.translation[2]), without)
+
+
+def _outline(item: CollisionObject, room: float) -> Rectangle:
+    """Return the rectangle around an object in the world frame, enlarged by a margin [m]."""
+    low, high = item.bounds()
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    at = item.T_world_object.apply(corners)[:, :2]
+    (x0, y0), (x1, y1) = at.min(0) - room, at.max(0) + room
+    return (float(x0), float(y0)), (float(x1), float(y1))
+
+
+def first_not_empty(
+    ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: ClearSettings
+) -> RegionView | Outcome:
+    """Return the first region with visible pieces.
+
+    Return an outcome instead if all regions are empty or an image is missing.
+    """
+    for look, region in regions:
+        seen = look_at(ctx, look, region, s)
+        if isinstance(seen, Outcome) or seen.count:
+            return seen
+    return Outcome(ErrorCode.SUCCESS)
+
+
+def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) -> RegionView | Outcome:
+    """Return the view of a region in a new image, or an outcome if there is no usable image."""
+    report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
+    ctx.emit("stage", report.name, phase="begin")
+    image = look()
+    trouble = unusable(image, s.max_age, ctx.driver.now)
+    report.ok, report.error = trouble is None, "" if trouble is None else trouble.message
+    ctx.reports.append(report)
+    ctx.emit("stage", report.name, phase="end", ok=report.ok)
+    if trouble is not None:
+        return trouble
+    (x0, y0), (x1, y1) = region.rectangle
+    room = s.hand_room
+    low, high = (x0 - room, y0 - room), (x1 + room, y1 + room)
+    seen = height_map(image, ctx.scene(), low, high, region.floor, s.resolution)
+    inside = seen.cells_within(*region.rectangle)
+    for other in region.without:
+        inside &= ~seen.cells_within(*other)
+    return RegionView(region, seen, pieces(seen, inside, region.floor + s.above_floor))
+
+
+def add_heap(ctx: TaskContext, seen: RegionView) -> None:
+    """Add the seen pieces to the planning scene as a point cloud."""
+    points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
+    cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
+
+    def remembered(scene: PlanningScene) -> PlanningScene:
+        scene = scene.without_object(HEAP) if HEAP in scene.objects else scene
+        return scene.with_object(cloud)
+
+    ctx.change_scene(remembered)
+
+
+def lowest_points(tray: RegionView, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
+    """Return release points of the tray as (x, y, highest z nearby), lowest first.
+
+    Points of equal height are sorted by their distance from objects, farthest first.
+    """
+    from scipy.ndimage import distance_transform_edt, maximum_filter
+
+    map, r = tray.map, s.spot_radius
+    (x0, y0), (x1, y1) = tray.region.rectangle
+    size = 2 * int(np.ceil(r / map.resolution)) + 1
+    inside = map.cells_within(*tray.region.rectangle)
+    heights = np.where(inside, map.heights, tray.region.floor)
+    under = maximum_filter(heights, size=size)
+    room = np.asarray(distance_transform_edt(tray.labels < 0)) * map.resolution
+    middle = map.cells_within((x0 + r, y0 + r), (x1 - r, y1 - r))
+    cells = np.argwhere(middle)
+    value = under[middle].round(2) - 0.01 * np.minimum(room[middle], 0.1)
+    found: list[tuple[float, float, float]] = []
+    for k in np.argsort(value, kind="stable"):
+        x, y, _ = map.at(cells[k : k + 1])[0]
+        if all(np.hypot(x - a, y - b) > r for a, b, _ in found):
+            found.append((float(x), float(y), float(under[tuple(cells[k])])))
+            if len(found) == count:
+                break
+    return found

@@ -1,0 +1,310 @@
+"""The pick recipe: choose a grasp, approach, close, lift and verify; after a failure, the next grasp.
+
+`Pick` is the sequence of every pick. Its subclasses supply the parts that differ: `pick` an object at rest,
+`pick_moving` (`conveyor_pick.py`) one on a conveyor, `clear_bin` (`bin_clearing/`) an unknown one in a bin,
+`Carrying.grasp` (`arms/`) one with two arms, and the ROS node /pickup through a remote cell.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from armcell.collision import neighbors
+from armcell.core import ErrorCode, InputError, Outcome
+from armcell.execution import CHANGED
+from armcell.model import Gripper
+from armcell.scene import PlanningScene
+from armcell.tasks.context import TaskContext
+from armcell.tasks.interfaces import holding
+from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage
+from armcell.tasks.settings import TaskSettings
+from armcell.tasks.stages import (
+    AppendPlannedMotion,
+    ChooseGrasp,
+    ChoosePlacement,
+    Close,
+    Connect,
+    RunSteps,
+    Straight,
+)
+from armcell.tasks.stages.grasp import GraspFilter
+from armcell.tasks.steps import EMPTY, CheckGrasp, Expect, perform_all
+from armcell.tasks.task import plan_stages
+
+AHEAD = "what comes next"  # stage of a pick that checks whether later stages are feasible with a grasp
+WIDER = 4  # factor on the number of grasps if later stages reject many
+
+
+class Pick(ABC):
+    """Sequence of a pick: plan an attempt, perform it; if its grasp fails, recover and try the next grasp.
+
+    Args:
+        label: names the pick in notes and messages, for example "pick cube".
+        note: reports a failed attempt, for example as an event.
+        attempts: maximum number of attempts.
+        excluded: names of grasps that must not be used; failed grasps are added.
+    """
+
+    retry = "trying the next grasp"  # end of the note about a failed attempt
+
+    def __init__(
+        self, label: str, note: Callable[[str], Any], attempts: int = 1, excluded: tuple[str, ...] = ()
+    ):
+        self.label, self.note, self.attempts, self.excluded = label, note, attempts, excluded
+
+    def run(self) -> Outcome:
+        """Pick the object.
+
+        Returns:
+            SUCCESS, or the last failure. After a scene change the object stays in the hand if it is grasped.
+        """
+        outcome, before = Outcome(ErrorCode.FAILURE, "not tried"), ""
+        for left in reversed(range(self.attempts)):
+            solution, outcome = self.plan()
+            if solution is None:
+                text = f"{outcome.message}; before that: {before}" if before else outcome.message
+                return replace(outcome, message=text)
+            outcome = self.perform(solution)
+            if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
+                return outcome
+            changed = outcome.code is CHANGED  # the grasp is still usable
+            if changed and self.keeps_object():
+                return outcome
+            if not changed:
+                self.excluded = (*self.excluded, str(solution.data.get("candidate", "")))
+                before = outcome.message
+            if left:
+                self.note(f"{self.label}: {outcome.message}" + ("" if changed else f"; {self.retry}"))
+            self.recover(outcome)
+        return outcome
+
+    @abstractmethod
+    def plan(self) -> tuple[PartialSolution | None, Outcome]:
+        """Plan one attempt from the measured state without the excluded grasps; None with the reason."""
+
+    @abstractmethod
+    def perform(self, solution: PartialSolution) -> Outcome:
+        """Perform an attempt and verify that the hand holds the object."""
+
+    def keeps_object(self) -> bool:
+        """Return whether the hand holds the object and keeps it when a scene change stops the lift."""
+        return False
+
+    def recover(self, outcome: Outcome) -> None:
+        """Bring the arm where the next attempt can start: open the hand and leave the object.
+
+        After a scene change the hand has not closed yet, so it only leaves the object.
+        """
+        changed = outcome.code is CHANGED
+        held = False if changed else self.open_hand()
+        if held or ((changed or EMPTY in outcome.evidence) and self.is_around_object()):
+            self.back_off()
+
+    def open_hand(self) -> bool:
+        """Open the hand fully; return whether it held the object."""
+        return False
+
+    def is_around_object(self) -> bool:
+        """Return whether the open hand may surround the object."""
+        return False
+
+    def back_off(self) -> None:
+        """Retreat straight from the object that the open hand surrounds."""
+        return
+
+
+def grasp_stages(
+    choose: Stage, gripper: Gripper, s: TaskSettings, *rest: Stage, name: str = "move to pre-grasp",
+    approach: Stage = AppendPlannedMotion("approach", "after_approach", "approach"),
+) -> list[Stage]:  # fmt: skip
+    """Return the stages of one attempt: choose a grasp, move to its pre-grasp, approach, then the rest.
+
+    Args:
+        choose: proposes grasps, each with `pre_grasp` and the data that `approach` requires.
+        rest: close, lift and verify.
+        name: of the motion to the pre-grasp.
+    """
+    return [choose, Connect(name, gripper.arm_group, s.free, target="pre_grasp"), approach, *rest]
+
+
+def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
+    """Check that a gripper holds no object.
+
+    Raises:
+        InputError: it does; the message names the object.
+    """
+    for held in ctx.holding.values():
+        if held.gripper.name == gripper.name:
+            raise InputError(f"gripper {gripper.name!r} already holds {held.object}", cure="place it first")
+
+
+def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
+    """Check that a gripper is free and an object movable.
+
+    Raises:
+        InputError: no such object, not movable, or the gripper already holds something.
+    """
+    check_hand_is_free(ctx, gripper)
+    if not ctx.scene().object(item).movable:
+        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+
+
+# --- an object at rest ---
+def pick(
+    ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = (), ahead: Sequence[Stage] = ()
+) -> Outcome:
+    """Grasp an object and lift it; if a grasp fails, try the next one.
+
+    Args:
+        excluded: names of grasps that must not be used.
+        ahead: stages that must be feasible with the object in the hand; other grasps are rejected.
+    Returns:
+        SUCCESS with the grasp in the evidence ("grasp", and "proof" if `prove_grasps` is set), or the last
+        failure with the reasons per candidate ("rejections"). If an obstacle blocks the lift, a grasped
+        object stays in the hand.
+    Raises:
+        InputError: no such object, not movable, or the gripper already holds something.
+    """
+    check_pickable(ctx, item, gripper)
+    return _PickAtRest(ctx, item, gripper, excluded, ahead).run()
+
+
+class _PickAtRest(Pick):
+    """Pick of an object that rests on its supports."""
+
+    def __init__(
+        self, ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...], ahead: Sequence[Stage]
+    ):
+        super().__init__(f"pick {item}", partial(ctx.emit, "note"), ctx.settings.attempts, excluded)
+        self._ctx, self._item, self._gripper, self._ahead = ctx, item, gripper, ahead
+
+    def plan(self) -> tuple[PartialSolution | None, Outcome]:
+        ctx = self._ctx
+        stages = pick_stages(ctx.scene(), self._item, self._gripper, ctx.settings, self.excluded, self._ahead)
+        return plan_stages(ctx, stages, self.label)
+
+    def perform(self, solution: PartialSolution) -> Outcome:
+        outcome = perform_all(self._ctx, solution.steps)
+        chosen = {"grasp": solution.data["grasp"], "proof": solution.data["proof"]}
+        return replace(outcome, evidence={**outcome.evidence, **chosen})
+
+    def keeps_object(self) -> bool:
+        return self._item in self._ctx.holding
+
+    def open_hand(self) -> bool:
+        ctx, gripper = self._ctx, self._gripper
+        held = ctx.holding.pop(self._item, None)
+        ctx.driver.unwatch_object(self._item)
+        ctx.driver.command_gripper(gripper.name, gripper.max_width, gripper.max_force)
+        ctx.advance(ctx.settings.release_settle + 0.5)
+        return held is not None
+
+    def is_around_object(self) -> bool:
+        return is_near(self._ctx.scene(), self._item, self._gripper, self._ctx.settings)
+
+    def back_off(self) -> None:
+        back_off(self._ctx, self._item, self._gripper)
+
+
+def pick_stages(
+    scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings, excluded: tuple[str, ...] = (),
+    ahead: Sequence[Stage] = (), among: tuple[str, ...] = (),
+) -> list[Stage]:  # fmt: skip
+    """Return the stages of `pick` for the predicted scene in which they start.
+
+    Args:
+        among: names of the allowed grasps; empty for all.
+    """
+    supports = tuple(neighbors(scene, item))
+    height = float(scene.object(item).T_world_object.translation[2])
+    check = CheckGrasp(item, gripper, height, s.lift_distance), Expect(item, supports, expected=False)
+    stages = grasp_stages(
+        ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded, WIDER if ahead else 1, among,
+                    _grasp_filter(ahead)),
+        gripper, s,
+        Close(item, gripper, supports, s.grasp_settle),
+        Straight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
+                 allow=((item, supports),)),
+        RunSteps("check grasp", check),
+    )  # fmt: skip
+    if ahead:
+        after = partial(_grasped, item, gripper)
+        stages.insert(1, Lookahead(AHEAD, tuple(ahead), after, ahead=(holding(item),)))
+    return stages
+
+
+def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
+    """Return a quick test, without arm, that rejects grasps from which no placement is possible."""
+    for stage in ahead:
+        if isinstance(stage, ChoosePlacement):
+            return lambda scene: stage.why_not(scene, Lookahead.candidates)
+    return None
+
+
+def _grasped(item: str, gripper: Gripper, solution: PartialSolution) -> PartialSolution:
+    """Return a solution with the object attached to the hand, as after closing the chosen grasp."""
+    scene = solution.data["after_approach"].with_attached(item, gripper.tcp_link, gripper.hand_links)
+    return solution.then(scene=scene)
+
+
+def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
+    """Grasp an object without lifting it; contact with its support stays allowed.
+
+    Raises:
+        InputError: no such object, not movable, or the gripper already holds something.
+    """
+    check_pickable(ctx, item, gripper)
+    s, scene = ctx.settings, ctx.scene()
+    supports = tuple(neighbors(scene, item))
+    stages = grasp_stages(
+        ChooseGrasp(item, gripper, s.near, s.approach_distance), gripper, s,
+        Close(item, gripper, supports, s.grasp_settle),
+    )  # fmt: skip
+    solution, outcome = plan_stages(ctx, stages, f"grasp {item}")
+    if solution is None:
+        return outcome
+    outcome = perform_all(ctx, solution.steps)
+    if outcome.ok and supports:
+        ctx.change_scene(lambda scene: scene.with_allowed(item, supports))
+    return outcome
+
+
+# --- leaving an object ---
+def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
+    """Return the stage of a straight retreat [m] against the hand's approach direction.
+
+    Contact of the hand with the object is allowed during the retreat.
+    """
+    return Straight(
+        "retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -distance),
+        in_tip_frame=True, allow=((item, gripper.hand_links),),
+    )  # fmt: skip
+
+
+def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) -> bool:
+    """Return whether the hand may be around the object."""
+    tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
+    return bool(np.linalg.norm(tcp.translation - T.translation) <= s.approach_distance)
+
+
+def retreats(
+    scene: PlanningScene, item: str, gripper: Gripper, planning: Planning
+) -> Iterator[PartialSolution]:
+    """Yield the retreat of an open hand from the object that it surrounds, as far as possible.
+
+    Planners find no path from the start of this retreat; the next plan starts at its end.
+    """
+    s = planning.settings
+    yield from retreat(item, gripper, s, s.approach_distance).propose(PartialSolution(scene), planning)
+
+
+def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
+    """Retreat straight from an object that the open hand surrounds (see `retreats`)."""
+    for solution in retreats(ctx.scene(), item, gripper, Planning(ctx.settings, ctx.seed, ctx.cancel)):
+        perform_all(ctx, solution.steps)

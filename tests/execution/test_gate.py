@@ -1,0 +1,125 @@
+"""The motion gate by itself: what it proves, when it proves it again, and that there is no way around it."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+from tests.cell.test_motion_gate_matrix import back, plans
+from tests.execution.helpers import make
+
+import armcell
+from armcell.cell import load
+from armcell.collision import ExactChecker
+from armcell.core import ErrorCode, InputError, JointTrajectory
+from armcell.execution import CHANGED, DriverWorld, MotionGate, execute, execution_steps
+
+SOURCE = Path(armcell.__file__).parent
+MOVERS = {  # what may give a driver commands, and why
+    "execution": "the executor, which plays only what the gate has proven",
+    "drivers": "drivers behind drivers",
+    "emulators": "the emulated controllers' physics",
+    "sim": "physics below the drivers",
+    "ros/nodes/conductor.py": "a stop of some joints: they hold where they are",
+}
+COMMANDS = {"command", "follow", "play", "set_arm_target", "set_positions"}
+OTHERS = {"cli/", "ros/tcp", "moveit/shims", "viewer/", "records/"}  # `command` of typer, TCP, tables
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load("dual_ur10").scene()
+
+
+@pytest.fixture
+def driver(scene):
+    with make("fake", scene) as connected:
+        yield connected
+
+
+def slowed(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
+    v, a = trajectory.velocities, trajectory.accelerations
+    assert v is not None and a is not None
+    return JointTrajectory(
+        trajectory.joint_names, trajectory.times * factor, trajectory.positions, v / factor, a / factor**2
+    )
+
+
+def run(driver, works, until=60.0, during=None):
+    """Step motions side by side until all have ended; their results."""
+    results = [None] * len(works)
+    while None in results and driver.now < until:
+        for i, steps in enumerate(works):
+            if results[i] is None:
+                try:
+                    next(steps)
+                except StopIteration as end:
+                    results[i] = end.value
+        if during is not None:
+            during(driver.now)
+        driver.advance(driver.period)
+    return results
+
+
+def test_an_arm_waits_for_no_one_who_is_leaving(driver, scene):
+    """Proven in time: one arm leaves the place that the other one reaches later."""
+    gate = MotionGate(DriverWorld(driver, scene))
+    assert execute(driver, gate.motion(plans()["left_arm"])).ok
+    leaving, coming = back("left_arm"), slowed(plans()["right_arm"], 6.0)
+    works = [execution_steps(driver, gate.motion(leaving)), execution_steps(driver, gate.motion(coming))]
+    first, second = run(driver, works)
+    assert first.ok and second.ok, (first, second)
+    assert ExactChecker(scene.with_state(driver.joint_state())).is_free(driver.joint_state().positions)
+
+
+def test_a_motion_is_proven_again_when_one_beside_it_ends_early(driver, scene):
+    """The same, but the leaving arm is stopped half-way: the other one stops before it touches it."""
+    gate = MotionGate(DriverWorld(driver, scene))
+    assert execute(driver, gate.motion(plans()["left_arm"])).ok
+    leaving, coming = gate.motion(back("left_arm")), gate.motion(slowed(plans()["right_arm"], 6.0))
+    exact, began = ExactChecker(scene.with_padding(0.0)), driver.now
+
+    def during(now: float) -> None:
+        if now - began > 0.3:
+            leaving.set()
+        assert exact.is_free(driver.joint_state().positions), "the arms touch"
+
+    first, second = run(
+        driver, [execution_steps(driver, leaving), execution_steps(driver, coming)], during=during
+    )
+    assert first.code is ErrorCode.PREEMPTED
+    assert second.code is CHANGED and "left_" in second.message and "stopped" in second.message, second
+    assert second.evidence["pair"] and second.evidence["time_s"] > 0
+
+
+def test_only_the_executor_commands_drivers():
+    """Every other place that calls a driver's commands would be a way around the gate."""
+    found = []
+    for file in SOURCE.rglob("*.py"):
+        name = file.relative_to(SOURCE).as_posix()
+        if any(name.startswith(allowed) for allowed in (*MOVERS, *OTHERS)):
+            continue
+        for node in ast.walk(ast.parse(file.read_text())):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and node.func.attr in COMMANDS
+            ):
+                owner = ast.unparse(node.func.value)
+                if "driver" in owner or "world" in owner:
+                    found.append(f"{name}:{node.lineno} {owner}.{node.func.attr}")
+    assert not found, found
+
+
+def test_ungated_motions_are_for_simulations_of_their_own():
+    """`UngatedMotion` is what the dry run uses, and nothing else in the package."""
+    users = [
+        f.relative_to(SOURCE).as_posix() for f in SOURCE.rglob("*.py") if "UngatedMotion(" in f.read_text()
+    ]
+    assert sorted(users) == ["execution/gate.py", "twin/rehearsal.py"]
+
+
+def test_the_executor_refuses_a_bare_trajectory(driver):
+    with pytest.raises(InputError, match="MotionGate"):
+        execute(driver, plans()["left_arm"])  # type: ignore[arg-type]
