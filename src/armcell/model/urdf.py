@@ -245,8 +245,8 @@ class _Reader:
         if mass > 0 and (a <= 0 or a + b < c * (1 - 1e-3) - 1e-9):
             link = element.getparent()
             logger.warning(
-                "%s:%s: the inertia of link %r is %s (principal moments %.3g, %.3g, %.3g kg m^2; each must be "
-                "above 0 and at most the sum of the others): check signs and units, physics may be wrong",
+                "%s:%s: the inertia of link %r is %s (principal moments %.3g, %.3g, %.3g kg m^2; each must "
+                "be above 0 and at most the sum of the others): check signs and units, physics may be wrong",
                 self.file, element.sourceline, None if link is None else link.get("name"),
                 "not of a real body" if inertia.any() else "zero", a, b, c,
             )  # fmt: skip
