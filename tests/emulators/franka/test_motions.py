@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.emulators.franka.rig import Rig
 
 from armcell.drivers.franka.wire.commands import MoveController, MoveGenerator, MoveStatus, RecoveryStatus
 from armcell.drivers.franka.wire.state import RobotCommand, RobotMode
-from tests.emulators.franka.rig import Rig
 
 ARM = np.array([0.3, 0.1, -0.2, 0.2, 0.3, -0.2, 0.3])
 
@@ -130,9 +130,17 @@ def _constant(**fields):
 @pytest.mark.parametrize(
     ("generator", "fields", "error"),
     [
-        (MoveGenerator.JOINT_POSITION, {"q": (0.1,) * 7}, "joint_position_motion_generator_start_pose_invalid"),
+        (
+            MoveGenerator.JOINT_POSITION,
+            {"q": (0.1,) * 7},
+            "joint_position_motion_generator_start_pose_invalid",
+        ),
         (MoveGenerator.JOINT_VELOCITY, {"dq": (0.5,) * 7}, "joint_motion_generator_velocity_discontinuity"),
-        (MoveGenerator.JOINT_VELOCITY, {"dq": (9.0,) * 7}, "joint_motion_generator_velocity_limits_violation"),
+        (
+            MoveGenerator.JOINT_VELOCITY,
+            {"dq": (9.0,) * 7},
+            "joint_motion_generator_velocity_limits_violation",
+        ),
         (
             MoveGenerator.CARTESIAN_POSITION,
             {"O_T_EE": (0.0,) * 15 + (1.0,)},
