@@ -2,9 +2,10 @@
 
     python -m benchmarks.holding --seconds 60 --runs 10
 
-Creep is the distance that an object moves in a hand at rest, divided by the time. The loads are a 5 cm cube of 0.1 and 2 kg and a 25 cm bar of 0.5 kg that the hand holds 8 cm from its
-center. Drift is the largest displacement in the hand during one stage of a task. CPU time is that of a trial
-with planning, as a ratio to trials without `holding_impratio` and without the correction of the lag.
+Creep is the distance that an object moves in a hand at rest, divided by the time. The loads are a 5 cm
+cube of 0.1 and 2 kg and a 25 cm bar of 0.5 kg that the hand holds 8 cm from its center. Drift is the
+largest displacement in the hand during one stage of a task. CPU time is that of a trial with planning, as
+a ratio to trials without `holding_impratio` and without the correction of the lag.
 """
 
 from __future__ import annotations

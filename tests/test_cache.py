@@ -142,7 +142,7 @@ def test_a_group_of_one_s_own_does_not_cost_the_kernels(caches, monkeypatch, cap
 
 
 def test_arrays_that_another_user_may_have_written_are_computed_again(caches):
-    from armcell.collision.kernel import store
+    from armcell import _array_store as store
 
     def kept():
         found = store.recall("covers", "key")

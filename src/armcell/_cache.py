@@ -26,7 +26,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 KEPT_DAYS = 30
-COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?njit", re.MULTILINE)
+COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?(inner_)?njit", re.MULTILINE)
 """Of sources that hold compiled code; a file that only speaks of numba may change without compiling anew."""
 
 
@@ -152,7 +152,7 @@ def source_hash() -> str:
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         source = file.read_bytes()
-        if COMPILES.search(source):
+        if (b"numba" in source or b"njit" in source) and COMPILES.search(source):
             digest.update(source)
     for package in ("numba", "llvmlite", "numpy"):
         try:

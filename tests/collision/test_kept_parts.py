@@ -13,8 +13,6 @@ from armcell.cell import load
 from armcell.collision.kernel import robot_part as module
 from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.robot_part import RobotPart, robot_part
-from armcell.collision.kernel.world_part import object_part
-from armcell.core import SE3
 from armcell.scene import CollisionObject, PlanningScene
 
 ARM = tuple(f"panda_joint{i}" for i in range(1, 8))
@@ -84,11 +82,3 @@ def test_what_can_meet_is_not_looked_for_beside_an_arm_that_rests_elsewhere(monk
     q[scene.model.columns(right)] += 0.1
     robot_part(replace(scene, positions=q), left)
     assert not sought
-
-
-def test_an_objects_part_is_of_its_shapes_and_place():
-    item = box("a", (0.1, 0.2, 0.3), (0.5, 0.0, 0.1))
-    part = object_part(item)
-    assert object_part(replace(item, name="b", mass=2.0)) is part
-    moved, larger = replace(item, T_world_object=SE3.from_xyz(0.5, 0.0, 0.2)), box("a", (0.1, 0.2, 0.4))
-    assert object_part(moved).high[0, 2] == pytest.approx(0.35) and object_part(larger).size[0, 2] == 0.2

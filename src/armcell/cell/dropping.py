@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armcell.collision.kernel.store import keep, key_of, recall
+from armcell._array_store import keep, key_of, recall
 from armcell.core import SE3, SO3, Box, InputError
 from armcell.grasping import support_surface, surface_of
 from armcell.scene import CollisionObject, PlanningScene

@@ -154,9 +154,8 @@ def _positions(model: RobotModel, states: dict[str, str]) -> NDArray[np.float64]
 
 
 def _free(model: RobotModel, states: dict[str, str], table: float, side: float) -> bool:
-    top = CollisionObject(
-        "table", ((Box(side, side, 0.04), SE3.identity()),), SE3.from_xyz(0.0, 0.0, table - 0.02)
-    )
+    slab = ((Box(side, side, 0.04), SE3.identity()),)
+    top = CollisionObject("table", slab, SE3.from_xyz(0.0, 0.0, table - 0.02))
     scene = PlanningScene(model, _positions(model, states)).with_object(top)
     return not ExactChecker(scene).contacts(scene.positions, padded=False)
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.store import keep, key_of, recall
+from armcell._array_store import keep, key_of, recall
 from armcell.core import InputError, Mesh
 
 Array = NDArray[np.float64]

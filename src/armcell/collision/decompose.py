@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from armcell._array_store import keep, key_of, recall
 from armcell.collision.convex import convex_pieces
-from armcell.collision.kernel.store import keep, key_of, recall
 from armcell.core import Mesh
 
 log = logging.getLogger(__name__)

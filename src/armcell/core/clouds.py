@@ -130,4 +130,7 @@ def _rows(what: str, name: str, values: ArrayLike) -> Array:
 def _bounds(rows: Array, half: Array | float) -> tuple[Array, Array]:
     if len(rows) == 0:
         return np.zeros(3), np.zeros(3)
-    return (rows - half).min(axis=0), (rows + half).max(axis=0)
+    columns = np.ascontiguousarray(rows.T)  # NumPy reduces long rows several times faster
+    if isinstance(half, np.ndarray):
+        half = half.T
+    return (columns - half).min(axis=1), (columns + half).max(axis=1)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from armcell._array_store import keep, key_of, recall
 from armcell.core import InputError, Mesh
 from armcell.model.files import read_text
 from armcell.model.options import package_folder
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
 MAX_MESH_BYTES = 100_000_000
 MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
+ONE_FILE = {".stl", ".obj", ".dae", ".glb", ".ply", ".off"}
+"""Formats whose triangles are all in the named file, so that the disk cache can be keyed by its content."""
 
 
 def installed_share() -> list[Path]:
@@ -187,7 +192,23 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
     Raises:
         InputError: the file is not readable as a mesh, has no triangles or has a non-finite vertex.
     """
-    import trimesh  # imported late, here and below: the import takes 0.5 s, which only meshes need
+    if path.suffix.lower() not in ONE_FILE:
+        return Mesh(*_read_mesh(path, scale), path)
+    digest = hashlib.sha256(_checked(path).read_bytes()).hexdigest()
+    key = key_of(version("trimesh"), path.suffix.lower(), repr(scale), digest)
+    stored = recall("meshes", key)
+    if stored is None:
+        vertices, faces = _read_mesh(path, scale)
+        keep("meshes", key, vertices=vertices, faces=faces)
+        return Mesh(vertices, faces, path)
+    return Mesh(stored["vertices"], stored["faces"], path)
+
+
+def _read_mesh(
+    path: Path, scale: tuple[float, float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the vertices (v, 3) [m] and faces (f, 3) of a mesh file, see `load_mesh`."""
+    import trimesh  # imported late, here and below: the import takes 0.5 s, which only new meshes need
 
     try:
         loaded = trimesh.load(_checked(path), force="mesh", process=False)
@@ -201,7 +222,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
         raise InputError("mesh has no triangles", file=path)
     merged = trimesh.Trimesh(*_sound(vertices, faces, scale, path), process=False)
     merged.merge_vertices(merge_tex=True, merge_norm=True)
-    return Mesh(merged.vertices, merged.faces.astype(np.int32), path)
+    return np.asarray(merged.vertices), merged.faces.astype(np.int32)
 
 
 def _sound(

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import time
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.collision.kernel import block
+from armcell.collision.kernel.block import check_address
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting import clearance_from_rest
 from armcell.kinematics import ik_solver
 from armcell.model import RobotModel, load_robot
+from armcell.planning import first_compile
 from armcell.planning.planners.rrt_connect import NativePlanner
 from armcell.scene import PlanningScene
 from armcell.timing import BlendedPath, parameterize
@@ -47,13 +53,42 @@ def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
 
 @lru_cache(maxsize=1)
 def warm_up() -> float:
-    """Compile all kernels of the default planner.
+    """Compile all kernels of the default planner, or load them from the cache.
 
-    Return the seconds it took. Later calls return at once.
+    The first call on a machine (or after source changes) compiles: two processes share the work, and a
+    progress line on the terminal shows the wait. Later runs load the kernels from disk.
 
-    The first call on a machine (or after source changes) compiles; later runs load the kernels from disk.
+    Returns:
+        The seconds it took. Later calls return at once.
     """
     began = time.monotonic()
+    compiled = Path(os.environ["NUMBA_CACHE_DIR"]) / "planner_compiled"
+    if compiled.exists():
+        _plan_small_problem()
+        return time.monotonic() - began
+    with first_compile.progress_line("compiling the planner, once on this machine"):
+        with first_compile.in_another_process(
+            "from armcell.planning.warm_up import compile_rest", "compile_rest()"
+        ):
+            check_address()
+        _plan_small_problem()
+    with contextlib.suppress(OSError):
+        compiled.touch()
+    seconds = time.monotonic() - began
+    logger.info("compiled the planner in %.0f s; later runs load it", seconds)
+    return seconds
+
+
+def compile_rest() -> None:
+    """Compile, in a process of its own, all that `warm_up` needs except the collision check.
+
+    Planners call the check by its address, so a check that finds every configuration free stands in for it.
+    """
+    block.check_address = block.free_check_address  # pyright: ignore[reportAttributeAccessIssue]
+    _plan_small_problem()
+
+
+def _plan_small_problem() -> None:
     checker, a, b = small_problem()
     checker.is_free(a)
     checker.edge_is_free(a, b)
@@ -62,10 +97,6 @@ def warm_up() -> float:
     path = BlendedPath(np.array([[0.01], [0.02], [0.04]]), 0.0)
     path.polyline()
     clearance_from_rest(checker, parameterize(path, checker.joint_names, [0.1], [1.0]).positions)
-    seconds = time.monotonic() - began
-    if seconds > 2.0:
-        logger.info("compiled the planner in %.0f s; it is kept for later runs", seconds)
-    return seconds
 
 
 def small_problem() -> tuple[KernelChecker, Array, Array]:

@@ -43,8 +43,16 @@ class SceneDiff:
         Raises:
             InputError: a change cannot be applied; the message names the first such change.
         """
+        placed: dict[str, CollisionObject] = {}  # not yet in the scene: one copy of it for all of them
         for i, change in enumerate(self.changes):
             try:
+                item = _placed_object(change, placed, scene)
+                if item is not None:
+                    scene.check_new_name(item.name)
+                    placed[item.name] = item
+                    continue
+                if placed:
+                    scene, placed = scene.with_objects(placed.values()), {}
                 scene = change.applied_to(scene)
             except InputError as error:
                 what = type(change).__name__
@@ -54,7 +62,19 @@ class SceneDiff:
                     element=f"diff/{i} {what}" + (f" {name!r}" if isinstance(name, str) else ""),
                     cure=error.cure,
                 ) from None
-        return scene
+        return scene.with_objects(placed.values()) if placed else scene
+
+
+def _placed_object(
+    change: Change, placed: Mapping[str, CollisionObject], scene: PlanningScene
+) -> CollisionObject | None:
+    """Return the object that a change adds to or moves in the world frame; None for all other changes."""
+    if isinstance(change, AddObject) and change.frame == WORLD:
+        return change.object
+    if isinstance(change, MoveObject) and change.frame == WORLD:
+        item = placed.get(change.name) or scene.objects.get(change.name)
+        return None if item is None else item.at(change.T_frame_object)
+    return None
 
 
 # --- objects ---

@@ -114,13 +114,27 @@ class PlanningScene:
         Raises:
             InputError: a link, a fixed frame or an attached object has the same name.
         """
-        if item.name in self.model.links or item.name == WORLD:
-            raise InputError(f"object {item.name!r} has the name of a link", cure="give it another name")
-        if item.name in self.fixed_frames:
-            raise InputError(f"object {item.name!r} has the name of a fixed frame", cure="rename one of them")
-        if item.name in self.attached:
-            raise InputError(f"object {item.name!r} is attached to the robot", cure="detach it first")
-        return replace(self, objects={**self.objects, item.name: item})
+        return self.with_objects((item,))
+
+    def with_objects(self, items: Iterable[CollisionObject]) -> PlanningScene:
+        """Return the scene with several objects added, as `with_object` adds one.
+
+        Raises:
+            InputError: a link, a fixed frame or an attached object has the name of one of them.
+        """
+        added = {item.name: item for item in items}
+        for name in added:
+            self.check_new_name(name)
+        return replace(self, objects={**self.objects, **added})
+
+    def check_new_name(self, name: str) -> None:
+        """Raise an InputError if a link, a fixed frame or an attached object has a name."""
+        if name in self.model.links or name == WORLD:
+            raise InputError(f"object {name!r} has the name of a link", cure="give it another name")
+        if name in self.fixed_frames:
+            raise InputError(f"object {name!r} has the name of a fixed frame", cure="rename one of them")
+        if name in self.attached:
+            raise InputError(f"object {name!r} is attached to the robot", cure="detach it first")
 
     def with_object_pose(self, name: str, T_world_object: SE3) -> PlanningScene:
         if name not in self.objects:

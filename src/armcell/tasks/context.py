@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from armcell.collision.kernel.world_part import object_part
+from armcell.collision.kernel.world_arrays import world_of
 from armcell.core import SE3, Event, JointTrajectory, Observer, Outcome, StateSample
 from armcell.drivers import Driver
 from armcell.execution import MotionGate
@@ -145,9 +145,9 @@ class TaskContext:
         with self.world.editing:
             before, now = self.base, self.whole_scene()
             after = without_measured(before, now, make(now), [held.object for held in self.hands()])
-            for name in new_obstacles(before, after):
-                # build its collision geometry here, not in the thread that moves the arm
-                object_part(after.objects[name])
+            if new_obstacles(before, after):
+                # build their collision geometry here, not in the thread that moves the arm
+                world_of(after.objects)
             self.world.scene = after
             if self.observers and (changes := scene_changes(before, after)):
                 self.world.news.append(changes)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armcell.collision.kernel.store import keep, recall
+from armcell._array_store import keep, recall
 from armcell.core import SE3, SO3
 from armcell.core.intervals import wilson
 from armcell.grasping import Grasp, Noise, surface_of

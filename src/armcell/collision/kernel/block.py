@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numba import cfunc, njit, types
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.frames import (
     ALIVE,
     EXACT,
@@ -39,7 +40,7 @@ EVERY = np.int64((1 << L) - 1)  # all lanes
 AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SELF = range(10)
 
 
-@njit(cache=True)
+@inner_njit
 def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
     """Which of some lanes (bits) are not free; positions lie at w[j * L:].
 
@@ -83,6 +84,16 @@ def check_address() -> int:
     return int(cfunc(types.int64(types.int64, types.int64, types.int64), cache=True)(_check).address or 0)
 
 
+@lru_cache(maxsize=1)
+def free_check_address() -> int:
+    """The address of a check that finds every lane free: it lets the check's callers compile without it."""
+    return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
+
+
+def _free_check(handle, lanes, mode):
+    return 0
+
+
 def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """The addresses of the pack (I, F, D), the workspace (w, state, s), slack and slack_pair, and of `check`.
 
@@ -95,19 +106,19 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return handle
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
     """`_check_arrays` by handle."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def ints(k):
     """The integers of the pack, I."""
     return at_address(np.int32, k[AT_I])
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def lanes_of(k):
     """The lanes' workspace, w."""
     return at_address(np.float32, k[AT_W])

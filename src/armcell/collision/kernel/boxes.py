@@ -4,12 +4,11 @@
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
-from numba import njit
-
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def into(F, m, cx, cy, cz):
     """World points in the frame whose rows are at F[m:]."""
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
@@ -18,7 +17,7 @@ def into(F, m, cx, cy, cz):
     return x, y, z
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def turned(F, m, cx, cy, cz):
     """World vectors in the frame whose rows are at F[m:]."""
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
@@ -27,7 +26,7 @@ def turned(F, m, cx, cy, cz):
     return x, y, z
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def boxes_hit(F, at, lx, ly, lz, hx, hy, hz):
     """Bits of the 16 boxes at F[at:] that meet the box given."""
     mask = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))

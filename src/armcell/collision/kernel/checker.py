@@ -19,6 +19,7 @@ from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.motion import free_edge, prove_points, proven_clearance
 from armcell.collision.kernel.pack import Names, Pack, pack
 from armcell.collision.kernel.robot_part import robot_part
+from armcell.collision.kernel.world_arrays import world_of
 from armcell.core.checks import float_array, require
 from armcell.scene import PlanningScene
 
@@ -33,13 +34,13 @@ def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, N
 
     Planning again with only the group's joints at other positions costs no time.
     """
-    robot = robot_part(scene, joint_names)
+    robot, world = robot_part(scene, joint_names), world_of(scene.objects)
 
     def make() -> tuple[Pack, Names, Flat]:
-        packed, names = pack(scene, robot)
+        packed, names = pack(scene, robot, world)
         return packed, names, flatten(packed)
 
-    key = (robot, tuple(scene.objects.items()), frozenset(scene.allowed.items()))
+    key = (robot, world, frozenset(scene.allowed.items()))
     return _packs.get(key, make)
 
 

@@ -11,8 +11,8 @@ is not kept: it finds them again, for just the configurations in question.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.boxes import boxes_hit, into, turned
 from armcell.collision.kernel.frames import (
@@ -69,13 +69,13 @@ NO_GROUP = np.int64(-1)
 DONE = np.int64(-1)
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _cloud_of(I, o):
     """Where the numbers of world shape o's cloud are in I."""
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
     """Vectors from the nearest points of edges u-v of 16 triangles at F[at:] to a point."""
     ux, uy, uz = load(F, at + 3 * u * L), load(F, at + (3 * u + 1) * L), load(F, at + (3 * u + 2) * L)
@@ -95,7 +95,7 @@ def _side(F, at, u, v, x, y, z):
     return px - t * ex, py - t * ey, pz - t * ez, inside
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _apart(F, kind, at, x, y, z):
     """Of a point, for the 16 parts at F[at:]: the distance to each, and the vector from what is nearest.
 
@@ -133,14 +133,14 @@ def _apart(F, kind, at, x, y, z):
     return vsqrt(fma(dx, dx, fma(dy, dy, dz * dz))) - r, dx, dy, dz
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _block_at(I, c, block):
     """Where block `block` of cloud c's parts is in F."""
     rows = 12 if I[c] == gjk.TRIANGLE else 4
     return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
 
 
-@njit(cache=True)
+@inner_njit
 def _local(I, F, w, state, o, g, f, mode):
     """Put the centres (and velocities) of group g's spheres, in shape o's frame, to w[local_at:]."""
     m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
@@ -159,7 +159,7 @@ def _local(I, F, w, state, o, g, f, mode):
         out += 6 * L
 
 
-@njit(cache=True)
+@inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
     """Group g in one lane against the 16 parts at F[at:]: the ball around it (w[ball_at:]), then its spheres.
 
@@ -195,7 +195,7 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
     return near, sure, close
 
 
-@njit(cache=True)
+@inner_njit
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
     """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE."""
     while lanes != 0:
@@ -219,7 +219,7 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
     return open_lanes
 
 
-@njit(cache=True)
+@inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
     """Note the ball around a group whose spheres are not placed yet."""
     ball = ball_at(I)
@@ -230,7 +230,7 @@ def _keep_ball(I, w, state, x, y, z, reach):
     state[PLACED] = NO_GROUP
 
 
-@njit(cache=True)
+@inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
     """Balls of radius `reach` around (x, y, z) in shape o's frame down its cloud's tree.
 
@@ -276,14 +276,14 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
     return open_lanes
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
     """Radius of a ball that holds all that the ball around centre i needs."""
     reach = splat(radius) + more
     return fma(load(w, half_at(I)), load(w, velocity_at(I, i) + 3 * L), reach) if mode & PROVE else reach
 
 
-@njit(cache=True)
+@inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
     """A body against the cloud of world shape o: lanes (bits) for the exact tier, or DONE."""
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
@@ -307,7 +307,7 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
     return open_lanes & state[ALIVE]
 
 
-@njit(cache=True)
+@inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
     """List parts of a cloud that the exact tier has to look at: those a sphere of the body is not clear of.
 
@@ -360,7 +360,7 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
     return group, top, count
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
     """How edges u-v of 16 triangles wind around a point, seen along z: 1 counter-clockwise, -1, 0.
 
@@ -377,7 +377,7 @@ def _turns(F, at, u, v, x, y):
     return counts
 
 
-@njit(cache=True)
+@inner_njit
 def encloses(I, F, state, o, px, py, pz):
     """Whether a point in shape o's frame is inside its cloud of triangles, by what lies above it."""
     c, stack = _cloud_of(I, o), STACK + MAX_STACK // 2

@@ -7,9 +7,9 @@ bounding-box tree: 18 bytes per point.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,21 +62,19 @@ def cloud_of(shape: Shape) -> Cloud | None:
     centre, half = local_bounds(shape)
     match shape:
         case PointCloud():
-            points = shape.points - centre
-            low, high = points - shape.radius, points + shape.radius
-            radius = np.full(len(points), shape.radius)
-            return _cloud(gjk.BALL, centre, half, np.column_stack([points, radius]), low, high)
+            points = np.ascontiguousarray(shape.points.T) - centre[:, None]
+            return _cloud(gjk.BALL, centre, half, [*points, shape.radius], *_grown(points, shape.radius))
         case Octree():
-            cells, edge = shape.centres - centre, shape.sizes[:, None] / 2
-            return _cloud(gjk.CELL, centre, half, np.column_stack([cells, edge]), cells - edge, cells + edge)
+            cells, edge = np.ascontiguousarray(shape.centres.T) - centre[:, None], shape.sizes / 2
+            return _cloud(gjk.CELL, centre, half, [*cells, edge], *_grown(cells, edge))
         case Mesh() if not is_convex(shape):
             edge = max(TRIANGLE_EDGE, float(np.sqrt(_area(shape) / TRIANGLES)))
             corners = small_triangles(shape.vertices - centre, shape.faces.astype(np.int64), edge)
             corners = corners.astype(np.float32).astype(float)  # rounded as in the kernel
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-            parts = np.column_stack([corners.reshape(-1, 9), normal])
-            low, high = corners.min(axis=1), corners.max(axis=1)
+            parts = [*corners.reshape(-1, 9).T, *normal.T]
+            low, high = corners.min(axis=1).T, corners.max(axis=1).T
             return _cloud(gjk.TRIANGLE, centre, half, parts, low, high, is_closed(shape))
     return None
 
@@ -86,40 +84,43 @@ def _area(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def _cloud(kind: int, centre: F64, half: F64, parts: F64, low: F64, high: F64, closed: bool = False) -> Cloud:
+def _grown(middle: F64, half: F64 | float) -> tuple[F64, F64]:
+    return middle - half, middle + half
+
+
+def _cloud(
+    kind: int,
+    centre: F64,
+    half: F64,
+    parts: Sequence[F64 | float],
+    low: F64,
+    high: F64,
+    closed: bool = False,
+) -> Cloud:
+    """Return a cloud of n parts.
+
+    Args:
+        parts: values of the parts, a row (n,) or a number for each of `ROWS`.
+        low, high: (3, n) corners of the parts' bounding boxes.
+    """
     T = np.eye(4)
     T[:3, 3] = centre
     box = Box(*(2 * np.maximum(half, 1e-6)))
-    if len(parts) == 0:
-        return Cloud(
-            kind, box, T, np.zeros((0, ROWS[kind], L), np.float32), *tree_of(low, high, np.arange(0))
-        )
-    order = z_order(low, high)
-    starts = np.arange(0, len(order), L)
-    low, high = np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)
-    padded = order[np.minimum(np.arange(len(starts) * L), len(order) - 1)]  # the last part fills its block
-    blocks = parts[padded].astype(np.float32).reshape(-1, L, ROWS[kind]).transpose(0, 2, 1)
+    if low.shape[1] == 0:
+        none = np.zeros((0, ROWS[kind], L), np.float32)
+        return Cloud(kind, box, T, none, *tree_of(low.T, high.T, np.arange(0)))
+    order = z_order(low.T, high.T)
+    count = -(-len(order) // L)
+    padded = order[np.minimum(np.arange(count * L), len(order) - 1)]  # the last part fills its block
+    low = np.stack([row[padded].reshape(-1, L).min(axis=1) for row in low], axis=1)
+    high = np.stack([row[padded].reshape(-1, L).max(axis=1) for row in high], axis=1)
+    blocks = np.empty((count, ROWS[kind], L), np.float32)
+    for k, row in enumerate(parts):
+        blocks[:, k] = row[padded].reshape(-1, L) if isinstance(row, np.ndarray) else row
     if kind == gjk.TRIANGLE:  # no triangle may count twice, so the surplus ones shrink to a point
         surplus = np.arange(len(padded) - len(order), 0, -1)
         blocks[-1, 3:9, L - surplus] = np.tile(blocks[-1, :3, L - surplus], 2)
         blocks[-1, 9:, L - surplus] = 0
     else:  # rounding to float32 must not shrink a part
         blocks[:, 3] += np.float32(2e-7) * (np.abs(blocks[:, :3]).max() + np.abs(blocks[:, 3]))
-    return Cloud(
-        kind, box, T, np.ascontiguousarray(blocks), *tree_of(low, high, np.arange(len(starts))), closed
-    )
-
-
-def join_clouds(clouds: list[Cloud]) -> dict[str, Any]:
-    """Concatenate clouds into the arrays of a `Pack`."""
-    table, block, number = [], 0, 0
-    for cloud in clouds:
-        table.append((cloud.kind, block, number, cloud.closed))
-        block += len(cloud.boxes)
-        number += cloud.parts.size
-    return {
-        "cloud": np.array(table, np.int32).reshape(-1, 4),
-        "cloud_boxes": np.concatenate([np.zeros((0, 6, L), np.float32), *(c.boxes for c in clouds)]),
-        "cloud_child": np.concatenate([np.zeros((0, L), np.int32), *(c.child for c in clouds)]),
-        "cloud_parts": np.concatenate([np.zeros(0, np.float32), *(c.parts.ravel() for c in clouds)]),
-    }
+    return Cloud(kind, box, T, blocks, *tree_of(low, high, np.arange(count)), closed)

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.store import keep, key_of, recall
+from armcell._array_store import keep, key_of, recall
 from armcell.collision.kernel.surface import depths, interior_points, outer_skin, triangulated
 from armcell.core import Shape
 

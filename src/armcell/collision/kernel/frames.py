@@ -9,8 +9,8 @@ integers (see `workspace`), `s` float64 scratch; all are bare pointers (see simd
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.cover import GROUP
 from armcell.collision.kernel.layout import (
@@ -69,66 +69,66 @@ def workspace(flat: Flat) -> Workspace:
     return raw[start : start + size], np.zeros(STAMPS + centres, np.int64), np.zeros(SCRATCH, np.float64)
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def rate_at(I, j):
     """Where in w joint j's motion per unit of the edge is."""
     return (I[DOF] + j) * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def half_at(I):
     """Where half the width of each lane's interval is; the turning follows."""
     return 2 * I[DOF] * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def need_at(I):
     """Where the exact tier keeps what it needs of a pair: 8 vectors."""
     return (2 * I[DOF] + 2) * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def frame_at(I, f):
     """Where frame f's 12 vectors are (rows of 3x4)."""
     return (2 * I[DOF] + 10 + 12 * f) * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def twist_at(I, f):
     return (2 * I[DOF] + 10 + 12 * I[FRAMES] + 6 * f) * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def centre_at(I, i):
     """Where the centre of body i, group (bodies + i) or sphere (bodies + groups + i) is kept."""
     return (2 * I[DOF] + 10 + 18 * I[FRAMES] + 3 * i) * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def velocity_at(I, i):
     """Where the velocity of centre i and then its speed are kept, per unit of the edge."""
     return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def more_at(I, body):
     """Where a proof keeps what body's margins have beside its speed (see bend), seen from the world."""
     return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def local_at(I):
     """Where centres and velocities of a group's spheres are kept in a cloud's frame: 6 vectors each."""
     return more_at(I, I[BODIES])
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def ball_at(I):
     """Where centre and radius of the ball around them are kept."""
     return local_at(I) + 6 * GROUP * L
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _sincos(x):
     """Sine and cosine (Cephes polynomials, below 1e-6 for |x| < 1000)."""
     n = vround(x * splat(np.float32(0.6366197723675814)))
@@ -155,7 +155,7 @@ def _sincos(x):
     return sine, cosine
 
 
-@njit(cache=True)
+@inner_njit
 def fk_block(I, F, w):
     """Frames of 16 configurations whose positions lie at w[j * L:] per joint j."""
     zero, one = splat(np.float32(0.0)), splat(np.float32(1.0))
@@ -181,7 +181,7 @@ def fk_block(I, F, w):
             store(w, row + 3 * L, o if turns else fma(z, value, o))
 
 
-@njit(cache=True)
+@inner_njit
 def twist_block(I, F, w):
     """Angular velocity and velocity of the origin of every frame, per unit of the edge (after fk_block).
 
@@ -218,7 +218,7 @@ def twist_block(I, F, w):
     store(w, half_at(I) + L, turning)
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def centre(I, F, w, state, i, f, sphere, mode):
     """Where centre i is kept; computed on its first use in this block from F[sphere:] in frame f.
 
@@ -251,7 +251,7 @@ def centre(I, F, w, state, i, f, sphere, mode):
     return at
 
 
-@njit(cache=True)
+@inner_njit
 def bend(I, F, w, reach, slack):
     """What a margin needs beside half width times speed: how velocities change in the interval, and slack.
 

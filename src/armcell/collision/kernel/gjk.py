@@ -11,8 +11,8 @@ Detection", 5.1 and 9.5); checked against coal in the tests.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.simd import (
     L,
     fma,
@@ -38,7 +38,7 @@ TOUCHING = 2e-6
 """[m] Solids closer than this touch: frames and points are float32, and coal calls 1 um a contact as well."""
 
 
-@njit(cache=True)
+@inner_njit
 def _farthest(F, first, count, dx, dy, dz):
     """Which of some points is farthest along a direction; they lie in F in blocks of L (x, y, z)."""
     x, y, z = splat(np.float32(dx)), splat(np.float32(dy)), splat(np.float32(dz))
@@ -53,7 +53,7 @@ def _farthest(F, first, count, dx, dy, dz):
     return int(pick(where, lane)) * L + lane
 
 
-@njit(cache=True)
+@inner_njit
 def _part_support(kind, dx, dy, dz, s, out):
     """`support` of the part of a cloud whose numbers are at s[PART:]."""
     a = s[PART]
@@ -73,7 +73,7 @@ def _part_support(kind, dx, dy, dz, s, out):
         s[out], s[out + 1], s[out + 2] = s[best], s[best + 1], s[best + 2]
 
 
-@njit(cache=True)
+@inner_njit
 def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
     """Farthest point of a solid, in its own frame, along (dx, dy, dz); into s[out : out + 3].
 
@@ -105,7 +105,7 @@ def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
         s[out + 2] = b if kind == CYLINDER and dz >= 0 else -b
 
 
-@njit(cache=True)
+@inner_njit
 def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
     """Support of A minus B along d in B's frame, where s[T : T + 12] maps A's frame to B's; into s[at:]."""
     ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
@@ -119,12 +119,12 @@ def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, a
     s[at + 2] = s[T + 8] * x + s[T + 9] * y + s[T + 10] * z + s[T + 11] - s[53]
 
 
-@njit(cache=True)
+@inner_njit
 def _copy(s, src, dst):
     s[dst], s[dst + 1], s[dst + 2] = s[src], s[src + 1], s[src + 2]
 
 
-@njit(cache=True)
+@inner_njit
 def _segment(s, v):
     """Closest point to the origin on the segment s[0:3], s[3:6], into s[v:]; returns the size left."""
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
@@ -142,7 +142,7 @@ def _segment(s, v):
     return 2
 
 
-@njit(cache=True)
+@inner_njit
 def _triangle(s, o, v):
     """As `_segment`, for three points from s[o] on."""
     ax, ay, az = s[o], s[o + 1], s[o + 2]
@@ -195,7 +195,7 @@ def _triangle(s, o, v):
     return 3
 
 
-@njit(cache=True)
+@inner_njit
 def _outside(s, i, j, k, o):
     """Whether the origin and point o are on different sides of the plane through points i, j, k."""
     abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
@@ -209,7 +209,7 @@ def _outside(s, i, j, k, o):
     return here * there < 0.0
 
 
-@njit(cache=True)
+@inner_njit
 def _tetrahedron(s, v):
     """As `_segment`, for four points; returns 4 if the origin is inside."""
     best, size = 1e300, 4
@@ -239,7 +239,7 @@ def _tetrahedron(s, v):
     return size
 
 
-@njit(cache=True)
+@inner_njit
 def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
     """Distance of convex solid A to convex solid B [m], 0 when they touch; never more than the true one.
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.block import (
     AT_D,
@@ -40,7 +41,7 @@ PROVEN = 2.0
 ROOM = 2048  # intervals that may wait in a proof
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def spread(I, w, p, a, b, at, step):
     """16 configurations between those at p[a:] and p[b:], at fractions at, at + step, ..."""
     t = fma(iota(), splat(step), splat(at))
@@ -48,7 +49,7 @@ def spread(I, w, p, a, b, at, step):
         store(w, j * L, fma(t, splat(p[b + j] - p[a + j]), splat(p[a + j])))
 
 
-@njit(cache=True)
+@inner_njit
 def edge_free(k, p, a, b, step):
     """Whether the motion from p[a:] to p[b:] is free at samples at most `step` [rad] apart, b included.
 
@@ -65,7 +66,7 @@ def edge_free(k, p, a, b, step):
     return True
 
 
-@njit(cache=True)
+@inner_njit
 def prove(k, p, first, last, count, at, mode, finest):
     """Prove straight motions free, several at once; returns how many are not.
 
@@ -143,7 +144,7 @@ def prove(k, p, first, last, count, at, mode, finest):
             waiting += 2
 
 
-@njit(cache=True)
+@inner_njit
 def loosen(k, room):
     """Fill the slack of bodies and pairs [m] from how far each joint may be off the edge, room (dof,)."""
     I, D = ints(k), at_address(np.float64, k[AT_D])

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.store import keep, key_of, recall
+from armcell._array_store import keep, key_of, recall
 
 F64 = NDArray[np.float64]
 

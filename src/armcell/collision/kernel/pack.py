@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.box_tree import box_tree
-from armcell.collision.kernel.cloud_part import join_clouds
-from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.pieces import join_pieces
 from armcell.collision.kernel.robot_part import RobotPart
-from armcell.collision.kernel.world_part import ObjectPart, object_part
+from armcell.collision.kernel.world_arrays import World
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
@@ -91,70 +87,16 @@ class Names(NamedTuple):
     objects: tuple[str, ...]
 
 
-def pack(scene: PlanningScene, robot: RobotPart) -> tuple[Pack, Names]:
-    """Convert a scene and a robot part to kernel arrays.
+def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Names]:
+    """Convert a robot part and the world of a scene to kernel arrays.
 
     Joints outside the group stay at the scene's positions.
     """
-    objects = tuple(object_part(item) for item in scene.objects.values())
-    names = tuple(scene.objects)
-    margin = np.where(
-        _ignored(scene, robot.bodies, names), np.float32(-1.0), robot.arrays["padding"][:, None]
-    )
-    world = _worlds.get(objects, lambda: _world(objects))
-    pieces = join_pieces([robot.pieces, *(part.pieces for part in objects)])
-    arrays: dict[str, Any] = robot.arrays | world | pieces
-    return Pack(
-        **arrays,
-        margin=margin.astype(np.float32).reshape(len(robot.bodies), len(names)),
-        shape_pieces=_first_pieces(objects, len(robot.pieces.kind)),
-    ), Names(robot.bodies, names)
-
-
-_worlds: LruCache[dict[str, NDArray]] = LruCache(8)
-
-
-def _first_pieces(objects: Sequence[ObjectPart], first: int) -> I32:
-    """Return the index (o + 1,) of the first exact piece of each world shape.
-
-    Args:
-        first: index of the first world piece.
-    """
-    ends = [first]
-    for part in objects:
-        ends += (part.pieces_end + ends[-1]).tolist()
-    return np.array(ends, np.int32)
-
-
-def _world(objects: Sequence[ObjectPart]) -> dict[str, NDArray]:
-    """Return the arrays of a `Pack` that do not depend on the robot."""
-    lows = [part.low for part in objects]
-    boxes, child = box_tree(
-        np.vstack(lows) if lows else np.zeros((0, 3)),
-        np.vstack([part.high for part in objects]) if lows else np.zeros((0, 3)),
-    )
-    first_plane, planes, cloud, clouds = [0], 0, [], 0
-    for part in objects:
-        first_plane += (part.planes_end + planes).tolist()
-        planes = first_plane[-1]
-        cloud += [k if k < 0 else k + clouds for k in part.cloud.tolist()]
-        clouds += len(part.clouds)
-
-    def joined(name: str, dtype: type, *shape: int) -> NDArray:
-        return np.concatenate([np.zeros((0, *shape), dtype), *(getattr(part, name) for part in objects)])
-
-    return {
-        "shape_kind": joined("kind", np.int32),
-        "shape_object": np.repeat(np.arange(len(objects), dtype=np.int32), [len(p.kind) for p in objects]),
-        "shape_pose": joined("pose", np.float32, 12),
-        "shape_size": joined("size", np.float32, 3),
-        "shape_planes": np.array(first_plane, np.int32),
-        "planes": joined("planes", np.float32, 4),
-        "boxes": boxes,
-        "child": child,
-        "shape_cloud": np.array(cloud, np.int32),
-        **join_clouds([cloud for part in objects for cloud in part.clouds]),
-    }
+    margin = np.repeat(robot.arrays["padding"][:, None], len(world.names), axis=1)
+    margin[_ignored(scene, robot.bodies, world.names)] = -1.0
+    arrays: dict[str, Any] = robot.arrays | world.arrays | join_pieces(robot.pieces.tables, world.pieces)
+    shape_pieces = world.shape_pieces + np.int32(len(robot.pieces.kind))
+    return Pack(**arrays, margin=margin, shape_pieces=shape_pieces), Names(robot.bodies, world.names)
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
@@ -163,6 +105,8 @@ def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, 
     Contact is ignored only for pairs that the scene names.
     """
     ignored = np.zeros((len(bodies), len(objects)), bool)
+    if not scene.allowed:
+        return ignored
     body = {name: k for k, name in enumerate(bodies)}
     item = {name: o for o, name in enumerate(objects)}
     for pair in scene.allowed:

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.frames import (
     ALIVE,
@@ -44,7 +44,7 @@ from armcell.collision.kernel.verdict import fail, touch
 DONE = np.int64(-1)
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _near(I, w, state, i, j, radii, more, mode):
     """Lanes (bits) where the balls around two centres are not clear of each other.
 
@@ -65,7 +65,7 @@ def _near(I, w, state, i, j, radii, more, mode):
     return mask_lt(apart, fma(half, vabs(rate) / apart, need)) & state[ALIVE]
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _far(I, F, w, state, i, j, radii):
     """Whether two bodies are clear of each other in every lane whatever their directions; cheap."""
     a, b = centre_at(I, i), centre_at(I, j)
@@ -78,7 +78,7 @@ def _far(I, F, w, state, i, j, radii):
     return mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), need * need) & state[ALIVE] == 0
 
 
-@njit(cache=True)
+@inner_njit
 def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
     """Spheres of group g against those of group h: the lanes (bits) where covers touch, or DONE.
 
@@ -114,7 +114,7 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
     return near
 
 
-@njit(cache=True)
+@inner_njit
 def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, mode):
     i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
     f, e, bodies = I[I[FRAME] + i], I[I[FRAME] + j], I[BODIES]
@@ -145,7 +145,7 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
     )
 
 
-@njit(cache=True)
+@inner_njit
 def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
     """Pairs of bodies; True where nothing is left to find out. See `_check_arrays`."""
     for pair in range(I[PAIRS]):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.convex import convex_pieces
 from armcell.collision.kernel import gjk
-from armcell.collision.kernel.lru_cache import LruCache
 from armcell.collision.kernel.simd import L
 from armcell.collision.shapes import is_convex
 from armcell.core import Box, Capsule, Cone, Cylinder, InputError, Mesh, Plane, Shape, Sphere
@@ -28,6 +27,21 @@ class Corners:
     count: I32
     points: F64
 
+    @cached_property
+    def lanes(self) -> dict[str, NDArray]:
+        """The vertices in the format of a `Pack`, padded to whole SIMD lanes."""
+        padded = -(-self.count // L) * L  # the kernel reads L points at once
+        first = np.cumsum(padded) - padded
+        begin = np.cumsum(self.count) - self.count
+        index = np.repeat(begin - first, padded) + np.arange(padded.sum())
+        index = np.minimum(index, np.repeat(begin + self.count - 1, padded)).astype(np.int64)
+        points = self.points[index]
+        return {
+            "piece_points": np.column_stack([first, self.count]).astype(np.int32),
+            "points": points,
+            "points32": points.reshape(-1, L, 3).transpose(0, 2, 1).astype(np.float32),
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
@@ -42,6 +56,17 @@ class Pieces:
     pose: F64
     ball: F64
     corners: Corners
+
+    @property
+    def tables(self) -> dict[str, NDArray]:
+        """The pieces in the format of a `Pack`."""
+        return {
+            "piece_kind": self.kind,
+            "piece_size": self.size,
+            "piece_pose": self.pose,
+            "piece_ball": self.ball,
+            **self.corners.lanes,
+        }
 
     def moved(self, T: F64) -> Pieces:
         """Return the pieces with their poses premultiplied by T (4, 4)."""
@@ -72,48 +97,25 @@ def pieces_of(shapes: Sequence[tuple[Shape, F64]]) -> Pieces:
 
 def concatenate(parts: Iterable[Pieces]) -> Pieces:
     every = (NO_PIECES, *parts)
+    if len(every) == 2:
+        return every[1]
     return Pieces(
         np.concatenate([p.kind for p in every]),
         np.concatenate([p.size for p in every]),
         np.concatenate([p.pose for p in every]),
         np.concatenate([p.ball for p in every]),
-        _concatenated([p.corners for p in every]),
+        Corners(
+            np.concatenate([p.corners.count for p in every]),
+            np.concatenate([p.corners.points for p in every]),
+        ),
     )
 
 
-def _concatenated(every: Sequence[Corners]) -> Corners:
-    return Corners(np.concatenate([c.count for c in every]), np.concatenate([c.points for c in every]))
-
-
-_joined: LruCache[dict[str, NDArray]] = LruCache(16)
-
-
-def join_pieces(parts: Iterable[Pieces]) -> dict[str, NDArray]:
-    """Concatenate pieces into the arrays of a `Pack`."""
-    every = (NO_PIECES, *parts)
-    corners = tuple(p.corners for p in every)
-    return {
-        "piece_kind": np.concatenate([p.kind for p in every]),
-        "piece_size": np.concatenate([p.size for p in every]),
-        "piece_pose": np.concatenate([p.pose for p in every]),
-        "piece_ball": np.concatenate([p.ball for p in every]),
-        **_joined.get(corners, lambda: _in_lanes(_concatenated(corners))),
-    }
-
-
-def _in_lanes(every: Corners) -> dict[str, NDArray]:
-    """Return hull vertices as arrays of a `Pack`, padded to whole SIMD lanes."""
-    padded = -(-every.count // L) * L  # the kernel reads L points at once
-    first = np.concatenate([[0], np.cumsum(padded)[:-1]]) if len(padded) else np.zeros(0)
-    begin = np.concatenate([[0], np.cumsum(every.count)[:-1]]) if len(padded) else np.zeros(0)
-    index = np.repeat(begin - first, padded) + np.arange(padded.sum())
-    index = np.minimum(index, np.repeat(begin + every.count - 1, padded)).astype(np.int64)
-    points = every.points[index]
-    return {
-        "piece_points": np.column_stack([first, every.count]).astype(np.int32),
-        "points": points,
-        "points32": points.reshape(-1, L, 3).transpose(0, 2, 1).astype(np.float32),
-    }
+def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[str, NDArray]:
+    """Concatenate the piece tables of robot and world."""
+    joined = {name: np.concatenate([table, world[name]]) for name, table in robot.items()}
+    joined["piece_points"][len(robot["piece_points"]) :, 0] += len(robot["points"])
+    return joined
 
 
 def convex_parts(shape: Shape) -> tuple[Shape, ...]:

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell._array_store import keep, key_of, recall
+from armcell.collision.convex import VERSION as PIECES_VERSION
 from armcell.collision.kernel import near
-from armcell.collision.kernel.cover import GROUP, Cover, bounding_sphere, cover
+from armcell.collision.kernel.cover import FIT_VERSION, GROUP, Cover, bounding_sphere, cover
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.collision.kernel.pieces import Pieces, concatenate, pieces_of
+from armcell.collision.kernel.pieces import Corners, Pieces, concatenate, pieces_of
 from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
@@ -32,6 +34,7 @@ OBJECT_OVERSHOOT = 0.005  # [m] for held objects, or `OBJECT_SHARE` of the large
 OBJECT_SHARE = 1 / 15  # a large object needs no finer cover, and fitting one would take a minute
 
 REVOLUTE_KIND = 1  # as in frames
+BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -455,7 +458,37 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
-    """Return the sphere cover and exact pieces of shapes with poses (4, 4) and overshoots [m]."""
+    """Return the sphere cover and exact pieces of shapes with poses (4, 4) and overshoots [m].
+
+    The result is cached on disk, so that later starts need no mesh library.
+    """
+    if not any(isinstance(shape, Mesh) for shape, _, _ in shapes):
+        return _new_body(shapes)
+    versions = repr((BODY_VERSION, FIT_VERSION, PIECES_VERSION, GROUP))
+    key = key_of(versions, *(part for shape, T, over in shapes for part in _content(shape, T, over)))
+    stored = recall("bodies", key)
+    if stored is None:
+        body = _new_body(shapes)
+        p = body.pieces
+        keep(
+            "bodies", key, around=body.around, spheres=body.spheres, groups=body.groups,
+            sizes=np.array(body.sizes, np.int64), piece_kind=p.kind, piece_size=p.size, piece_pose=p.pose,
+            piece_ball=p.ball, corner_count=p.corners.count, corners=p.corners.points,
+        )  # fmt: skip
+        return body
+    corners = Corners(stored["corner_count"], stored["corners"])
+    pieces = Pieces(*(stored[f"piece_{name}"] for name in ("kind", "size", "pose", "ball")), corners)
+    return _Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)
+
+
+def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
+    """Return all that the body of a shape depends on."""
+    if isinstance(shape, Mesh):
+        return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
+    return (T, repr((overshoot, shape)))
+
+
+def _new_body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
     spheres, groups, sizes = [], [], []
     for shape, T, overshoot in shapes:
         found: Cover = cover(shape, overshoot)

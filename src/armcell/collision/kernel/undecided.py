@@ -8,8 +8,8 @@ Last, because another pair of the same block may touch for certain, and then non
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.cloud import encloses, next_parts
 from armcell.collision.kernel.frames import (
@@ -64,7 +64,7 @@ INSIDE = np.int64(1) << 40
 """Added to a world shape that waits: whether a body is wholly inside its closed mesh."""
 
 
-@njit(cache=True)
+@inner_njit
 def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
     """Have the exact tier decide these lanes of a body against world shape `other` (or pair -1 - `other`).
 
@@ -78,7 +78,7 @@ def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
     return False
 
 
-@njit(cache=True)
+@inner_njit
 def decide(I, F, D, w, state, s, slack, slack_pair, mode):
     """Decide all that waits; True where nothing is left to find out."""
     waiting = state[WAITING]
@@ -107,7 +107,7 @@ def decide(I, F, D, w, state, s, slack, slack_pair, mode):
     return False
 
 
-@njit(cache=True)
+@inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
     """For every lane what a distance must exceed in any case, and the part of it beside the speed."""
     at, pair = need_at(I), -1 - other
@@ -152,7 +152,7 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
     store(w, at + 7 * L, vz)
 
 
-@njit(cache=True)
+@inner_njit
 def _world_piece(I, D, w, e, frame, lane, s, out):
     """World transform (12 numbers at s[out:]) of a body's exact piece in one lane."""
     m = I[PIECE_POSE] + 12 * e
@@ -164,7 +164,7 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
         s[out + 4 * i + 3] += t
 
 
-@njit(cache=True)
+@inner_njit
 def _relative(s):
     """A in B's frame."""
     A, B, R = AT_A, AT_B, AT_RELATIVE
@@ -175,7 +175,7 @@ def _relative(s):
         s[R + 4 * i + 3] = s[B + i] * x + s[B + 4 + i] * y + s[B + 8 + i] * z
 
 
-@njit(cache=True)
+@inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
     """Distance of piece a at s[AT_A:] to piece b at s[AT_B:] [m]; above `enough` a lower bound."""
     A, B, R = AT_A, AT_B, AT_RELATIVE
@@ -202,7 +202,7 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
     return gjk.distance(F, D, R, ka, sa, fa, ga, I[pa + 1], kb, sb, fb, gb, I[pb + 1], enough, warm, s)
 
 
-@njit(cache=True)
+@inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
     """What a distance along the normal in s[NORMAL:] must exceed in a lane.
 
@@ -229,7 +229,7 @@ def _directed_need(I, D, w, s, body, a, lane):
     return w[half_at(I) + lane] * speed + w[at + L]
 
 
-@njit(cache=True)
+@inner_njit
 def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
     """FREE, UNPROVEN or CONTACT: a body's exact pieces against a world shape's or another body's."""
     need, frame, pair = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), -1 - other
@@ -258,7 +258,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
     return FREE
 
 
-@njit(cache=True)
+@inner_njit
 def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
     """As `_exact_lane`, against the cloud of a world shape."""
     group, end = np.int64(I[I[BODY_GROUPS] + body]), I[I[BODY_GROUPS] + body + 1]
@@ -272,7 +272,7 @@ def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
     return FREE
 
 
-@njit(cache=True)
+@inner_njit
 def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
     """As `_exact_lane`, against `count` parts of a cloud at state[LISTED:]."""
     need, frame, R = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), AT_RELATIVE
@@ -321,7 +321,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
     return FREE
 
 
-@njit(cache=True)
+@inner_njit
 def _is_inside(I, F, D, w, state, s, body, other, lane):
     """Whether a piece of a body, none of which touches a world shape's closed mesh, is inside it."""
     frame, m, size = frame_at(I, I[I[FRAME] + body]), I[SHAPE_POSE] + 12 * other, I[SHAPE_SIZE] + 3 * other

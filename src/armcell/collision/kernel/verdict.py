@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.frames import ALIVE, FIRST, PROVE, TOUCHING
 
 FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 
-@njit(cache=True)
+@inner_njit
 def fail(state, lanes, mode):
     """Note that these lanes are not free; True where nothing is left to find out."""
     state[ALIVE] &= ~lanes
     return mode & PROVE == 0 or state[ALIVE] == 0
 
 
-@njit(cache=True)
+@inner_njit
 def touch(state, lanes, mode):
     """As `fail`, for lanes that touch for certain."""
     state[TOUCHING] |= lanes

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.boxes import boxes_hit, into, turned
 from armcell.collision.kernel.cloud import DONE, body_to_cloud
@@ -69,7 +69,7 @@ from armcell.collision.kernel.undecided import INSIDE, wait
 from armcell.collision.kernel.verdict import fail, touch
 
 
-@njit(cache=True)
+@inner_njit
 def shape_gap(I, F, o, w, at):
     """Distance of the points at w[at:] to world shape o in every lane; a lower bound for cones and meshes."""
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
@@ -105,7 +105,7 @@ def shape_gap(I, F, o, w, at):
     return vmax(mantle, zero - z - b)
 
 
-@njit(cache=True)
+@inner_njit
 def shape_rate(I, F, o, w, at, velocity):
     """How fast the gap of `shape_gap` changes, at most, for points that move at w[velocity:].
 
@@ -150,7 +150,7 @@ def shape_rate(I, F, o, w, at, velocity):
     return vabs(fma(x, vx, fma(y, vy, z * vz))) / vsqrt(fma(x, x, fma(y, y, fma(z, z, tiny))))
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
     """Lanes (bits) where the ball around centre i is not clear of shape o; the gap; what it must exceed.
 
@@ -169,7 +169,7 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
     return lanes, gap, need
 
 
-@njit(cache=True)
+@inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
     """`_body_to_shape` for a shape that is the box around a cloud."""
     other = np.int64(o)  # as the exact tier has it, or what both call is compiled twice
@@ -185,7 +185,7 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     return lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, other + INSIDE, lanes, mode)
 
 
-@njit(cache=True)
+@inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
     """A body against one world shape, from its groups down; True where nothing is left to find out."""
     if I[I[SHAPE_CLOUD] + o] >= 0:
@@ -224,7 +224,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     return open_lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, o, open_lanes, mode)
 
 
-@njit(cache=True)
+@inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
     """Bodies against the world; True where nothing is left to find out. See `_check_arrays`."""
     for body in range(I[BODIES] - 1, -1, -1):  # the tip's bodies first: they touch most often

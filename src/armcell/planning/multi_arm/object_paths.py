@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from armcell.core import SE3, SO3
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 
@@ -128,7 +130,7 @@ def time_law(
     if isinstance(way, RoundedObjectPath):
         return _paced(path, way, velocity, acceleration, max_speed)
     s = np.linspace(0, 1, len(path))
-    spline = CubicSpline(s, path)
+    spline = cubic_spline(s, path)
     first, second = spline(s, 1), spline(s, 2)
     # On the unit clock: rate and bend over time; the path's derivatives at the same shares.
     at, rate, bend = _quintic(np.linspace(0, 1, 201))
@@ -149,7 +151,7 @@ def _paced(
 
     A moving average over time then makes the acceleration continuous; the object stays exactly on its path.
     """
-    spline = CubicSpline(np.linspace(0, 1, len(path)), path)
+    spline = cubic_spline(np.linspace(0, 1, len(path)), path)
     s = np.linspace(0, 1, GRID + 1)
     first, second = np.abs(spline(s, 1)) + 1e-9, np.abs(spline(s, 2)) + 1e-9
     fastest = np.minimum(velocity / first, np.sqrt(SHARED * acceleration / second)).min(axis=1)
@@ -184,9 +186,16 @@ def _quintic(x: Array) -> tuple[Array, Array, Array]:
     )
 
 
+def cubic_spline(x: Array, y: Array, **options: Any) -> CubicSpline:
+    """Return SciPy's cubic spline through points (m, n)."""
+    from scipy.interpolate import CubicSpline  # a third of a second, which other plans need not wait for
+
+    return CubicSpline(x, y, **options)
+
+
 def derivatives(times: Array, q: Array) -> tuple[Array, Array]:
     """Compute velocities and accelerations of the spline through positions (m, n)."""
-    spline = CubicSpline(times, q, bc_type="clamped")
+    spline = cubic_spline(times, q, bc_type="clamped")
     v, a = spline(times, 1), spline(times, 2)
     v[0] = v[-1] = a[0] = a[-1] = 0.0
     return v, a

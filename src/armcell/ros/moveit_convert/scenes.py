@@ -206,13 +206,17 @@ def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
     """Return the changes that a PlanningSceneWorld makes, in order.
 
-    Each object is converted in the scene that results from the previous changes.
+    Each object is converted in the scene that results from the previous changes, as far as they concern it:
+    adding and moving other objects do not.
     """
     changes: list[Change] = []
+    pending: dict[str, list[Change]] = {}  # by object, not yet made in `now`
     for item in message.collision_objects:
-        more = object_changes(item, now, known)
-        now = SceneDiff(tuple(more)).applied_to(now)
-        changes += more
+        if int(item.operation) not in (ADD, MOVE) or item.id in pending:
+            now = SceneDiff(tuple(c for more in pending.values() for c in more)).applied_to(now)
+            pending = {}
+        pending[item.id] = object_changes(item, now, known)
+        changes += pending[item.id]
     return [*changes, *_octomap(message.octomap)]
 
 
@@ -313,10 +317,15 @@ def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
 def _matrix(schema: Schema, scene: PlanningScene) -> Any:
     names = [n for n, link in scene.model.links.items() if link.collisions]
     names += [*scene.objects, *scene.attached]
-    n = len(names)
-    enabled = np.zeros((n, n), dtype=bool)
-    for i, j in combinations(range(n), 2):
-        enabled[i, j] = enabled[j, i] = scene.is_allowed(names[i], names[j])
+    enabled = np.zeros((len(names), len(names)), dtype=bool)
+    index = {name: k for k, name in enumerate(names)}
+    touches = {frozenset((o, link)): True for o, held in scene.attached.items() for link in held.touch_links}
+    for pair, allow in (
+        dict.fromkeys(scene.model.disabled_collisions, True) | touches | dict(scene.allowed)
+    ).items():
+        ends = [index[name] for name in pair if name in index]
+        if len(ends) == 2:
+            enabled[ends, ends[::-1]] = allow
     Entry = schema.message("moveit_msgs/AllowedCollisionEntry")
     return schema.new(
         "moveit_msgs/AllowedCollisionMatrix",

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
@@ -32,7 +33,7 @@ SHORTER, SHORTEST = 0.7, 0.05  # factor by which a node's longest edge shrinks o
 GAIN = 1e-3  # [rad] by which another parent must make a node cheaper
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def uniform(random):
     """Draw a number in [0, 1) from the generator state random[0] (splitmix64.
 
@@ -46,7 +47,7 @@ def uniform(random):
     return float(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True)
+@inner_njit
 def _apart(a, i, b, k, dof):
     total = 0.0
     for j in range(dof):
@@ -54,7 +55,7 @@ def _apart(a, i, b, k, dof):
     return np.sqrt(total)
 
 
-@njit(cache=True)
+@inner_njit
 def _to_go(roots, dof, first, last, q, at):
     """Compute the distance of q[at:] from the nearest of the roots first..last."""
     least = 1e300
@@ -63,7 +64,7 @@ def _to_go(roots, dof, first, last, q, at):
     return least
 
 
-@njit(cache=True)
+@inner_njit
 def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
     """Sample uniformly from the ellipsoid of points that a path below the bound can pass."""
     length = _apart(roots, 0, roots, goal * dof, dof)
@@ -89,7 +90,7 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
         q[at + j] += 0.5 * (roots[j] + roots[goal * dof + j])
 
 
-@njit(cache=True)
+@inner_njit
 def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
     """Sample a configuration that a path below the bound can pass, into q[at:].
 
@@ -109,7 +110,7 @@ def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
     return False
 
 
-@njit(cache=True)
+@inner_njit
 def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             axis, nodes, parents, radii, leaves, leaf_ints, capacity, room, random, stop, max_iterations,
             found):  # fmt: skip

@@ -29,6 +29,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.simd import (
     L,
     fma,
@@ -66,7 +67,7 @@ def _most(capacity):
     return (2 * capacity // L + L) // L * L
 
 
-@njit(cache=True)
+@inner_njit
 def reset_leaves(ints, capacity):
     """Empty the leaves of both trees."""
     size = SIZES + _most(capacity) * (L + 1) + capacity
@@ -74,7 +75,7 @@ def reset_leaves(ints, capacity):
         ints[tree * size + JOINED] = ints[tree * size + LEAVES] = 0
 
 
-@njit(cache=True)
+@inner_njit
 def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, at, room):
     """Find the node of a tree with `count` nodes that is nearest to q[at:].
 
@@ -103,7 +104,7 @@ def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, a
     return int(ints[inside + k])
 
 
-@njit(cache=True)
+@inner_njit
 def _clear(floats, ints, dims, f, boxes, i, leaf):
     """Initialize an empty leaf; the first leaf of a vector also empties the boxes that share it."""
     ints[i + SIZES + leaf] = 0
@@ -117,7 +118,7 @@ def _clear(floats, ints, dims, f, boxes, i, leaf):
         floats[box + (dims + j) * L + leaf % L] = np.float32(-FAR)
 
 
-@njit(cache=True)
+@inner_njit
 def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, at):
     """Append a node, whose coordinates are source[at::L], to a leaf that has a free lane."""
     lane = ints[i + SIZES + leaf]
@@ -132,7 +133,7 @@ def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, a
     ints[leaf_of + node] = leaf
 
 
-@njit(cache=True)
+@inner_njit
 def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, node):
     """Add a node to a leaf; halve the leaf first if it is full."""
     at = ((first + node) // L) * dims * L + (first + node) % L
@@ -187,7 +188,7 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
     _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, nodes, at)
 
 
-@njit(cache=True)
+@inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
     """Find the lane (over all leaves) of the node nearest to q[at:]."""
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
@@ -228,7 +229,7 @@ def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
     return int(room[lane]) * L + lane
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def _look(floats, dims, f, leaf, q, at, best, where):
     """Update each lane's best distance and its leaf with another leaf."""
     base, total = f + leaf * dims * L, splat(np.float32(0.0))

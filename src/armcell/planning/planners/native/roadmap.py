@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import EXACT, PADDED, PROVE, check_block, ints, lanes_of
 from armcell.collision.kernel.frames import half_at, rate_at
 from armcell.collision.kernel.layout import DOF
@@ -27,7 +28,7 @@ SAME = 1e-6  # [rad] nearer than this is the same vertex
 VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
 
 
-@njit(cache=True)
+@inner_njit
 def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
     """Find the k nearest vertices of q[at:], nearest first, into ids and near (squared).
 
@@ -58,7 +59,7 @@ def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
     return n
 
 
-@njit(cache=True)
+@inner_njit
 def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts):
     """Add an edge between two vertices. Edge e is entry 2 e at a and 2 e + 1 at b."""
     e = counts[EDGES]
@@ -70,7 +71,7 @@ def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts
     lengths[e], edge_stamps[e] = length, stamp
 
 
-@njit(cache=True)
+@inner_njit
 def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids,
          near, room):  # fmt: skip
     """Add a free vertex, joined with its nearest vertices.
@@ -95,7 +96,7 @@ def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, 
     return n
 
 
-@njit(cache=True)
+@inner_njit
 def _not_free(k, lanes):
     """Return the lanes whose configurations at w are not free."""
     I, w = ints(k), lanes_of(k)
@@ -187,7 +188,7 @@ def insert(nodes, head, following, to, lengths, vertex_stamps, edge_stamps, coun
         )  # fmt: skip
 
 
-@njit(cache=True)
+@inner_njit
 def _push(keys, items, n, key, item):
     i = n
     while i > 0 and keys[(i - 1) // 2] > key:
@@ -196,7 +197,7 @@ def _push(keys, items, n, key, item):
     keys[i], items[i] = key, item
 
 
-@njit(cache=True)
+@inner_njit
 def _pop(keys, items, n):
     """Remove the smallest of n heap entries and write it behind the others."""
     top_key, top = keys[0], items[0]
@@ -213,7 +214,7 @@ def _pop(keys, items, n):
     keys[n - 1], items[n - 1] = top_key, top
 
 
-@njit(cache=True)
+@inner_njit
 def _to_go(nodes, dof, v, goals, room):
     """Compute the distance of vertex v from the nearest goal; room: 2 dof doubles."""
     least = np.inf
@@ -229,7 +230,7 @@ def _to_go(nodes, dof, v, goals, room):
     return np.sqrt(least)
 
 
-@njit(cache=True)
+@inner_njit
 def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stamps, stamp, start, goals,
               number, mark, cost, came, keys, items, ends, stop):  # fmt: skip
     """Find the goal that the shortest path not known to be blocked reaches (A*), or -1."""

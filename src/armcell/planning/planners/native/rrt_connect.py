@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
@@ -60,7 +61,7 @@ def kronecker_steps(dof, out):
         out[j] = value
 
 
-@njit(cache=True)
+@inner_njit
 def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
             nodes, parents, radii, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import FIRST, ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
@@ -27,7 +28,7 @@ ROUNDS = 4
 WORTHWHILE = 0.02  # smallest relative gain that justifies another round
 
 
-@njit(cache=True)
+@inner_njit
 def _distance(p, dof, a, b):
     total = 0.0
     for j in range(dof):
@@ -35,13 +36,13 @@ def _distance(p, dof, a, b):
     return np.sqrt(total)
 
 
-@njit(cache=True)
+@inner_njit
 def _copy(p, width, src, dst):
     for j in range(width):
         p[dst + j] = p[src + j]
 
 
-@njit(cache=True)
+@inner_njit
 def _shortcut(k, p, count, first, last, at, mode, stop):
     """Join each vertex with the farthest later vertex that a proven straight line reaches."""
     dof = ints(k)[DOF]
@@ -62,7 +63,7 @@ def _shortcut(k, p, count, first, last, at, mode, stop):
     return count
 
 
-@njit(cache=True)
+@inner_njit
 def _round_corners(k, p, count, room, first, last, at, mode):
     """Move corners toward the midpoints of their edges if the new edges are proven free.
 

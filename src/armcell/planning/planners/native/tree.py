@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.simd import (
     L,
     any_lt,
@@ -39,7 +39,7 @@ def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def put(nodes, dof, i, q, at):
     """Write the configuration q[at:] as node i; the rest of a new block is set far away.
 
@@ -53,7 +53,7 @@ def put(nodes, dof, i, q, at):
         nodes[base + j * L] = np.float32(q[at + j])
 
 
-@njit(cache=True, forceinline=True)
+@inner_njit(forceinline=True)
 def get(nodes, dof, i, q, at):
     """Read node i into q[at:]."""
     base = (i // L) * dof * L + i % L
@@ -61,7 +61,7 @@ def get(nodes, dof, i, q, at):
         q[at + j] = nodes[base + j * L]
 
 
-@njit(cache=True)
+@inner_njit
 def nearest(nodes, dof, first, count, q, at, room):
     """Find the nearest of `count` nodes from node `first` (a multiple of L) on to q[at:].
 
@@ -84,7 +84,7 @@ def nearest(nodes, dof, first, count, q, at, room):
     return int(room[lane]) * L + lane
 
 
-@njit(cache=True)
+@inner_njit
 def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
     """Write the path from tree 0's root to its node i, and on from tree 1's node k to its root.
 

@@ -1,0 +1,141 @@
+"""Measure plans in scenes that change: many objects, one of which is added, moved or removed, and clouds.
+
+    python -m benchmarks.changing_scenes [--passes 9]
+
+Every figure is CPU time of the calling thread, the minimum of the passes. A plan is the whole Python call
+`plan()` of a Panda to a joint goal, with objects around the arm that never block the way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.kernel.cloud_part import cloud_of
+from armcell.core import SE3, Box, JointGoal, JointState, PlanRequest, PointCloud
+from armcell.model import load_robot
+from armcell.planning import plan
+from armcell.scene import AddObject, CollisionObject, PlanningScene, SceneDiff
+
+COUNTS = (1000, 5000)
+POINTS = 200_000
+GROUP = "arm"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--passes", type=int, default=9)
+    passes = parser.parse_args().passes
+    scene = PlanningScene.of(load_robot("panda"))
+    request = a_request(scene)
+    assert plan(scene, request).ok
+    print("| objects | first plan | same scene | one added | one moved | one removed | diff of all applied |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for count in COUNTS:
+        print("| " + " | ".join([str(count), *changes(scene, request, count, passes)]) + " |")
+    print(f"\ncloud of {POINTS} points: {cloud(scene, passes)}")
+
+
+def a_request(scene: PlanningScene) -> PlanRequest:
+    names = scene.model.group(GROUP).joint_names
+    goal = scene.positions[scene.model.columns(names)] + 0.3
+    return PlanRequest(GROUP, (JointGoal(JointState(names, goal)),))
+
+
+def changes(scene: PlanningScene, request: PlanRequest, count: int, passes: int) -> list[str]:
+    """CPU times of plans in scenes with `count` objects: the first, again, and after single changes."""
+    every = around(scene, count + passes, np.random.default_rng(count))
+    diff = SceneDiff(tuple(AddObject(item) for item in every[:count]))
+    full = scene.apply(diff)
+    times: dict[str, list[float]] = {}
+
+    def measure(what: str, now: PlanningScene) -> None:
+        took, result = cpu(lambda: plan(now, request))
+        assert result.ok, result.message
+        times.setdefault(what, []).append(took)
+
+    for k in range(passes):
+        fresh = replace(scene, objects={item.name: other_size(item, k) for item in every[:count]})
+        measure("first", fresh)
+        plan(full, request)
+        measure("same", full)
+        measure("added", full.with_object(every[count + k]))
+        plan(full, request)
+        name = f"box{(k * 7919) % count}"
+        pose = full.objects[name].T_world_object @ SE3.from_xyz(1e-3 * (k + 1), 0, 0)
+        measure("moved", full.with_object_pose(name, pose))
+        plan(full, request)
+        measure("removed", full.without_object(name))
+        times.setdefault("diff", []).append(cpu(lambda: scene.apply(diff))[0])
+    return [milliseconds(min(t)) for t in times.values()]
+
+
+def other_size(item: CollisionObject, k: int) -> CollisionObject:
+    """The same object, minimally longer, so that nothing about it is cached."""
+    [(shape, T)] = item.shapes
+    assert isinstance(shape, Box)
+    return replace(item, shapes=((Box(shape.x * (1 + 1e-9 * (k + 1)), shape.y, shape.z), T),))
+
+
+def cloud(scene: PlanningScene, passes: int) -> str:
+    """CPU times until a cloud is ready, of a check beside it, and of the first plan with it."""
+    ready, first, query = [], [], []
+    rng = np.random.default_rng(1)
+    request = a_request(scene)
+    for _ in range(passes):
+        points = PointCloud(surface(rng), 0.004)
+        ready.append(cpu(lambda points=points: cloud_of(points))[0])
+        now = scene.with_object(CollisionObject.single("cloud", points))
+        first.append(cpu(lambda now=now: plan(now, request))[0])
+        checker = KernelChecker(now, scene.model.group(GROUP).joint_names)
+        samples = [scene.positions[checker.columns] + 0.3 * rng.uniform(-1, 1, 7) for _ in range(200)]
+        query.append(
+            cpu(lambda checker=checker, samples=samples: [checker.is_free(q) for q in samples])[0] / 200
+        )
+    return (
+        f"ready after {milliseconds(min(ready))}, first plan {milliseconds(min(first))}, "
+        f"{min(query) * 1e6:.1f} us per query"
+    )  # fmt: skip
+
+
+def surface(rng: np.random.Generator) -> np.ndarray:
+    """Points (POINTS, 3) on a table, a wall and some boxes on the table, with 1 mm of noise."""
+    count = POINTS // 4
+    table = np.column_stack([rng.uniform(0.25, 1.2, count), rng.uniform(-1, 1, count), np.full(count, -0.05)])
+    wall = np.column_stack([np.full(count, 1.2), rng.uniform(-1, 1, count), rng.uniform(-0.05, 1.2, count)])
+    corner = rng.uniform([0.5, -0.8, -0.05], [1.0, 0.8, -0.05], (20, 3))
+    boxes = rng.uniform(-1, 1, (POINTS - 2 * count, 3))
+    boxes[np.arange(len(boxes)), rng.integers(0, 3, len(boxes))] = 1.0
+    boxes = corner[rng.integers(0, 20, len(boxes))] + 0.05 * boxes
+    return np.vstack([table, wall, boxes]) + rng.normal(0, 1e-3, (POINTS, 3))
+
+
+def around(scene: PlanningScene, count: int, rng: np.random.Generator) -> list[CollisionObject]:
+    """Boxes of 1 to 5 cm, none of them within reach of the arm."""
+    found: list[CollisionObject] = []
+    while len(found) < count:
+        p = rng.uniform(-2, 2, 3)
+        if np.linalg.norm(p - [0, 0, 0.333]) > 1.2:
+            shape = Box(*rng.uniform(0.01, 0.05, 3))
+            found.append(CollisionObject.single(f"box{len(found)}", shape, SE3.from_xyz(*p)))
+    return found
+
+
+def cpu(call: Callable) -> tuple[float, object]:
+    """CPU time of this thread [s] for a call, and its result."""
+    began = time.thread_time()
+    result = call()
+    return time.thread_time() - began, result
+
+
+def milliseconds(seconds: float) -> str:
+    return f"{seconds * 1e3:.2f} ms"
+
+
+if __name__ == "__main__":
+    main()
