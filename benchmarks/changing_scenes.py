@@ -20,7 +20,10 @@ from armcell.collision.kernel.cloud_part import cloud_of
 from armcell.core import SE3, Box, JointGoal, JointState, PlanRequest, PointCloud
 from armcell.model import load_robot
 from armcell.planning import plan
-from armcell.scene import AddObject, CollisionObject, PlanningScene, SceneDiff
+from armcell.ros.codec import Codec
+from armcell.ros.moveit_convert import diff_from_message, scene_message
+from armcell.ros.schema import schema as built_in_schema
+from armcell.scene import WORLD, AddObject, CollisionObject, PlanningScene, SceneDiff
 
 COUNTS = (1000, 5000)
 POINTS = 200_000
@@ -38,6 +41,8 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for count in COUNTS:
         print("| " + " | ".join([str(count), *changes(scene, request, count, passes)]) + " |")
+    for count in COUNTS:
+        print(f"\n{count} objects in one diff over the wire: {wire(scene, count, passes)}")
     print(f"\ncloud of {POINTS} points: {cloud(scene, passes)}")
 
 
@@ -73,6 +78,31 @@ def changes(scene: PlanningScene, request: PlanRequest, count: int, passes: int)
         measure("removed", full.without_object(name))
         times.setdefault("diff", []).append(cpu(lambda: scene.apply(diff))[0])
     return [milliseconds(min(t)) for t in times.values()]
+
+
+def wire(scene: PlanningScene, count: int, passes: int) -> str:
+    """CPU times of one ROS 1 message with all objects: decoded, applied to the scene, sent back."""
+    schema = built_in_schema()
+    codec = Codec("ros1", schema)
+    header = schema.new("std_msgs/Header", frame_id=WORLD)
+    message = scene_message(
+        schema, header, scene.with_objects(around(scene, count, np.random.default_rng(7)))
+    )
+    message.is_diff = True
+    message.allowed_collision_matrix = schema.new("moveit_msgs/AllowedCollisionMatrix")
+    data = bytes(codec.encode(message))
+    decoded, applied, whole = [], [], []
+    for _ in range(passes):
+        took, received = cpu(lambda: codec.decode("moveit_msgs/PlanningScene", data))
+        decoded.append(took)
+        took, now = cpu(lambda received=received: scene.apply(diff_from_message(received, scene)))
+        applied.append(took)
+        assert len(now.objects) == count
+        whole.append(cpu(lambda now=now: scene_message(schema, header, now))[0])
+    return (
+        f"decoded in {milliseconds(min(decoded))}, applied in {milliseconds(min(applied))}; "
+        f"the whole scene as a message {milliseconds(min(whole))}"
+    )  # fmt: skip
 
 
 def other_size(item: CollisionObject, k: int) -> CollisionObject:

@@ -51,8 +51,8 @@ print(f"a crate: {miss.reason}")
 scene = cell.scene().without_object("cube").with_object(wheel)
 with cell.connect(scene=scene) as live:
     picked = live.arm.pick("wheel")
-    if not picked:  # without the extra `decompose` physics fills the hole in the wheel
-        raise SystemExit(f"{picked.message} (pip install 'armcell[decompose]')")
+    if not picked:
+        raise SystemExit(picked.message)
     print(f"pick: {picked.code.name}, {picked.evidence['grasp'].name}")
     live.arm.hold(2.0)
     print(f"slipped {1000 * live.reports[-1].slip_m:.2f} mm in 2 s")

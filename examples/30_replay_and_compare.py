@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from armcell.cell import Cell, load, run_task, with_values
-from armcell.records import RunRecorder, about_run, compare, execute_again, read_record
+from armcell.records import RunRecorder, compare, read_record, reexecute, run_metadata
 
 CELL = """
 robot: panda
@@ -23,8 +23,8 @@ task:
 
 def recorded(cell: Cell, seed: int, folder: Path) -> Path:
     """Run the cell's task in physics, with a record; what `armcell run` does."""
-    about = about_run(cell, seed, "sim")  # cell, seed, hashes, versions: all it takes to run it again
-    with RunRecorder(folder, cell.scene(seed), about=about) as recorder:
+    metadata = run_metadata(cell, seed, "sim")  # cell, seed, hashes, versions: all it takes to run it again
+    with RunRecorder(folder, cell.scene(seed), metadata=metadata) as recorder:
         with cell.connect("sim", seed, [recorder]) as live:
             result = run_task(cell, live, seed, "sim")
         recorder.finish(result)
@@ -40,7 +40,7 @@ def main() -> None:
         first = read_record(recorded(cell, 0, folder / "first"))
         print(f"recorded: {len(first.states)} states, {len(first.events)} events")
 
-        same, _, _ = execute_again(first, folder / "again")
+        same, _, _ = reexecute(first, folder / "again")
         print(f"executed again: {same.same_states} of {same.states} states identical to the bit")
 
         # The same task with softer servos: where do the runs part, and how far do they get?

@@ -17,7 +17,7 @@ from benchmarks.campaign import QUICK, TIMED, VARIED
 from tests.cli.helpers import call, cell_file, finished, read_json, start
 
 from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run, write_report
-from armcell.campaigns.moments import MOST
+from armcell.campaigns.failure_frames import MOST
 from armcell.campaigns.store import TRIALS
 from armcell.campaigns.trial import Trial, failed, run_trial
 from armcell.cell import load

@@ -79,7 +79,7 @@ def test_a_part_that_dies_is_restarted_or_stops_the_cell(tmp_path):
             time.sleep(0.02)
         time.sleep(0.3)
         assert gripper.silent < 0.3 and health.now(live)["drivers"] == "ok"
-        live.driver._heart.stop()  # what keeps the robot going dies: all stops, and it is said
+        live.driver._heartbeat.stop()  # what keeps the robot going dies: all stops, and it is said
         time.sleep(0.3)
         assert "signs of life" in health.now(live)["drivers"]
         rest = live.driver.arms["arm"].q

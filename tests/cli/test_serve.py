@@ -87,7 +87,9 @@ def test_what_is_served_is_recorded(port, tmp_path, capsys):
     (folder,) = runs.iterdir()
     assert f"report: {folder}/report.html" in errors.replace("\n", "")
     record = read_record(folder)
-    assert not record.cut and record.about["by"] == "those who join the cell" and record.about["seed"] == 5
+    assert (
+        not record.cut and record.metadata["by"] == "those who join the cell" and record.metadata["seed"] == 5
+    )
     assert record.result is not None and record.result["success"]
     assert record.result["command"] == "armcell serve panda_pick --unity --mode fake --seed 5"
     first, last = (state.sample().gripper_width["hand"] for state in (record.states[0], record.states[-1]))

@@ -72,6 +72,8 @@ def test_a_real_arm_moves_for_the_operator_alone_and_the_reason_is_recorded(tmp_
     assert "armcell: without a gate record: an emulator" in errors and "Traceback" not in errors
     (folder,) = (tmp_path / "runs").iterdir()
     record = read_record(folder)
-    assert record.about["gate"]["reason"] == "an emulator" and record.about["by"] == "the user of the page"
+    assert (
+        record.metadata["gate"]["reason"] == "an emulator" and record.metadata["by"] == "the user of the page"
+    )
     angle = record.states[-1].sample().joints.as_dict()["shoulder_pan_joint"]
     assert math.degrees(angle) == pytest.approx(40.0, abs=0.5)

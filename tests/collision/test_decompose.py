@@ -1,55 +1,146 @@
-"""Convex pieces of objects: convex, no larger than needed, the same again, and without CoACD too."""
+"""Convex pieces of objects: they contain the mesh, hardly exceed its volume, and leave its openings free."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 
-from armcell.collision import decompose
+from armcell.collision import concave, decompose
+from armcell.collision.winding import winding_numbers
 from armcell.core import Mesh
 
 
-def ring(segments: int) -> tuple[Mesh, trimesh.Trimesh]:
-    torus = trimesh.creation.torus(0.04, 0.01, major_sections=segments, minor_sections=12)
-    return Mesh(torus.vertices, torus.faces.astype(np.int32)), torus
+def cup(radius: float = 0.04, height: float = 0.1, wall: float = 0.003) -> trimesh.Trimesh:
+    inner = radius - wall
+    profile = [(0, 0), (radius, 0), (radius, height), (inner, height), (inner, wall), (0, wall)]
+    return trimesh.creation.revolve(np.array(profile), sections=32)
 
 
-def volumes(pieces) -> list[float]:
+def bin_of(x: float = 0.3, y: float = 0.2, z: float = 0.12, wall: float = 0.004) -> trimesh.Trimesh:
+    def loop(a: float, b: float, height: float) -> list[tuple[float, float, float]]:
+        return [(-a, -b, height), (a, -b, height), (a, b, height), (-a, b, height)]
+
+    a, b = x / 2, y / 2
+    vertices = [*loop(a, b, 0), *loop(a, b, z), *loop(a - wall, b - wall, z), *loop(a - wall, b - wall, wall)]
+    quads = [(3, 2, 1, 0), (12, 13, 14, 15)]
+    for i in range(4):
+        j = (i + 1) % 4
+        quads += [(k + i, k + j, k + 4 + j, k + 4 + i) for k in (0, 4, 8)]
+    faces = [t for p, q, r, s in quads for t in ((p, q, r), (p, r, s))]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def bracket() -> trimesh.Trimesh:
+    """A block with two steps, turned so that no face is parallel to an axis."""
+    outline = np.array(
+        [(0, 0), (0.1, 0), (0.1, 0.02), (0.04, 0.02), (0.04, 0.05), (0.02, 0.05), (0.02, 0.1), (0, 0.1)]
+    )
+    triangles = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5), (0, 5, 6), (0, 6, 7)]
+    solid = trimesh.creation.extrude_triangulation(outline, np.array(triangles), 0.03)
+    solid.apply_transform(trimesh.transformations.rotation_matrix(0.7, [1.0, 0.4, 0.2]))
+    return solid
+
+
+SOLIDS = {
+    "cup": cup(),
+    "bin": bin_of(),
+    "bracket": bracket(),
+    "torus": trimesh.creation.torus(0.04, 0.01, major_sections=24, minor_sections=12),
+    "tube": trimesh.creation.annulus(0.03, 0.035, 0.05),
+}
+
+
+def mesh_of(solid: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.array(solid.vertices), np.array(solid.faces, np.int32))
+
+
+def volume(pieces) -> float:
     solids = [trimesh.Trimesh(p.vertices, p.faces, process=False) for p in pieces]
     assert all(s.is_watertight and s.is_convex for s in solids)
-    return [float(s.volume) for s in solids]
+    return float(sum(s.volume for s in solids))
+
+
+def covered(pieces, points: np.ndarray) -> np.ndarray:
+    """How many pieces contain each point."""
+    count = np.zeros(len(points), int)
+    for piece in pieces:
+        planes = ConvexHull(piece.vertices).equations
+        count += (points @ planes[:, :3].T + planes[:, 3] < 1e-7).all(1)
+    return count
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))
+    decompose.object_pieces.cache_clear()
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_pieces_hold_the_mesh_and_little_more(name):
+    solid = SOLIDS[name]
+    assert solid.is_watertight
+    pieces = decompose.object_pieces(mesh_of(solid))
+    assert abs(solid.volume) * 0.9999 < volume(pieces) < abs(solid.volume) * 1.1
+    points = np.random.default_rng(1).uniform(solid.bounds[0], solid.bounds[1], (3000, 3))
+    inside = np.abs(winding_numbers(points, np.array(solid.vertices), np.array(solid.faces))) > 0.5
+    count = covered(pieces, points)
+    assert inside.sum() > 100 and (count[inside] > 0).all() and (count <= 1).all()
+
+
+def test_a_bin_of_plane_walls_is_exact():
+    pieces = decompose.object_pieces(mesh_of(bin_of()))
+    assert len(pieces) <= 6
+    assert volume(pieces) == pytest.approx(bin_of().volume, rel=1e-6)
+
+
+def test_cavities_stay_free():
+    grid = np.array(
+        [
+            (r * np.cos(a), r * np.sin(a), z)
+            for r in (0, 0.02, 0.035)
+            for a in range(6)
+            for z in (0.005, 0.05, 0.099)
+        ]
+    )
+    assert not covered(decompose.object_pieces(mesh_of(cup())), grid).any()
 
 
 def test_a_convex_mesh_stays_one():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
-    assert len(decompose.object_pieces(Mesh(box.vertices, box.faces.astype(np.int32)))) == 1
+    assert len(decompose.object_pieces(mesh_of(box))) == 1
 
 
-def test_a_ring_keeps_its_hole_and_is_kept_on_disk(tmp_path, monkeypatch):
-    pytest.importorskip("coacd", reason="extra 'decompose'")
-    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))
-    mesh, torus = ring(24)
-    first = decompose.object_pieces(mesh)
-    assert sum(volumes(first)) < 1.3 * torus.volume
-    inside = [np.all(p.vertices.min(0) < 0) and np.all(p.vertices.max(0) > 0) for p in first]
-    assert not any(inside)  # no piece's box spans the hole
+def test_a_mesh_with_repeated_vertices_is_closed():
+    """STL files list three vertices per triangle."""
+    solid = bin_of()
+    soup = Mesh(
+        solid.triangles.reshape(-1, 3), np.arange(3 * len(solid.faces), dtype=np.int32).reshape(-1, 3)
+    )
+    assert volume(decompose.object_pieces(soup)) == pytest.approx(solid.volume, rel=1e-6)
+
+
+def test_an_open_mesh_is_divided_by_axis_aligned_cuts():
+    solid = cup()
+    open_mesh = Mesh(np.array(solid.vertices), np.array(solid.faces[:-4], np.int32))
+    assert 1 <= len(decompose.object_pieces(open_mesh)) <= 12
+
+
+def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
+    first = decompose.object_pieces(mesh_of(cup()))
     decompose.object_pieces.cache_clear()
-    monkeypatch.setattr(decompose, "_coacd", lambda *_: pytest.fail("made again"))
-    again = decompose.object_pieces(mesh)
+    monkeypatch.setattr(concave, "cut", lambda *_: pytest.fail("cut again"))
+    again = decompose.object_pieces(mesh_of(cup()))
     assert [p.vertices.tolist() for p in again] == [p.vertices.tolist() for p in first]
 
 
-def test_without_coacd_our_own_cuts_hold_the_mesh(monkeypatch):
-    monkeypatch.setattr(decompose, "can_decompose", lambda: False)
-    mesh, torus = ring(20)
-    assert sum(volumes(decompose.object_pieces(mesh))) > torus.volume
-
-
-def test_where_coacd_crashes_our_own_cuts_are_taken(tmp_path, monkeypatch, caplog):
-    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(decompose, "can_decompose", lambda: True)
-    monkeypatch.setattr(decompose, "_PROGRAM", "import os; os.kill(os.getpid(), 11)")
-    mesh, torus = ring(16)
-    assert sum(volumes(decompose.object_pieces(mesh))) > torus.volume
-    assert "CoACD failed on this mesh" in caplog.text
+def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
+    solid = cup()
+    vertices, faces = np.array(solid.vertices, float), np.array(solid.faces, np.int32)
+    few = [concave.cut(vertices, faces, budget=60_000) for _ in range(2)]
+    assert 1 < len(few[0]) < len(concave.cut(vertices, faces))
+    assert all((a == b).all() for a, b in zip(*few, strict=True))
+    monkeypatch.setattr(concave.cut, "__defaults__", (60_000,))
+    decompose.object_pieces(mesh_of(solid))
+    assert "the mesh" in caplog.text and "cm3" in caplog.text

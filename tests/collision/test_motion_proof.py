@@ -76,8 +76,8 @@ def test_what_fades_out_of_an_earlier_motion_is_proven_too():
     scene = SCENE.with_state(JointState(NAMES, RIGHT))
     assert first_conflict(scene, Moving(way)) is None
     gap, still = LEFT - RIGHT, np.zeros((2, 7))
-    fade = JointTrajectory(NAMES, np.array([0.0, 1.0]), np.array([gap, 0 * gap]), still, still)
-    found = first_conflict(SCENE, Moving(way, 0.0, fade))  # from the other side, past the rod
+    blend = JointTrajectory(NAMES, np.array([0.0, 1.0]), np.array([gap, 0 * gap]), still, still)
+    found = first_conflict(SCENE, Moving(way, 0.0, blend))  # from the other side, past the rod
     assert found is not None and found.contact is not None and found.time < 1.0
 
 

@@ -11,7 +11,7 @@ from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outco
 from armcell.drivers import Capability, DriverOptions
 from armcell.drivers.following import SentClock
 from armcell.drivers.sim import SimDriver
-from armcell.execution.admittance import Admittance, AdmittanceSettings
+from armcell.execution import Admittance, AdmittanceSettings
 from armcell.execution.setpoints import SCALING_RATE
 from armcell.scene import CollisionObject
 from armcell.timing import merged, synchronized

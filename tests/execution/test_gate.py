@@ -13,7 +13,7 @@ import armcell
 from armcell.cell import load
 from armcell.collision import ExactChecker
 from armcell.core import ErrorCode, InputError, JointTrajectory
-from armcell.execution import CHANGED, DriverWorld, MotionGate, execute, execution_steps
+from armcell.execution import SCENE_INVALIDATED, DriverWorld, MotionGate, execute, execution_steps
 
 SOURCE = Path(armcell.__file__).parent
 MOVERS = {  # what may give a driver commands, and why
@@ -89,7 +89,8 @@ def test_a_motion_is_proven_again_when_one_beside_it_ends_early(driver, scene):
         driver, [execution_steps(driver, leaving), execution_steps(driver, coming)], during=during
     )
     assert first.code is ErrorCode.PREEMPTED
-    assert second.code is CHANGED and "left_" in second.message and "stopped" in second.message, second
+    assert second.code is SCENE_INVALIDATED, second
+    assert "left_" in second.message and "stopped" in second.message
     assert second.evidence["pair"] and second.evidence["time_s"] > 0
 
 

@@ -128,7 +128,7 @@ def gains(path: Path) -> None:
 
 
 def sdf(path: Path) -> None:
-    from armcell.cell.importing import import_world, write_imported
+    from armcell.cell.world_import import import_world, write_imported
 
     world = import_world(path)
     if world.objects:
@@ -234,14 +234,14 @@ def _record() -> bytes:
     import tempfile
 
     from armcell.core import Event, JointState, JointTrajectory, StateSample
-    from armcell.records import RunRecorder, about_run
+    from armcell.records import RunRecorder, run_metadata
     from armcell.scene import PlanningScene
 
     model = _two()
     scene = PlanningScene.of(model)
-    about = about_run(_cell(), 3, "sim")
+    about = run_metadata(_cell(), 3, "sim")
     with tempfile.TemporaryDirectory() as folder:
-        recorder = RunRecorder(Path(folder) / "run", scene, start_ns=10**18, about=about)
+        recorder = RunRecorder(Path(folder) / "run", scene, start_ns=10**18, metadata=about)
         names = model.joint_names
         recorder.on_event(Event(0.0, "stage", "move", {"phase": "begin"}))
         recorder.on_trajectory(0.0, JointTrajectory(names, np.array([0.0, 1.0]), np.zeros((2, len(names)))))

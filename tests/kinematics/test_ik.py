@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import islice
+
 import numpy as np
 import pytest
 from tests.model.helpers import MBM, dual, mbm_robot, random_positions
 
 from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
-from armcell.kinematics import IKSettings, IKSolver, NumericIK, ik_solver
+from armcell.kinematics import IKSettings, IKSolver, NumericIK, ik_solver, ik_solvers
 from armcell.model import load_robot
 
 POSES = 300
@@ -180,3 +183,54 @@ def test_a_half_turn_is_found():
         if result.ok:
             assert reached(ik, result.positions, q).isclose(target, 1e-5, 1e-4)
     assert ik.solve(SE3(start.rotation @ SO3.exp((0, 0, np.pi)), start.translation), q).ok
+
+
+def test_a_robot_names_the_solver_of_a_group(tmp_path):
+    (tmp_path / "robot.yaml").write_text(
+        "name: r\nparts: [{robot: ur10}]\nsrdf: r.srdf\nik_solvers: {arm: numeric}\n"
+    )
+    (tmp_path / "r.srdf").write_text(
+        '<robot name="r"><group name="arm"><chain base_link="base_link" tip_link="tool0"/></group></robot>'
+    )
+    model = load_robot(tmp_path)
+    assert (
+        ik_solver(model, "arm").method == "numeric"
+        and ik_solver(load_robot("ur10"), "arm").method == "analytic"
+    )
+    text = (tmp_path / "robot.yaml").read_text()
+    (tmp_path / "robot.yaml").write_text(text.replace("numeric", "nummeric"))
+    with pytest.raises(UnknownNameError, match="unknown IK solver 'nummeric'; known: analytic, numeric"):
+        ik_solver(load_robot(tmp_path), "arm")
+    (tmp_path / "robot.yaml").write_text(text.replace("{arm:", "{amr:"))
+    with pytest.raises(UnknownNameError, match="ik_solvers: unknown planning group 'amr'"):
+        load_robot(tmp_path)
+
+
+def test_a_solver_that_does_not_fit_is_refused():
+    panda = load_robot("panda")
+    groups = {n: replace(g, ik_solver="analytic") for n, g in panda.groups.items()}
+    with pytest.raises(InputError, match="'analytic' cannot solve group 'arm'"):
+        ik_solver(replace(panda, groups=groups), "arm")
+
+
+@pytest.mark.parametrize("name", list(ik_solvers))
+def test_every_registered_solver_reaches_what_it_says_it_solves(name):
+    """The contract: solutions are distinct, within limits, and at the pose; the same call gives the same."""
+    solved = 0
+    for robot, group in ARMS.items():
+        model, rng = load_robot(robot), np.random.default_rng(3)
+        if not ik_solvers[name].solves(model, group):
+            continue
+        solver, solved = ik_solvers[name](model, group), solved + 1
+        for _ in range(10):
+            reference = model.default_positions()
+            target = solver.tree.link_pose(random_positions(model, rng), solver.tip_link)
+            every = [
+                list(islice(solver.solutions(target, reference, np.random.default_rng(0)), 8))
+                for _ in range(2)
+            ]
+            np.testing.assert_array_equal(*every)
+            for q in every[0]:
+                model.check_positions(q, solver.joint_names, margin=1e-9)
+                assert reached(solver, q, reference).isclose(target, 1e-5, 1e-4)
+    assert solved

@@ -123,3 +123,23 @@ def test_a_broken_mesh_is_one_clear_line(tmp_path, within, name, data):
         load_urdf(tmp_path / "r.urdf")
     text = str(error.value)
     assert "r.urdf:2: <mesh>: " in text and name in text and "\n" not in text
+
+
+def test_a_mesh_that_is_on_disk_already_is_the_mesh_of_the_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path / "cache"))
+    file = tmp_path / "box.stl"
+
+    def loaded(size: float) -> tuple[np.ndarray, np.ndarray]:
+        trimesh.creation.box((size, size, size)).export(file)
+        load_mesh.cache_clear()
+        mesh = load_mesh(file, (2.0, 1.0, 1.0))
+        return mesh.vertices, mesh.faces
+
+    vertices, faces = loaded(1.0)
+    assert len(list((tmp_path / "cache" / "meshes").iterdir())) == 1
+    monkeypatch.setattr(trimesh, "load", lambda *a, **k: pytest.fail("read the file again"))
+    again, same = loaded(1.0)
+    assert again.tobytes() == vertices.tobytes() and same.tobytes() == faces.tobytes()
+    monkeypatch.undo()
+    monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path / "cache"))
+    assert loaded(3.0)[0].max() == pytest.approx(3.0)

@@ -180,8 +180,8 @@ def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     assert record.result["success"] is (status == 0) and record.result["seed"] == 3
     asked = f"--seed 3 --set objects.cube.mass=0.07 --time-scale 50 -- {status}"
     assert record.result["command"].endswith(asked) and "nodding.py" in (folder / "report.html").read_text()
-    assert record.about["by"] == "the script nodding.py" and record.about["script"]
-    assert record.about["values"] == {"objects.cube.mass": 0.07}
+    assert record.metadata["by"] == "the script nodding.py" and record.metadata["script"]
+    assert record.metadata["values"] == {"objects.cube.mass": 0.07}
     (motion,) = (trajectory for _, trajectory in record.trajectories)
     assert motion.end.as_dict()["panda_joint1"] == pytest.approx(0.3, abs=1e-6)
     (plan,) = (event for event in record.events if event.kind == "plan")

@@ -9,7 +9,7 @@ from tests.records.synthetic import STAGES, panda_scene, play
 from armcell.core import SE3, Event, InputError, JointState, StateSample
 from armcell.records import RunRecorder, new_run_folder, read_record
 from armcell.records import recorder as recorder_module
-from armcell.records.stages import StageSpan, stage_spans
+from armcell.records.reader import StageSpan, stage_spans
 
 
 @pytest.fixture(scope="module")

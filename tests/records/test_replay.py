@@ -15,7 +15,7 @@ from tests.records.synthetic import panda_scene, play
 from armcell.core import SE3, Box, Contact, Event, InputError, JointState, StateSample
 from armcell.kinematics import kinematic_tree
 from armcell.records import RunRecorder, compare, read_record
-from armcell.records.scenes import scenes_of
+from armcell.records.reader import scenes_of
 from armcell.scene import CollisionObject, scene_changes
 
 BOX = """robot: panda
@@ -68,7 +68,7 @@ def scene():
 
 def recorded(scene, folder, changed=lambda kind, value: value) -> Told:
     about = {"format": 1, "cell": "made up", "seed": 0, "mode": "fake", "hashes": {}, "versions": {}}
-    with RunRecorder(folder, scene, about=about) as recorder:
+    with RunRecorder(folder, scene, metadata=about) as recorder:
         told = Told(recorder, changed)
         play(scene, told, rate=100.0)
         recorder.finish({"success": True, "message": "done"})
@@ -85,7 +85,7 @@ def test_every_number_comes_back(run):
     folder, told = run
     record = read_record(folder)
     assert record.cut == "" and record.result == {"success": True, "message": "done"}
-    assert record.about["cell"] == "made up" and len(record.states) == len(told.samples) > 1000
+    assert record.metadata["cell"] == "made up" and len(record.states) == len(told.samples) > 1000
     for state, sample in zip(record.states, told.samples, strict=True):
         assert state.nanoseconds == round(sample.time * 1e9)
         assert state.joints.positions.tobytes() == sample.joints.positions.tobytes()
@@ -151,7 +151,7 @@ def test_what_is_no_record(scene, tmp_path):
     (tmp_path / "text.mcap").write_text("hello, this is no record at all")
     with pytest.raises(InputError, match="is no MCAP file"):
         read_record(tmp_path / "text.mcap")
-    with RunRecorder(tmp_path / "new", scene, about={"format": 99}) as recorder:
+    with RunRecorder(tmp_path / "new", scene, metadata={"format": 99}) as recorder:
         play(scene, recorder, rate=5.0)
     with pytest.raises(InputError, match="format 99, this armcell reads 1"):
         read_record(tmp_path / "new")
@@ -242,10 +242,10 @@ def test_a_run_executed_again_is_the_same_to_the_bit(tmp_path, capsys):
     assert said.status == 1 and "asked: seed 5 / 6" in said.out and "asked: another physics" in said.out
     assert read_json(tmp_path / "d.json")["same_states"] < found["states"]
     # What has changed since is named; the recorded cell itself is what runs, not the changed file.
-    record = json.loads(json.dumps(dict(read_record(first).about)))
+    record = json.loads(json.dumps(dict(read_record(first).metadata)))
     record["hashes"]["versions.mujoco"], record["versions"]["mujoco"] = "x", "3.1.4"
     scene = panda_scene()
-    with RunRecorder(tmp_path / "older", scene, about=record) as recorder:
+    with RunRecorder(tmp_path / "older", scene, metadata=record) as recorder:
         recorder.on_state(StateSample(0.0, scene.state))
     said = call(capsys, "replay", tmp_path / "older", "--execute", "--runs", runs)
     assert said.status == 1 and "mujoco 3.1.4 ->" in said.err and "--anyway" in said.err
@@ -338,7 +338,7 @@ def test_a_killed_run_leaves_what_was_whole(tmp_path, capsys):
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     record = read_record(parts[0].parent)
-    assert record.cut and len(record.states) > 200 and record.about["mode"] == "sim"
+    assert record.cut and len(record.states) > 200 and record.metadata["mode"] == "sim"
     assert record.result is None
 
 

@@ -175,3 +175,27 @@ def test_diffs_add_up():
 def test_colours_of_objects(color):
     with pytest.raises(InputError, match="color"):
         CollisionObject.single("a", Box(1, 1, 1), color=color)
+
+
+def test_objects_placed_one_after_another_see_the_changes_before_them():
+    first, second = box("a", (0.1, 0.1, 0.1), (1.0, 0.0, 0.0)), box("b", (0.1, 0.1, 0.1), (0.0, 0.0, 0.5))
+    scene = panda().apply(
+        SceneDiff.of(
+            AddObject(first),
+            MoveObject("a", SE3.from_xyz(0.0, 2.0, 0.0)),
+            AddObject(second, "a"),  # in the frame of an object that this diff adds and moves
+            RemoveObject("a"),
+            AddObject(first),
+            SetColor("a", (1.0, 0.0, 0.0, 1.0)),
+        )
+    )
+    assert scene.objects["b"].T_world_object.translation == pytest.approx((0.0, 2.0, 0.5))
+    assert scene.objects["a"].T_world_object.translation == pytest.approx((1.0, 0.0, 0.0))
+    assert scene.objects["a"].color == (1.0, 0.0, 0.0, 1.0) and list(scene.objects) == ["b", "a"]
+
+
+def test_a_wrong_object_among_many_is_reported_by_its_place():
+    some = [AddObject(box(f"box{k}", (0.1, 0.1, 0.1))) for k in range(5)]
+    for wrong in (AddObject(box("panda_link3", (0.1, 0.1, 0.1))), MoveObject("missing", SE3.identity())):
+        with pytest.raises(InputError, match="diff/5"):
+            panda().apply(SceneDiff.of(*some, wrong, *some))

@@ -266,7 +266,7 @@ def test_the_commands_take_a_controllers_file(capsys, tmp_path):
     said = call(capsys, "run", cell, "--gains", gains, "--runs", tmp_path / "runs", "--json", out)
     assert said.status == 0 and f"--gains {gains}" in read_json(out)["command"]
     (folder,) = (tmp_path / "runs").iterdir()
-    values = read_record(folder).about["values"]  # the record has the gains themselves
+    values = read_record(folder).metadata["values"]  # the record has the gains themselves
     assert values["physics.joint_gains"][ELBOW] == {"p": 4000, "i_clamp": 0, "d": 200, "antiwindup": False}
     wrong = call(capsys, "run", cell, "--gains", "fim", "--headless")
     assert wrong.status == 1 and "did you mean 'firm'" in wrong.err

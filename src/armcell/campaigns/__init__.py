@@ -5,7 +5,7 @@ influence success. The gate requires such a campaign before a task runs on real 
 """
 
 from armcell.campaigns.campaign import begin, resume, run
-from armcell.campaigns.moments import take_pictures
+from armcell.campaigns.failure_frames import take_pictures
 from armcell.campaigns.report import summary, write_report
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.statistics import compare

@@ -23,7 +23,7 @@ from armcell.campaigns.statistics import Share, success
 from armcell.campaigns.store import TRIALS, asked, rows_of
 from armcell.cell import Cell, cell_names, content_hashes
 from armcell.cell.built_in import LIBRARY
-from armcell.cell.versions import versions
+from armcell.cell.identity import versions
 from armcell.core import InputError
 
 FORMAT = 2  # format 1 did not list the varied parameters

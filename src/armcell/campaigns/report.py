@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from armcell.campaigns import plots, statistics
-from armcell.campaigns.moments import picture_file
+from armcell.campaigns.failure_frames import picture_file
 from armcell.campaigns.store import Store, write_whole
 from armcell.campaigns.trial import replay_command
 from armcell.records import html

@@ -43,6 +43,7 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
         varied = with_values(cell, trial.values)
         with varied.connect("sim", trial.seed) as live:
             row = told(trial, run_task(varied, live, trial.seed, "sim"))
+        live.release()  # the next trial reuses the memory
     except InputError as error:  # the values give an invalid cell
         row = failed(trial, "INVALID_CELL", str(error))
     except Exception as error:  # a bug: record it with its source line

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from armcell.cell.controllers import Controller
     from armcell.cell.identity import code_hash, content_hashes
     from armcell.cell.live import Arm, LiveCell
-    from armcell.cell.loading import load
+    from armcell.cell.live_cameras import CameraWatch, LiveCamera
+    from armcell.cell.loader import load
     from armcell.cell.objects_file import load_objects, save_objects
     from armcell.cell.run import complaints, result_of, run_task
     from armcell.cell.script import announce_code
-    from armcell.cell.seeing import CameraWatch, LiveCamera
     from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
     from armcell.cell.values import gains_as_values, parsed, with_values
 
@@ -29,11 +29,11 @@ _LAZY = {
         "controllers": ("Controller",),
         "identity": ("code_hash", "content_hashes"),
         "live": ("Arm", "LiveCell"),
-        "loading": ("load",),
+        "loader": ("load",),
         "objects_file": ("load_objects", "save_objects"),
         "run": ("complaints", "result_of", "run_task"),
         "script": ("announce_code",),
-        "seeing": ("CameraWatch", "LiveCamera"),
+        "live_cameras": ("CameraWatch", "LiveCamera"),
         "setup": ("Proposal", "propose", "propose_from_package", "write_cell"),
         "values": ("gains_as_values", "parsed", "with_values"),
     }.items()

@@ -13,8 +13,8 @@ import numpy as np
 from armcell.cell.calibrating import as_the_robots_are
 from armcell.cell.cameras import camera_of, decal_of
 from armcell.cell.controllers import controllers_of
-from armcell.cell.disturbing import disturbances_of
-from armcell.cell.dropping import dropped
+from armcell.cell.disturbances import disturbances_of
+from armcell.cell.dropped_objects import dropped
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
 from armcell.cell.perceiving import PerceivingDriver, Seen

@@ -265,14 +265,15 @@ class Bench:
             R = SO3.between(rest.up, (0.0, 0.0, 1.0))
             corners = R.matrix @ rest.foot.mean(0)  # center the foot, not the origin
             start = item.at(SE3(R, np.array([*(np.array(self.spot) - corners[:2]), rest.height + 2e-4])))
-            world = SimWorld(self.table.with_object(start))
-            world.step(int(1.0 / world.timestep))
-            before = world.object_pose(OBJECT)
-            world.step(int(0.5 / world.timestep))
-            moved, turned = before.distance_to(world.object_pose(OBJECT))
+            with SimWorld(self.table.with_object(start)) as world:
+                world.step(int(1.0 / world.timestep))
+                before = world.object_pose(OBJECT)
+                world.step(int(0.5 / world.timestep))
+                after = world.object_pose(OBJECT)
+            moved, turned = before.distance_to(after)
             drift = np.linalg.norm(before.apply(rest.foot.mean(0))[:2] - self.spot)
             if moved < AT_REST and turned < 10 * AT_REST and drift < 0.05:
-                return item.at(world.object_pose(OBJECT))
+                return item.at(after)
         return None
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
-from armcell.cell.loading import load
+from armcell.cell.loader import load
 from armcell.cell.script import load_script
 from armcell.core import ArmcellError, InputError, JointGoal, PlanRequest
 from armcell.drivers import drivers
@@ -111,7 +111,8 @@ def check_controllers(cell: Cell, mode: str) -> str:
     """
     drivers[mode]
     if mode != "real":
-        return f"{cell.physics.arm_control} of {cell.model.dof} joints" if mode == "sim" else "joints follow"
+        how = {"sim": f"{cell.physics.arm_control} of {cell.model.dof} joints", "fake": "joints follow"}
+        return how.get(mode, f"driver {mode!r}")
     try:
         settings = real_settings(cell.spec.real, cell.model)
     except InputError as error:

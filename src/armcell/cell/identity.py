@@ -1,4 +1,4 @@
-"""Content hashes of a cell, part by part, to detect changes between two cells."""
+"""Identity of a cell: content hashes, part by part, and versions of what influences a run."""
 
 from __future__ import annotations
 
@@ -13,10 +13,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import armcell
-from armcell.cell.versions import versions
 
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that influence the result of a run."""
+    return {"python": platform.python_version(), **{name: _installed(name) for name in REPORTED_PACKAGES}}
+
+
+@cache
+def _installed(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
 
 ADDRESSES = ("host", "port", "own_host")  # network addresses of a real arm; no effect on motions
 

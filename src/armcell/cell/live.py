@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import Any
 
 from armcell import _interrupts
-from armcell.cell.clearing import clear_with
+from armcell.cell.bin_clearing import clear_with
+from armcell.cell.live_cameras import CameraWatch, LiveCamera, live_cameras
 from armcell.cell.perceiving import Seen, look_with
-from armcell.cell.seeing import CameraWatch, LiveCamera, live_cameras
 from armcell.core import (
     SE3,
     ArmcellError,
@@ -243,6 +243,14 @@ class LiveCell:
     def __exit__(self, *exc: object) -> None:
         with _interrupts.deferred():
             self._inside.close()
+
+    def release(self) -> None:
+        """Give the simulation's memory back for the next cell, after the `with` block.
+
+        Optional. Afterwards, the state of this cell cannot be read.
+        """
+        if self.driver.world is not None:
+            self.driver.world.close()
 
     @property
     def arms(self) -> dict[str, Arm]:

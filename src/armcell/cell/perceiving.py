@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from armcell.cell.seeing import LiveCamera
+from armcell.cell.live_cameras import LiveCamera
 from armcell.core import SE3
 from armcell.drivers import Driver, DriverProxy, GripperReading
 from armcell.kinematics import kinematic_tree

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from armcell.cell.cell import Cell
+from armcell.cell.identity import versions
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
-from armcell.cell.versions import versions
 from armcell.core import Contact, ErrorCode, InputError, Outcome
 from armcell.grasping import Placement
 from armcell.tasks import TaskFailed, make_stage, perform_stages
-
-PLACEMENT_TOLERANCE = 0.005  # [m]
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
@@ -128,7 +126,7 @@ def result_of(
     reports = [r.as_dict() for r in live.ctx.reports]
     failed_at = _failed_at(outcome, reports, unwanted)
     lost = [{"object": name, "how": how} for name, how in live.ctx.lost.items()]
-    outcome = _judged(outcome, errors, unwanted, lost)
+    outcome = _judged(outcome, errors, unwanted, lost, live.ctx.settings.placement_tolerance)
     clearances = [r["clearance_m"] for r in reports if r["clearance_m"] is not None]
     slips = [r["slip_m"] for r in reports if r["slip_m"] is not None]
     held = [r["slip_m"] for r in reports if r["slip_m"] is not None and r["name"] == "hold"]
@@ -198,16 +196,21 @@ def _failed_at(
 
 
 def _judged(
-    outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]]
-) -> Outcome:
-    """Return a failure if a run has unwanted contacts, lost objects or misplaced objects."""
+    outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]],
+    tolerance: float,
+) -> Outcome:  # fmt: skip
+    """Return a failure if a run has unwanted contacts, lost objects or misplaced objects.
+
+    Args:
+        errors: distances of placed objects from their goals [m], which must not exceed the tolerance [m].
+    """
     if not outcome.ok:
         return outcome
     if unwanted:
         return Outcome(ErrorCode.CONTROL_FAILED, contact_in_words(unwanted[0]))
     if lost:
         return Outcome(ErrorCode.CONTROL_FAILED, lost[0]["how"])
-    if errors and max(errors) > PLACEMENT_TOLERANCE:
+    if errors and max(errors) > tolerance:
         return Outcome(
             ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should"
         )

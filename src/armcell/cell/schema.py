@@ -392,7 +392,7 @@ class CellSpec(Strict):
     settings: dict[str, Any] = {}  # fields of tasks.TaskSettings
     physics: dict[str, Any] = {}  # fields of sim.PhysicsSettings
     disturbances: DisturbanceSpec = DisturbanceSpec()
-    real: dict[str, Any] = {}  # fields of the UR driver's RealSettings
+    real: dict[str, Any] = {}  # fields of drivers.real.RealSettings
     controllers: dict[str, ControllerSpec] = {}  # external controllers, for `serve --plan-only`
     ros: RosSpec = RosSpec()
 

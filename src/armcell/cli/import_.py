@@ -57,7 +57,7 @@ def import_(
     """
     import numpy as np
 
-    from armcell.cell.importing import add_to_cell, import_world, write_imported
+    from armcell.cell.world_import import add_to_cell, import_world, write_imported
     from armcell.cli.setup import numbers
     from armcell.core import SE3
 

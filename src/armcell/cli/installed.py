@@ -10,7 +10,6 @@ NEEDED = (
 EXTRAS = {
     "vision": ("opencv-python-headless",),
     "ik": ("eaik",),
-    "decompose": ("coacd",),
     "ros2": ("cyclonedds",),
     "trees": ("py_trees",),
     "ray": ("ray",),

@@ -56,10 +56,10 @@ def begin_record(
     """
     if kept.runs is None:
         return None
-    from armcell.records import RunRecorder, about_run, new_run_folder
+    from armcell.records import RunRecorder, new_run_folder, run_metadata
 
-    about = {**about_run(cell, seed, mode, values), **more}
-    return RunRecorder(new_run_folder(kept.runs, cell.name), scene, about=about)
+    about = {**run_metadata(cell, seed, mode, values), **more}
+    return RunRecorder(new_run_folder(kept.runs, cell.name), scene, metadata=about)
 
 
 def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:

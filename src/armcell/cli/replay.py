@@ -57,27 +57,27 @@ def replay(
     if execute:
         return _execute(record, runs, anyway, json_file)
     from armcell.core import InputError
-    from armcell.records import cell_of
+    from armcell.records import recorded_cell
     from armcell.viewer.replay import ReplayView
 
-    if not record.about:
+    if not record.metadata:
         raise InputError(
             "does not say which cell ran",
             file=record.file,
             cure="it still opens in Foxglove (app.foxglove.dev)",
         )
-    scene = cell_of(record.about).scene(record.about["seed"])
+    scene = recorded_cell(record.metadata).scene(record.metadata["seed"])
     with ReplayView(record, scene, host, port, allow_host) as view:
         serve_page(view.viewer.page, open_browser)
 
 
 def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> int:
-    from armcell.records import execute_again, new_run_folder
-    from armcell.records.again import checked_cell
+    from armcell.records import new_run_folder, reexecute
+    from armcell.records.reexecution import checked_cell
 
     checked_cell(record, anyway)  # report errors before creating a folder
-    folder = new_run_folder(runs, f"{record.about['cell']}-again")
-    found, result, recorder = execute_again(record, folder, anyway)
+    folder = new_run_folder(runs, f"{record.metadata['cell']}-again")
+    found, result, recorder = reexecute(record, folder, anyway)
     console.print(f"run again: {folder}", soft_wrap=True)
     _print(found)
     keep_result(recorder, result)
@@ -125,7 +125,7 @@ def _as_json(found: Any) -> dict[str, Any]:
         "identical": found.identical,
         "states": found.states,
         "same_states": found.same_states,
-        "asked": list(found.parts),
+        "asked": list(found.input_differences),
         "cut": list(found.cut),
         **{k: parting(getattr(found, k)) for k in ("state", "event", "plan", "outcome")},
         "distances": [

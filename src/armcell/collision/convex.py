@@ -8,6 +8,7 @@ outline.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -35,9 +36,14 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
         InputError: the mesh is flat.
     """
     key = key_of(str(VERSION), mesh.vertices.astype(float), mesh.faces.astype(np.int32))
+    return stored_pieces(key, lambda: _cut(mesh))
+
+
+def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
+    """Return the pieces stored on disk under a key; the first time, make and store them."""
     stored = recall("pieces", key)
     if stored is None:
-        pieces = _cut(mesh)
+        pieces = make()
         counts = np.array([(len(p.vertices), len(p.faces)) for p in pieces])
         vertices, faces = np.vstack([p.vertices for p in pieces]), np.vstack([p.faces for p in pieces])
         keep("pieces", key, counts=counts, vertices=vertices, faces=faces)
@@ -56,7 +62,7 @@ def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
         raise InputError("mesh is flat: it has no volume", file=mesh.file)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if solid.is_watertight and total - abs(solid.volume) < MIN_SAVING * total:
-        return (_hull(triangles),)  # no cut can save more than the hull's excess volume
+        return (convex_hull_mesh(triangles),)  # no cut can save more than the hull's excess volume
     pieces = [triangles]
     cuts = [_best_cut(triangles)]
     while len(pieces) < MAX_PIECES:
@@ -66,7 +72,7 @@ def _cut(mesh: Mesh) -> tuple[Mesh, ...]:
             break
         pieces[best : best + 1] = halves
         cuts[best : best + 1] = [_best_cut(half) for half in halves]
-    return tuple(_hull(piece) for piece in pieces)
+    return tuple(convex_hull_mesh(piece) for piece in pieces)
 
 
 def _hull_volume(triangles: Array) -> float:
@@ -79,8 +85,8 @@ def _hull_volume(triangles: Array) -> float:
         return 0.0
 
 
-def _hull(triangles: Array) -> Mesh:
-    """Return the convex hull of triangles with outward-facing faces."""
+def convex_hull_mesh(triangles: Array) -> Mesh:
+    """Return the convex hull of points (..., 3) with outward-facing faces."""
     from scipy.spatial import ConvexHull
 
     points = np.unique(triangles.reshape(-1, 3), axis=0)

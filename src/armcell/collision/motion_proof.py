@@ -59,13 +59,13 @@ class Moving:
     Attributes:
         trajectory: the planned trajectory.
         passed: trajectory time already executed [s].
-        fade: offset that is added to the start of the trajectory, from its time 0 on; it fades out the
+        blend: offset that is added to the start of the trajectory, from its time 0 on; it fades out the
             velocity of an arm that was moving when the motion began.
     """
 
     trajectory: JointTrajectory
     passed: float = 0.0
-    fade: JointTrajectory | None = None
+    blend: JointTrajectory | None = None
 
     @property
     def remaining(self) -> float:
@@ -75,18 +75,18 @@ class Moving:
     def positions(self, after: Array) -> Array:
         """Return the commanded positions (k, n) at times (k,) [s] from now; constant after the end."""
         q = positions_at(self.trajectory, self.passed + after)
-        return q if self.fade is None else q + positions_at(self.fade, self.passed + after)
+        return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 
     def accelerations(self) -> Array:
         """Return upper bounds (n,) of each joint's acceleration [rad/s^2 or m/s^2]."""
         most = acceleration_bounds(self.trajectory)
-        return most if self.fade is None else most + acceleration_bounds(self.fade)
+        return most if self.blend is None else most + acceleration_bounds(self.blend)
 
     def knots(self) -> Array:
         """Return the times [s] from now at which the motion's polynomial segments meet."""
         times = self.trajectory.times - self.passed
-        if self.fade is not None:
-            times = np.union1d(times, self.fade.times - self.passed)
+        if self.blend is not None:
+            times = np.union1d(times, self.blend.times - self.passed)
         return times[(times > 0) & (times < self.remaining)]
 
 

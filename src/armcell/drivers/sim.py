@@ -50,7 +50,7 @@ class SteppedSim(Driver):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        pass
+        pass  # the state stays readable; `LiveCell.release` gives the world's model back
 
     @property
     def lock(self) -> AbstractContextManager[Any]:

@@ -1,20 +1,26 @@
 """Execution of trajectories: the motion gate, the executor, coupled arms, several programs on one clock."""
 
+from armcell.execution.admittance import Admittance, AdmittanceSettings
 from armcell.execution.executor import ExecutionSteps, execute, execute_coupled, execution_steps
 from armcell.execution.gate import (
-    CHANGED,
     NOT_STARTED,
+    SCENE_INVALIDATED,
     DriverWorld,
     Executable,
     GuardedMotion,
     MotionGate,
     UngatedMotion,
 )
+from armcell.execution.scheduler import ArmDriver, CooperativeScheduler, run_cooperatively
 from armcell.execution.settings import ExecutionSettings
 
 __all__ = [
-    "CHANGED",
     "NOT_STARTED",
+    "SCENE_INVALIDATED",
+    "Admittance",
+    "AdmittanceSettings",
+    "ArmDriver",
+    "CooperativeScheduler",
     "DriverWorld",
     "Executable",
     "ExecutionSettings",
@@ -25,4 +31,5 @@ __all__ = [
     "execute",
     "execute_coupled",
     "execution_steps",
+    "run_cooperatively",
 ]

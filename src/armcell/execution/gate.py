@@ -27,10 +27,10 @@ from armcell.core import SE3, ErrorCode, ExecutionResult, InputError, JointTraje
 from armcell.scene import PlanningScene, new_obstacles
 
 Result = TypeVar("Result", Outcome, ExecutionResult)
-CHANGED = ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
+SCENE_INVALIDATED = ErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
 """Result code of a motion that is refused or stopped because of a collision: plan again."""
 
-LOOK = 0.25  # [s] between two checks for moved objects
+OBJECT_CHECK_PERIOD = 0.25  # [s] between two checks for moved objects
 MOVED = 0.005  # [m] displacement of an object that triggers a new collision check
 NOT_STARTED = "not_started"  # evidence key of a motion that the gate refused
 
@@ -103,17 +103,17 @@ class MotionGate:
         self,
         motion: Moving,
         scene: PlanningScene,
-        but: GuardedMotion | None = None,
+        ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
         """Return the first collision of a motion from now on, also with running motions, or None.
 
         Args:
-            but: a running motion to ignore, usually the motion under test.
+            ignore: a running motion to ignore, usually the motion under test.
             planned: scene in which the motion was planned; it makes the check faster.
         """
         mine = set(motion.trajectory.joint_names)
-        running = [r for r in list(self._running) if r is not but and not mine & set(r.joint_names)]
+        running = [r for r in list(self._running) if r is not ignore and not mine & set(r.joint_names)]
         others = [r.moving(scene) for r in running]
         found = first_conflict(scene, motion, others, self.shift, planned)
         if found is not None or self.world.keeps_time:
@@ -143,11 +143,11 @@ class Executable(threading.Event, ABC):
         return super().is_set() or (self.cancel is not None and self.cancel.is_set())
 
     @abstractmethod
-    def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+    def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
         """Check the motion for collisions; return the result that refuses it, or None.
 
         Args:
-            fade: offset added to the start of the trajectory: the remaining motion of an arm that is not at
+            blend: offset added to the start of the trajectory: the remaining motion of an arm that is not at
                 rest.
         """
 
@@ -173,7 +173,7 @@ def executable(motion: object) -> Executable:
 class UngatedMotion(Executable):
     """A motion in an isolated simulation (dry run, test, benchmark) where contacts are findings."""
 
-    def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+    def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
         return None
 
     def end(self, result: Result) -> Result:
@@ -195,11 +195,11 @@ class GuardedMotion(Executable):
         self._gate, self._world = gate, gate.world
         self._planned_in = planned_in
         self._scene = gate.world.scene if scene is None else scene
-        self._fade: JointTrajectory | None = None
+        self._blend: JointTrajectory | None = None
         self._began: float | None = None  # [s] on the world's clock
-        self._known: tuple[PlanningScene, int] | None = None  # world and gate version of the last check
+        self._proven_for: tuple[PlanningScene, int] | None = None  # world and gate version of the last check
         self._poses: Mapping[str, SE3] = {}  # of measured objects not held at the last check
-        self._poses_due = 0.0  # [s]
+        self._next_object_check = 0.0  # [s]
         self._objects: frozenset[str] = frozenset()  # in the world, not held, at the last check
         self.conflict: Conflict | None = None
         self._text = ""
@@ -209,46 +209,47 @@ class GuardedMotion(Executable):
         return self.trajectory.joint_names
 
     # --- called by the executor ---
-    def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+    def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
         if not len(self.trajectory.times):
             return None  # an empty trajectory means stop
-        self._fade = fade
+        self._blend = blend
         self._prove()
         if self.conflict is None:
             self._began = self._world.clock()
             self._gate._begin(self)
             return None
         now = self._world.clock()
-        code = ErrorCode.START_STATE_IN_COLLISION if self.conflict.at_start else CHANGED
+        code = ErrorCode.START_STATE_IN_COLLISION if self.conflict.at_start else SCENE_INVALIDATED
         self._world.emit("stop", self._text, **self._evidence())
         return ExecutionResult(code, self._text, {**self._evidence(), NOT_STARTED: True}, now, now)
 
     def is_set(self) -> bool:
-        if super().is_set():
+        if super().is_set() or self.conflict is not None:
             return True
-        if self.conflict is None and self._began is not None and self._known is not None:
-            base, version = self._known
-            now = self._world.base
-            if self._gate.version != version:
-                self._prove()
-            elif now is not base:
-                names = new_obstacles(base, now)
-                if names or now.allowed_pairs != base.allowed_pairs:
-                    self._prove(names)
-                self._known = (now, version)
-            if self.conflict is None and (moved := self._moved()):
-                self._prove(moved)
-            if self.conflict is not None:
-                self._world.emit("stop", self._text, **self._evidence())
-        return self.conflict is not None
+        if self._began is None or self._proven_for is None:
+            return False
+        base, version = self._proven_for
+        now = self._world.base
+        if self._gate.version != version:
+            self._prove()
+        elif now is not base:
+            names = new_obstacles(base, now)
+            if names or now.allowed_pairs != base.allowed_pairs:
+                self._prove(names)
+            self._proven_for = (now, version)
+        if self.conflict is None and self._poses and (moved := self._moved()):
+            self._prove(moved)
+        if self.conflict is None:
+            return False
+        self._world.emit("stop", self._text, **self._evidence())
+        return True
 
     def end(self, result: Result) -> Result:
         self._gate._end(self, early=not result.ok)
         if self.conflict is None or result.code is not ErrorCode.PREEMPTED:
             return result
-        return replace(
-            result, code=CHANGED, message=self._text, evidence={**result.evidence, **self._evidence()}
-        )
+        evidence = {**result.evidence, **self._evidence()}
+        return replace(result, code=SCENE_INVALIDATED, message=self._text, evidence=evidence)
 
     # --- collision check ---
     def moving(self, scene: PlanningScene) -> Moving:
@@ -258,19 +259,19 @@ class GuardedMotion(Executable):
             scene: measured scene; its joint state gives the progress if motions do not follow the clock.
         """
         if self._began is None:
-            return Moving(self.trajectory, 0.0, self._fade)
+            return Moving(self.trajectory, 0.0, self._blend)
         passed = self._world.clock() - self._began
         if not self._world.keeps_time:
             q = scene.state.reindexed(self.joint_names).positions
             passed = passed_at(self.trajectory, q, passed)
-        return Moving(self.trajectory, min(passed, self.trajectory.duration), self._fade)
+        return Moving(self.trajectory, min(passed, self.trajectory.duration), self._blend)
 
     def _moved(self) -> list[str]:
         """Return the measured objects that have moved since the motion was last checked."""
         now = self._world.clock()
-        if not self._poses or now < self._poses_due:
+        if now < self._next_object_check:
             return []
-        self._poses_due = now + LOOK
+        self._next_object_check = now + OBJECT_CHECK_PERIOD
         poses = self._world.object_poses()
         return [
             n for n, T in self._poses.items()
@@ -279,12 +280,12 @@ class GuardedMotion(Executable):
 
     def _prove(self, names: Iterable[str] = ()) -> None:
         """Check the remaining motion for collisions; if `names` is given, only with those objects."""
-        self._known = (self._world.base, self._gate.version)
+        self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)
         measured = self._world.object_poses()
         self._poses = {n: o.T_world_object for n, o in scene.objects.items() if n in measured}
-        self._poses_due = self._world.clock() + LOOK
+        self._next_object_check = self._world.clock() + OBJECT_CHECK_PERIOD
         if names := set(names):
             scene = replace(scene, objects={n: o for n, o in scene.objects.items() if n in names})
         expected = dict.fromkeys(self._world.expected_contacts(), True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -15,6 +16,7 @@ from armcell.model import RobotModel
 
 Array = NDArray[np.float64]
 
+ORIGIN = (0.0, 0.0, 0.0)
 FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
 _KINDS = {"fixed": FIXED, "revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 
@@ -119,6 +121,8 @@ class KinematicTree:
             if joint.movable:
                 self.column[i], self.multiplier[i], self.offset[i] = at[source.name], mult, off
         self.joint_index = {j.name: i for i, j in enumerate(joints)}
+        self._paths: dict[str, NDArray[np.int64]] = {}
+        self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}
 
     def link_transforms(self, q: ArrayLike) -> Array:
         """T_root_link of every link in `link_names` order, (links, 4, 4), at positions q (dof,)."""
@@ -153,29 +157,50 @@ class KinematicTree:
             UnknownNameError: no such link.
             InputError: positions that are not finite.
         """
-        if link not in self.link_index:
-            raise UnknownNameError("link", link, self.link_index)
-        T = self.link_transforms(q)[self.link_index[link]]
-        if not all_finite(T.ravel()):
-            raise InputError(f"positions {np.asarray(q).tolist()} give {link!r} no pose")
-        return SE3(SO3(T[:3, :3].copy()), T[:3, 3].copy())  # a product of rotations needs no look at it
+        return self.link_poses(q, (link,))[0]
+
+    def link_poses(self, q: ArrayLike, links: Sequence[str]) -> list[SE3]:
+        """Return `link_pose` of several links, in the time of one."""
+        for link in links:
+            if link not in self.link_index:
+                raise UnknownNameError("link", link, self.link_index)
+        Ts, poses = self.link_transforms(q), []
+        for link in links:
+            T = Ts[self.link_index[link]]
+            if not all_finite(T.ravel()):
+                raise InputError(f"positions {np.asarray(q).tolist()} give {link!r} no pose")
+            poses.append(SE3(SO3(T[:3, :3].copy()), T[:3, 3].copy()))
+        return poses
 
     def path_to(self, link: str) -> NDArray[np.int64]:
         """Indices of the joints between the root and a link, root first."""
         if link not in self.link_index:
             raise UnknownNameError("link", link, self.link_index)
-        found, i = [], self.link_index[link]
-        while i > 0:
-            found.append(i - 1)
-            i = self.parent[i - 1]
-        return np.array(found[::-1], dtype=np.int64)
+        return self._path_to(link).copy()
+
+    def _path_to(self, link: str) -> NDArray[np.int64]:
+        if link not in self._paths:
+            found, i = [], self.link_index[link]
+            while i > 0:
+                found.append(i - 1)
+                i = self.parent[i - 1]
+            self._paths[link] = np.array(found[::-1], dtype=np.int64)
+        return self._paths[link]
+
+    def _group_column(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+        """Return each actuated joint's column (dof,) among some joints; -1 for other joints."""
+        if names not in self._group_columns:
+            columns = np.full(self.model.dof, -1, dtype=np.int64)
+            columns[self.model.columns(names)] = np.arange(len(names))
+            self._group_columns[names] = columns
+        return self._group_columns[names]
 
     def jacobian(
         self,
         q: ArrayLike,
         link: str,
         joint_names: tuple[str, ...] | None = None,
-        point: ArrayLike = (0.0, 0.0, 0.0),
+        point: ArrayLike = ORIGIN,
     ) -> Array:
         """Geometric Jacobian (6, n) at a point of a link, in the root frame: linear over angular velocity.
 
@@ -185,15 +210,17 @@ class KinematicTree:
             point: (3,) [m] in the link's frame.
         """
         self.model.link(link)
-        names = self.model.joint_names if joint_names is None else joint_names
-        group_column = np.full(self.model.dof, -1, dtype=np.int64)
-        group_column[self.model.columns(names)] = np.arange(len(names))
+        names = self.model.joint_names if joint_names is None else tuple(joint_names)
+        group_column = self._group_column(names)
         Ts = self.link_transforms(q)
         T = Ts[self.link_index[link]]
         out = np.empty((6, len(names)))
-        at = T[:3, :3] @ float_array(point, (3,), "a point") + T[:3, 3]
+        at = T[:3, 3] + 0.0
+        if point is not ORIGIN:
+            at += T[:3, :3] @ float_array(point, (3,), "a point")
         chain_jacobian(
-            Ts, at, self.path_to(link), self.kind, self.axis, self.column, self.multiplier, group_column, out,
+            Ts, at, self._path_to(link), self.kind, self.axis, self.column, self.multiplier,
+            group_column, out,
         )  # fmt: skip
         return out
 

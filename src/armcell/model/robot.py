@@ -240,6 +240,11 @@ class RobotModel:
         """Mapping from each link's name to the joint above the link; the root link is not in it."""
         return {j.child: j for j in self.joints.values()}
 
+    @cached_property
+    def _column(self) -> Mapping[str, int]:
+        """Mapping from each actuated joint's name to its index in `joint_names`."""
+        return {name: i for i, name in enumerate(self.joint_names)}
+
     @property
     def dof(self) -> int:
         return len(self.joint_names)
@@ -285,8 +290,7 @@ class RobotModel:
         Raises:
             UnknownNameError: a name is not an actuated joint of this robot.
         """
-        at = {name: i for i, name in enumerate(self.joint_names)}
-        columns = []
+        at, columns = self._column, []
         for name in joint_names:
             if name not in at:
                 raise UnknownNameError("actuated joint", name, at)

@@ -73,7 +73,7 @@ def warm_up() -> float:
             check_address()
         _plan_small_problem()
     with contextlib.suppress(OSError):
-        compiled.touch()
+        compiled.touch(0o600)
     seconds = time.monotonic() - began
     logger.info("compiled the planner in %.0f s; later runs load it", seconds)
     return seconds

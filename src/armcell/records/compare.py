@@ -25,7 +25,7 @@ AT_ONCE = NANO // 1000
 
 
 @dataclass(frozen=True)
-class Parting:
+class FirstDivergence:
     """First difference between two runs."""
 
     time: float  # [s]
@@ -52,19 +52,16 @@ class Distance:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two runs.
+    """Comparison of two runs: their inputs, states, events, plans and outcomes."""
 
-    `parts` describes the inputs that differ: cell, seed, versions, ...
-    """
-
-    parts: tuple[str, ...]
+    input_differences: tuple[str, ...]  # cell, seed, versions, ...
     states: int  # number of compared states
     same_states: int  # number of bit-identical states from the start
-    state: Parting | None
+    state: FirstDivergence | None
     distances: tuple[Distance, ...]  # deviations, largest first
-    event: Parting | None
-    plan: Parting | None
-    outcome: Parting | None
+    event: FirstDivergence | None
+    plan: FirstDivergence | None
+    outcome: FirstDivergence | None
     cut: tuple[str, ...] = ()  # incomplete records and the causes
 
     @property
@@ -74,11 +71,11 @@ class Comparison:
 
     @property
     def identical(self) -> bool:
-        return self.same_course and self.outcome is None and not self.parts
+        return self.same_course and self.outcome is None and not self.input_differences
 
     def words(self) -> list[str]:
         """Return the comparison as lines of text."""
-        lines = [*self.cut, *(f"asked: {part}" for part in self.parts)]
+        lines = [*self.cut, *(f"asked: {part}" for part in self.input_differences)]
         if self.state is None:
             lines.append(f"states: all {self.states} identical to the bit")
         else:
@@ -98,28 +95,28 @@ def compare(first: Record, second: Record) -> Comparison:
     pairs = list(_pairs(first.states, second.states))
     state, same = None, 0
     for a, b in pairs:
-        state = _state_parting(a, b)
+        state = _state_divergence(a, b)
         if state is not None:
             break
         same += 1
     if state is None and len(first.states) != len(second.states) and not (first.cut or second.cut):
         ends = first.states[-1].time, second.states[-1].time
-        state = Parting(min(ends), "the last state's time", *ends)
+        state = FirstDivergence(min(ends), "the last state's time", *ends)
     return Comparison(
-        tuple(_parts(first.about, second.about)),
+        tuple(_input_differences(first.metadata, second.metadata)),
         len(pairs),
         same,
         state,
         _distances(pairs) if state is not None else (),
-        _event_parting(first, second),
-        _plan_parting(first, second),
-        _outcome_parting(first.result, second.result),
+        _event_divergence(first, second),
+        _plan_divergence(first, second),
+        _outcome_divergence(first.result, second.result),
         tuple(f"{r.file}: {r.cut}" for r in (first, second) if r.cut),
     )
 
 
 # --- inputs ---
-def _parts(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[str]:
+def _input_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[str]:
     for key in ("cell", "mode", "seed"):
         if a.get(key) != b.get(key):
             yield f"{key} {a.get(key)} / {b.get(key)}"
@@ -153,33 +150,33 @@ def _pairs(
             yield state, b[near]
 
 
-def _state_parting(a: RecordedState, b: RecordedState) -> Parting | None:
+def _state_divergence(a: RecordedState, b: RecordedState) -> FirstDivergence | None:
     if a.nanoseconds != b.nanoseconds:
-        return Parting(a.time, "the state's time", a.time, b.time)
+        return FirstDivergence(a.time, "the state's time", a.time, b.time)
     for label, one, two in (
         ("", a.joints, b.joints), ("target ", a.targets, b.targets), ("gripper ", a.grippers, b.grippers)
     ):  # fmt: skip
-        if (found := _joints_parting(a.time, label, one, two)) is not None:
+        if (found := _joints_divergence(a.time, label, one, two)) is not None:
             return found
     for name in {**a.poses, **b.poses}:
         one, two = a.poses.get(name), b.poses.get(name)
         if one is None or two is None or one.tobytes() != two.tobytes():
-            return Parting(
+            return FirstDivergence(
                 a.time, f"pose of {name}", *(None if p is None else p.tolist() for p in (one, two))
             )
     if a.contacts != b.contacts:
         here, there = (sorted({f"{x[0]}-{x[1]}" for x in c}) for c in (a.contacts, b.contacts))
-        return Parting(a.time, "what touches (or how deep)", here, there)
+        return FirstDivergence(a.time, "what touches (or how deep)", here, there)
     return None
 
 
-def _joints_parting(
+def _joints_divergence(
     time: float, label: str, a: RecordedJoints | None, b: RecordedJoints | None
-) -> Parting | None:
+) -> FirstDivergence | None:
     if a is None or b is None:
-        return None if a is b else Parting(time, f"{label}state", _known(a), _known(b))
+        return None if a is b else FirstDivergence(time, f"{label}state", _known(a), _known(b))
     if a.names != b.names:
-        return Parting(time, f"{label}names", a.names, b.names)
+        return FirstDivergence(time, f"{label}names", a.names, b.names)
     kinds = ("width", "", "force") if label == "gripper " else ("position", "velocity", "effort")
     for kind, x, y in zip(
         kinds, (a.positions, a.velocities, a.efforts), (b.positions, b.velocities, b.efforts)
@@ -187,9 +184,9 @@ def _joints_parting(
         if x.tobytes() == y.tobytes():
             continue
         if len(x) != len(y):
-            return Parting(time, f"{label}{kind}", _known(x), _known(y))
+            return FirstDivergence(time, f"{label}{kind}", _known(x), _known(y))
         i = next(i for i in range(len(x)) if x[i : i + 1].tobytes() != y[i : i + 1].tobytes())
-        return Parting(time, f"{label}{kind} of {a.names[i]}", float(x[i]), float(y[i]))
+        return FirstDivergence(time, f"{label}{kind} of {a.names[i]}", float(x[i]), float(y[i]))
     return None
 
 
@@ -219,7 +216,7 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 
 # --- events, plans, outcome ---
-def _data_parting(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
+def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
     """Return the first difference in two events' data.
 
     Returns:
@@ -232,12 +229,12 @@ def _data_parting(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None
                 continue
             if key not in a or key not in b:
                 return here, *(m.get(key, "not there") for m in (a, b))
-            if (found := _data_parting(a[key], b[key], here)) is not None:
+            if (found := _data_divergence(a[key], b[key], here)) is not None:
                 return found
         return None
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):
         for i, (one, two) in enumerate(zip(a, b)):
-            if (found := _data_parting(one, two, f"{path}[{i}]")) is not None:
+            if (found := _data_divergence(one, two, f"{path}[{i}]")) is not None:
                 return found
         return None if len(a) == len(b) else (f"number of {path}", len(a), len(b))
     same = a == b or (a != a and b != b)  # both NaN
@@ -252,7 +249,7 @@ def _compared(event: Event) -> Mapping[str, Any]:
     return {k: v for k, v in event.data.items() if event.kind != "plan" or k != "evidence"}
 
 
-def _event_parting(a: Record, b: Record) -> Parting | None:
+def _event_divergence(a: Record, b: Record) -> FirstDivergence | None:
     def said(event: Event | None) -> str:
         return "nothing more" if event is None else f"{event.time:.3f} s {event.kind}: {event.text}"
 
@@ -262,25 +259,27 @@ def _event_parting(a: Record, b: Record) -> Parting | None:
             if (a.cut and one is None) or (b.cut and two is None):
                 return None  # missing values cannot be compared
             at = next(e.time for e in (one, two) if e is not None)
-            return Parting(at, f"event {i + 1}", said(one), said(two))
+            return FirstDivergence(at, f"event {i + 1}", said(one), said(two))
         if (one.time, one.kind, one.text) != (two.time, two.kind, two.text):
-            return Parting(one.time, f"event {i + 1}", said(one), said(two))
-        if (found := _data_parting(_compared(one), _compared(two))) is not None:
+            return FirstDivergence(one.time, f"event {i + 1}", said(one), said(two))
+        if (found := _data_divergence(_compared(one), _compared(two))) is not None:
             path, first, second = found
-            return Parting(one.time, f"{path} of event {i + 1} ({one.kind}: {one.text})", first, second)
+            return FirstDivergence(
+                one.time, f"{path} of event {i + 1} ({one.kind}: {one.text})", first, second
+            )
     return None
 
 
-def _plan_parting(a: Record, b: Record) -> Parting | None:
+def _plan_divergence(a: Record, b: Record) -> FirstDivergence | None:
     for i in range(max(len(a.trajectories), len(b.trajectories))):
         one, two = (r.trajectories[i] if i < len(r.trajectories) else None for r in (a, b))
         if one is None or two is None:
             if (a.cut and one is None) or (b.cut and two is None):
                 return None
             at = next(p[0] for p in (one, two) if p is not None)
-            return Parting(at, f"plan {i + 1}", _plan_words(one), _plan_words(two))
+            return FirstDivergence(at, f"plan {i + 1}", _plan_words(one), _plan_words(two))
         if one[0] != two[0] or not _same_plan(one[1], two[1]):
-            return Parting(one[0], f"plan {i + 1}", _plan_words(one), _plan_words(two))
+            return FirstDivergence(one[0], f"plan {i + 1}", _plan_words(one), _plan_words(two))
     return None
 
 
@@ -299,7 +298,7 @@ def _plan_words(plan: tuple[float, JointTrajectory] | None) -> str:
     return f"{len(plan[1].times)} points, {plan[1].duration:.3f} s, {way:.3f} rad of way, at {plan[0]:.3f} s"
 
 
-def _outcome_parting(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -> Parting | None:
+def _outcome_divergence(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -> FirstDivergence | None:
     if a is None or b is None:
         return None
     at = max(float(r.get("task_time_s") or 0.0) for r in (a, b))
@@ -314,5 +313,5 @@ def _outcome_parting(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -
     ):
         one, two = a.get(key), b.get(key)
         if one != two:
-            return Parting(at, key, one, two)
+            return FirstDivergence(at, key, one, two)
     return None

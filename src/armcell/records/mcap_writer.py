@@ -27,8 +27,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from armcell.core import SE3, Contact, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
-from armcell.records.behind import WrittenBehind
 from armcell.records.shapes import object_data, pose_data
+from armcell.records.write_behind import WriteBehindFile
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class McapWriter:
         file: final path of the record.
         scene: scene with the robot and objects; fixed objects become static transforms.
         start_ns: time of cell time 0 in nanoseconds since 1970; now by default.
-        about: run metadata, see `about_run`; written first, so that incomplete records contain it.
+        metadata: run metadata, see `run_metadata`; written first, so that incomplete records contain it.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class McapWriter:
         file: Path,
         scene: PlanningScene,
         start_ns: int | None = None,
-        about: Mapping[str, Any] | None = None,
+        metadata: Mapping[str, Any] | None = None,
     ):
         self.file = Path(file)
         self.start_ns = time.time_ns() if start_ns is None else start_ns
@@ -95,11 +95,11 @@ class McapWriter:
         self._schemas: dict[str, int] = {}
         self._topics: dict[str, str] = {}  # object name -> topic
         self._touching = False
-        self._stream = WrittenBehind(self._part)  # a slow disk must not delay a motion
+        self._stream = WriteBehindFile(self._part)  # a slow disk must not delay a motion
         self._writer = Writer(cast("BinaryIO", self._stream), _CHUNK_BYTES, CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="armcell")
-        if about is not None:
-            self._write_json(ABOUT, {**about, "start_ns": self.start_ns})
+        if metadata is not None:
+            self._write_json(ABOUT, {**metadata, "start_ns": self.start_ns})
         joints = list(scene.model.joints.values())
         self._moving = [i for i, joint in enumerate(joints) if joint.movable]
         self._ends = [(joint.parent, joint.child) for joint in joints]

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from armcell.model import RobotModel
+from armcell.records.reader import StageSpan
 from armcell.records.recorder import Series
-from armcell.records.stages import StageSpan
 
 Array = NDArray[np.float64]
 

@@ -1,11 +1,11 @@
-"""Reader of run records; of an incomplete record it returns all complete messages."""
+"""Reader of a recorded run: states, events, plans, scenes and stage spans."""
 
 from __future__ import annotations
 
 import bisect
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, Contact, Event, InputError, JointState, JointTrajectory, StateSample
 from armcell.model.files import Bounded
-from armcell.records.about import checked_about
 from armcell.records.mcap_writer import ABOUT, NANO, RESULT, typestore
+from armcell.records.metadata import checked_metadata
 from armcell.records.recorder import MCAP_FILE
+from armcell.records.shapes import object_of
+from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
@@ -75,13 +77,13 @@ class Record:
     """Recorded run.
 
     Attributes:
-        about: run metadata, see `about_run`; empty if the record is not of a cell's task.
+        metadata: run metadata, see `run_metadata`; empty if the record is not of a cell's task.
         result: result of the run; None if the record is incomplete or no result was written.
         cut: cause of an incomplete record; empty for a complete one.
     """
 
     file: Path
-    about: Mapping[str, Any]
+    metadata: Mapping[str, Any]
     result: Mapping[str, Any] | None
     cut: str
     states: tuple[RecordedState, ...]
@@ -132,7 +134,7 @@ def read_record(run: str | Path) -> Record:
             cure="a record begins when its run does: run the task again",
         )  # fmt: skip
     return Record(
-        file, reading.about, reading.result, cut, tuple(reading.states), tuple(reading.events),
+        file, reading.metadata, reading.result, cut, tuple(reading.states), tuple(reading.events),
         tuple(reading.trajectories), reading.images,
     )  # fmt: skip
 
@@ -142,13 +144,13 @@ class _Reading:
 
     def __init__(self, file: Path):
         self.file = file
-        self.about: dict[str, Any] = {}
+        self.metadata: dict[str, Any] = {}
         self.result: dict[str, Any] | None = None
         self.states: list[RecordedState] = []
         self.events: list[Event] = []
         self.trajectories: list[tuple[float, JointTrajectory]] = []
         self.images = 0
-        self._start: int | None = None  # [ns] start; without `about`, the time of the first message
+        self._start: int | None = None  # [ns] start; without `metadata`, the time of the first message
         self._kinds: dict[int, str] = {}  # schema id -> message type
         self._channels: dict[int, Any] = {}
         self._parts: dict[str, Any] = {}  # messages of the state that is being read
@@ -188,8 +190,8 @@ class _Reading:
             case records.Channel():
                 self._channels[record.id] = record
             case records.Metadata(name=name) if name == ABOUT:
-                self.about = checked_about(json.loads(record.metadata["json"]), self.file)
-                self._start = int(self.about["start_ns"])
+                self.metadata = checked_metadata(json.loads(record.metadata["json"]), self.file)
+                self._start = int(self.metadata["start_ns"])
             case records.Metadata(name=name) if name == RESULT:
                 self.result = json.loads(record.metadata["json"])
             case records.Message():
@@ -260,3 +262,67 @@ def _trajectory(message: Any) -> JointTrajectory:
         tuple(message.joint_names), np.array(times), np.zeros((0, n)) if positions is None else positions,
         rows("velocities"), rows("accelerations"),
     )  # fmt: skip
+
+
+def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
+    """Return the scene at the start and after each change, with times [s].
+
+    The robot and the movable objects keep their initial poses; the recorded states contain their motion.
+    """
+    found = [(record.states[0].time, start)]
+    for event in record.events:
+        if event.kind != "scene":
+            continue
+        scene, data = found[-1][1], event.data
+        for name in data.get("removed", ()):
+            if name in scene.objects:
+                scene = scene.without_object(name)
+        for name, entry in {**data.get("added", {}), **data.get("changed", {})}.items():
+            item = object_of(name, entry)
+            if item is not None:
+                scene = scene.with_object(item)
+        for name, pose in data.get("moved", {}).items():
+            if name in scene.objects:
+                scene = scene.with_object_pose(name, SE3.from_mapping(pose, "pose"))
+        found.append((event.time, scene))
+    return found
+
+
+_ENDS = {"end", "ended", "done", "finished", "failed", "success"}
+
+
+@dataclass(frozen=True)
+class StageSpan:
+    name: str
+    begin: float  # [s]
+    end: float  # [s]
+
+
+def stage_name(event: Event) -> str:
+    """Return a stage event's name: `data["name"]` or `data["stage"]`, else its text."""
+    return str(event.data.get("name") or event.data.get("stage") or event.text)
+
+
+def ends_stage(event: Event) -> bool:
+    """Return True if a stage event marks the end of the stage.
+
+    The phase is `data["phase"]`, by default "begin".
+    """
+    return str(event.data.get("phase", "begin")).lower() in _ENDS
+
+
+def stage_spans(events: Iterable[Event], until: float) -> list[StageSpan]:
+    """Return the time spans of the stages, in time order.
+
+    A stage ends with its end event, the start of the next stage or `until` [s], whichever comes first. Empty
+    spans are omitted.
+    """
+    spans: list[StageSpan] = []
+    name, begin = None, 0.0
+    for event in sorted((e for e in events if e.kind == "stage"), key=lambda e: e.time):
+        if name is not None:
+            spans.append(StageSpan(name, begin, event.time))
+        name, begin = (None, 0.0) if ends_stage(event) else (stage_name(event), event.time)
+    if name is not None:
+        spans.append(StageSpan(name, begin, until))
+    return [s for s in spans if s.end - s.begin > 1e-6]

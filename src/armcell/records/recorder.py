@@ -96,7 +96,7 @@ class RunRecorder:
         folder: the run's folder (`new_run_folder`); created if missing.
         scene: scene with the recorded robot and objects.
         start_ns: time of cell time 0 in the MCAP, in nanoseconds since 1970; now by default.
-        about: run metadata, see `about_run`; without it, the record can be viewed but not executed again.
+        metadata: see `run_metadata`; without it, the record can be viewed but not executed again.
     Raises:
         InputError: the record cannot be created; raised before the robot moves.
     """
@@ -106,7 +106,7 @@ class RunRecorder:
         folder: Path,
         scene: PlanningScene,
         start_ns: int | None = None,
-        about: Mapping[str, Any] | None = None,
+        metadata: Mapping[str, Any] | None = None,
     ):
         from armcell.records.mcap_writer import McapWriter
 
@@ -127,7 +127,7 @@ class RunRecorder:
         self._broken: OSError | None = None
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns, about)
+            self._mcap = McapWriter(self.folder / MCAP_FILE, scene, start_ns, metadata)
         except OSError as error:
             raise InputError(
                 f"no record can be begun: {error.strerror}", file=self.folder,

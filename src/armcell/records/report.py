@@ -12,8 +12,8 @@ from typing import Any
 from armcell.core import ErrorCode, Event
 from armcell.records import html
 from armcell.records.html import millimetres, number, seconds, text
+from armcell.records.reader import stage_name, stage_spans
 from armcell.records.recorder import RunRecorder
-from armcell.records.stages import stage_name, stage_spans
 
 logger = logging.getLogger(__name__)
 

@@ -68,13 +68,23 @@ class SceneDiff:
 def _placed_object(
     change: Change, placed: Mapping[str, CollisionObject], scene: PlanningScene
 ) -> CollisionObject | None:
-    """Return the object that a change adds to or moves in the world frame; None for all other changes."""
+    """Return the world object that a change adds, moves in the world frame, or gives a color or a type.
+
+    Returns:
+        None for all other changes, and if the change may be invalid.
+    """
     if isinstance(change, AddObject) and change.frame == WORLD:
         return change.object
-    if isinstance(change, MoveObject) and change.frame == WORLD:
-        item = placed.get(change.name) or scene.objects.get(change.name)
-        return None if item is None else item.at(change.T_frame_object)
-    return None
+    if not isinstance(change, MoveObject | SetColor | SetType):
+        return None
+    item = placed.get(change.name) or scene.objects.get(change.name)
+    if item is None:
+        return None
+    if isinstance(change, MoveObject):
+        return item.at(change.T_frame_object) if change.frame == WORLD else None
+    if isinstance(change, SetColor):
+        return replace(item, color=change.color)
+    return replace(item, type=change.type)
 
 
 # --- objects ---

@@ -7,7 +7,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from armcell.collision.convex import convex_pieces
 from armcell.collision.decompose import object_pieces
 from armcell.core import SE3
 from armcell.scene import CollisionObject, Thread, solid_inertia
@@ -46,8 +45,7 @@ def add_object(
     elif item.belt is not None:
         _add_belt(body, item.name, item.belt)
     for i, (shape, T_object_shape) in enumerate(item.shapes):
-        split = object_pieces if free else convex_pieces
-        adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", split, **values)
+        adder.add_solid(body, shape, T_object_shape, f"{item.name}:{i}", object_pieces, **values)
     return body
 
 

@@ -39,11 +39,11 @@ def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) 
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """
-    world = SimWorld(scene, settings)
     worst = np.zeros(scene.model.dof)
-    for _ in range(max(round(duration / settings.timestep), 1)):
-        world.step()
-        worst = np.maximum(worst, np.abs(world.joint_state().positions - scene.positions))
+    with SimWorld(scene, settings) as world:
+        for _ in range(max(round(duration / settings.timestep), 1)):
+            world.step()
+            worst = np.maximum(worst, np.abs(world.joint_state().positions - scene.positions))
     return dict(zip(scene.model.joint_names, worst.tolist(), strict=True))
 
 
@@ -69,12 +69,12 @@ def step_responses(
         signed = size if start + size <= scene.model.upper[column] else -size
         if start + signed < scene.model.lower[column]:
             raise InputError(f"joint {joint!r} has no room for a step of {size:g}")
-        world = SimWorld(scene, settings)
-        world.set_arm_target((joint,), [start + signed])
         positions = np.zeros(steps + 1)
-        for i in range(steps):
-            world.step()
-            positions[i + 1] = world.joint_state().positions[column] - start
+        with SimWorld(scene, settings) as world:
+            world.set_arm_target((joint,), [start + signed])
+            for i in range(steps):
+                world.step()
+                positions[i + 1] = world.joint_state().positions[column] - start
         times = np.arange(steps + 1, dtype=np.float64) * settings.timestep
         found.append(_measured(joint, signed, times, positions))
     return found

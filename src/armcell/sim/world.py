@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -35,7 +35,7 @@ from armcell.sim.grip import (
     relative_pose,
 )
 from armcell.sim.holding import Holding
-from armcell.sim.kept import kept_build
+from armcell.sim.model_pool import lease_model
 from armcell.sim.places import Array, FixedPlaces, Poses, write_free
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
@@ -46,6 +46,7 @@ from armcell.sim.wrench import hand_wrench
 log = logging.getLogger(__name__)
 
 BLOCKED = 1e5  # [Nm s/rad or N s/m] damping of a blocked joint: 300 Nm turn it at 0.2 deg/s
+CLOSED = "the simulation is closed: read its results inside the 'with' block"
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _DIVERGED = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")
@@ -70,6 +71,13 @@ class WorldSnapshot:
     holding: Array
     monitor: tuple
     watches: dict
+
+
+class _Closed:
+    """Stands for everything of a closed world that belongs to the model pool again."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise ArmcellError(CLOSED)
 
 
 class SimWorld:
@@ -107,9 +115,10 @@ class SimWorld:
 
     def _build(self, scene: PlanningScene) -> None:
         log_mujoco_warnings()
-        self.built, self._data = kept_build(scene, self.settings)
+        self._lease = lease_model(scene, self.settings)  # of an earlier scene: dropped, for its snapshots
+        self.built, self._data = self._lease.built, self._lease.data
         self.robot: RobotModel = scene.model
-        self.mj_model = self.built.mj
+        self._mj: mujoco.MjModel | None = self.built.mj
         self._fixed = FixedPlaces(self.mj_model)
         self._behind = False  # whether the body poses in `_data` are those before the last step
         self._warned = self._data.warning.number.item  # reads the current warning counts when called
@@ -126,6 +135,26 @@ class SimWorld:
         self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
+
+    def close(self) -> None:
+        """Give the compiled model back to the model pool; afterwards the world cannot be used.
+
+        Optional, but the next world of such a scene needs no new memory.
+        """
+        with self.lock:
+            self._steps = None
+            self._mj = None
+            self._data = self.built = cast(Any, _Closed())
+            self._fixed = self._fingers = self._drives = self._servo = cast(Any, _Closed())
+            self._slip = self._holding = cast(Any, _Closed())
+            self._behind = False
+            self._lease.release()
+
+    def __enter__(self) -> SimWorld:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
     def reset(self, scene: PlanningScene | None = None) -> None:
         """Reset the simulation to a scene: time 0, at rest, records cleared.
@@ -152,6 +181,12 @@ class SimWorld:
         for name, start in built.object_qpos.items():
             write_free(data, start, built.objects[name].T_world_object)
         self.set_positions(built.scene.positions)
+
+    @property
+    def mj_model(self) -> mujoco.MjModel:
+        if self._mj is None:
+            raise ArmcellError(CLOSED)
+        return self._mj
 
     @property
     def mj_data(self) -> mujoco.MjData:

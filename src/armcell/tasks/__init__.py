@@ -2,12 +2,10 @@
 
 from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
 from armcell.tasks.bin_clearing import ClearSettings
-from armcell.tasks.checked import TaskFailed, checked
 from armcell.tasks.containers import Alternatives, Fallbacks, Serial
 from armcell.tasks.context import Holding, StageReport, TaskContext
 from armcell.tasks.conveyor_pick import MovingSettings, pick_moving
 from armcell.tasks.costs import Cost, clearance, costs, duration, path_length, weighted
-from armcell.tasks.failures import stage_table
 from armcell.tasks.interfaces import TaskError, check_task, holding
 from armcell.tasks.intermediate_placement import IntermediatePlacement, PickAndPlace, place_intermediate
 from armcell.tasks.merger import Merger
@@ -28,9 +26,10 @@ from armcell.tasks.search import (
 )
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.sorting import SortSettings, sort
+from armcell.tasks.stage_statistics import stage_table
 from armcell.tasks.stages import Connect, MoveGripper, Straight
 from armcell.tasks.steps import Motion, perform_all
-from armcell.tasks.task import Task, TaskPlan
+from armcell.tasks.task import Task, TaskFailed, TaskPlan, checked
 
 __all__ = [
     "NOISE",

@@ -17,7 +17,7 @@ import numpy as np
 
 from armcell.collision import neighbors
 from armcell.core import ErrorCode, InputError, Outcome
-from armcell.execution import CHANGED
+from armcell.execution import SCENE_INVALIDATED
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
@@ -73,7 +73,7 @@ class Pick(ABC):
             outcome = self.perform(solution)
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 return outcome
-            changed = outcome.code is CHANGED  # the grasp is still usable
+            changed = outcome.code is SCENE_INVALIDATED  # the grasp is still usable
             if changed and self.keeps_object():
                 return outcome
             if not changed:
@@ -101,7 +101,7 @@ class Pick(ABC):
 
         After a scene change the hand has not closed yet, so it only leaves the object.
         """
-        changed = outcome.code is CHANGED
+        changed = outcome.code is SCENE_INVALIDATED
         held = False if changed else self.open_hand()
         if held or ((changed or EMPTY in outcome.evidence) and self.is_around_object()):
             self.back_off()

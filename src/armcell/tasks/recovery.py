@@ -9,7 +9,7 @@ import numpy as np
 
 from armcell.core import ErrorCode, InputError, Outcome
 from armcell.core.checks import checked, require
-from armcell.execution import CHANGED
+from armcell.execution import SCENE_INVALIDATED
 from armcell.grasping import Placement
 from armcell.model import Gripper
 from armcell.tasks.context import TaskContext
@@ -107,7 +107,7 @@ def transfer(
             return trouble.ended(outcome)
         trouble.texts.append(outcome.message)
         ctx.emit("note", f"transfer {item}: {outcome.message}; trying again")
-        if outcome.code is CHANGED:
+        if outcome.code is SCENE_INVALIDATED:
             continue
         stayed = not scene_difference(before, ctx.scene())
         ctx.advance(s.settle)

@@ -21,8 +21,8 @@ from armcell.core import ErrorCode, InputError, Outcome, Registry, UnknownNameEr
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Rejections
-from armcell.tasks.failures import Tally
 from armcell.tasks.settings import TaskSettings
+from armcell.tasks.stage_statistics import Tally
 from armcell.tasks.steps import Step
 
 CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evaluate candidates
@@ -264,6 +264,7 @@ def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) 
     return next(solutions(stages, start, planning), None)
 
 
+@stage_types.register("lookahead")
 @dataclass(frozen=True, eq=False)
 @checked()
 class Lookahead:

@@ -17,6 +17,8 @@ _POSITIVE = (
     "gripper_timeout",
     "planning_time",
     "planning_budget",
+    "lost_after",
+    "placement_tolerance",
 )
 
 
@@ -50,6 +52,8 @@ class TaskSettings:
     grasp_settle: float = 0.3  # [s] pause after closing, before the arm moves
     release_settle: float = 0.3  # [s] pause after opening
     gripper_timeout: float = 3.0  # [s] of simulated time for a gripper motion
+    lost_after: float = 0.1  # [s] without grip force until a held object counts as lost
+    placement_tolerance: float = 0.005  # [m] a cell's task fails if an object rests further from its goal
     attempts: int = 3  # attempts of a pick, each with another grasp
     max_candidates: int = 40  # grasps or placements evaluated per attempt
     prove_grasps: int = 0  # reachable grasps tested in physics before the choice; 0: no physics

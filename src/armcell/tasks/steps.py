@@ -13,7 +13,6 @@ from armcell.scene import PlanningScene
 from armcell.tasks.context import Holding, StageReport, TaskContext
 
 DONE = Outcome(ErrorCode.SUCCESS)
-LOST_FOR = 0.1  # [s] without grip force until an object counts as lost
 EMPTY = "empty"  # evidence key of outcomes with an empty hand
 LOOK_AT_HANDS = 0.019  # [s] between two checks of the grippers
 
@@ -81,7 +80,7 @@ class _Watch(GuardedMotion):
         for name, held in self._ctx.holding.items():
             if self._ctx.driver.gripper(held.gripper.name).held == name:
                 self._since.pop(name, None)
-            elif now - self._since.setdefault(name, now) > LOST_FOR:
+            elif now - self._since.setdefault(name, now) > self._ctx.settings.lost_after:
                 self.lost = held
 
     def dropped(self, where: str) -> Outcome:

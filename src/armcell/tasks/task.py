@@ -1,19 +1,20 @@
-"""Tasks: stages that are checked together, planned, and ranked by cost."""
+"""Tasks: stages that are checked together, planned, and ranked by cost; failures as exceptions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import TypeVar
 
-from armcell.core import ErrorCode, Outcome
+from armcell.core import ArmcellError, ErrorCode, Outcome
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import Cost, costs, duration
-from armcell.tasks.failures import stage_rows, stage_table
 from armcell.tasks.interfaces import check_task
 from armcell.tasks.search import PartialSolution, Planning, Stage, solutions
+from armcell.tasks.stage_statistics import stage_rows, stage_table
 from armcell.tasks.steps import DONE
 
 
@@ -110,3 +111,25 @@ def plan_stages(
     if plan.code is not ErrorCode.PREEMPTED:
         ctx.emit("error", plan.message, code=plan.code.name, **plan.evidence)
     return None, Outcome(plan.code, plan.message, plan.evidence)
+
+
+Some = TypeVar("Some", bound=Outcome)
+
+
+class TaskFailed(ArmcellError):
+    """Failed step of a task script; `outcome` has the code, message and evidence."""
+
+    def __init__(self, outcome: Outcome):
+        super().__init__(outcome.message or outcome.code.name)
+        self.outcome = outcome
+
+
+def checked(outcome: Some) -> Some:
+    """Return the outcome if it is a success.
+
+    Raises:
+        TaskFailed: the outcome is a failure.
+    """
+    if not outcome.ok:
+        raise TaskFailed(outcome)
+    return outcome

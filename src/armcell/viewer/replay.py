@@ -7,9 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from armcell.core import Event
-from armcell.records.reader import Record
-from armcell.records.scenes import scenes_of
-from armcell.records.stages import stage_spans
+from armcell.records.reader import Record, scenes_of, stage_spans
 from armcell.scene import PlanningScene
 from armcell.viewer.player import Player
 from armcell.viewer.viewer import CellViewer
@@ -39,7 +37,7 @@ class ReplayView:
         self._plans = [at for at, _ in record.trajectories]
         self._at_scene = self._at_plan = 0
         self._from = self._begin
-        name = record.about.get("cell", record.file.parent.name)
+        name = record.metadata.get("cell", record.file.parent.name)
         self.viewer = CellViewer(scene, host, port, f"{name}, recorded", names, starting=True)
         try:
             self._build()

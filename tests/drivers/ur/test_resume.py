@@ -157,7 +157,7 @@ def test_a_link_that_is_lost_and_comes_back(cell):
             assert live.driver.fault().code is ErrorCode.COMMUNICATION_FAILURE
             assert time.monotonic() - started < 30.0
             call_everything(live)
-            assert live.driver._heart.beats
+            assert live.driver._heartbeat.beats
         with emulator(hosts=[host]):
             ready(live)
 

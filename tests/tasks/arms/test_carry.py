@@ -94,7 +94,7 @@ def test_admittance_takes_a_squeeze_away(cell):
     """The second hand's set points are put 0.3 mm wrong along the rod: the force fades, it does not stay."""
     forces = {}
     for damping in (1e9, 5e3):
-        from armcell.execution.admittance import AdmittanceSettings
+        from armcell.execution import AdmittanceSettings
 
         settings = CarrySettings(
             max_off=1e-2, max_turn=1e-1, max_squeeze=500,

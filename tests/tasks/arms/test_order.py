@@ -13,8 +13,7 @@ from armcell.core import InputError, JointState, UnknownNameError
 from armcell.planning import RunningMotion
 from armcell.tasks import TaskSettings, checked
 from armcell.tasks.arms import CycleTimes, orders
-from armcell.tasks.arms.conflict_cache import ConflictCache
-from armcell.tasks.arms.order import earliest
+from armcell.tasks.arms.order import ConflictCache, earliest
 from armcell.tasks.arms.tour_cost import TourEstimator, TourSegment
 
 TRAYS = ("red_tray", "blue_tray")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -18,6 +18,8 @@ from armcell.core.geometry import local_bounds
 
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
+
+Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +79,12 @@ class Pieces:
         return replace(self, pose=pose.reshape(-1, 12))
 
 
-def pieces_of(shapes: Sequence[tuple[Shape, F64]]) -> Pieces:
+def pieces_of(shapes: Sequence[tuple[Shape, F64]], split: Splitter = convex_pieces) -> Pieces:
     """Return the exact pieces of shapes with poses (4, 4).
 
-    A nonconvex mesh yields several pieces.
+    `split` divides a nonconvex mesh into several pieces.
     """
-    every = [(_piece(part), T) for shape, T in shapes for part in convex_parts(shape)]
+    every = [(_piece(part), T) for shape, T in shapes for part in convex_parts(shape, split)]
     return Pieces(
         np.array([p[0] for p, _ in every], np.int32),
         np.array([p[1] for p, _ in every], np.float64).reshape(-1, 3),
@@ -118,9 +120,9 @@ def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[st
     return joined
 
 
-def convex_parts(shape: Shape) -> tuple[Shape, ...]:
+def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, ...]:
     """Return convex shapes whose union contains a shape."""
-    return convex_pieces(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
+    return split(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell._array_store import keep, key_of, recall
+from armcell.collision import decompose
 from armcell.collision.convex import VERSION as PIECES_VERSION
+from armcell.collision.convex import convex_pieces
 from armcell.collision.kernel import near
 from armcell.collision.kernel.cover import FIT_VERSION, GROUP, Cover, bounding_sphere, cover
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.collision.kernel.pieces import Corners, Pieces, concatenate, pieces_of
+from armcell.collision.kernel.pieces import Corners, Pieces, Splitter, concatenate, pieces_of
 from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
@@ -454,21 +456,22 @@ def _link_body(link: Link, scale: float, overshoot: float) -> _Body:
 
 
 def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
-    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes])
+    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], decompose.object_pieces)
 
 
-def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
+def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
     """Return the sphere cover and exact pieces of shapes with poses (4, 4) and overshoots [m].
 
     The result is cached on disk, so that later starts need no mesh library.
     """
     if not any(isinstance(shape, Mesh) for shape, _, _ in shapes):
-        return _new_body(shapes)
-    versions = repr((BODY_VERSION, FIT_VERSION, PIECES_VERSION, GROUP))
+        return _new_body(shapes, split)
+    version = PIECES_VERSION if split is convex_pieces else (split.__name__, decompose.VERSION)
+    versions = repr((BODY_VERSION, FIT_VERSION, version, GROUP))
     key = key_of(versions, *(part for shape, T, over in shapes for part in _content(shape, T, over)))
     stored = recall("bodies", key)
     if stored is None:
-        body = _new_body(shapes)
+        body = _new_body(shapes, split)
         p = body.pieces
         keep(
             "bodies", key, around=body.around, spheres=body.spheres, groups=body.groups,
@@ -477,7 +480,9 @@ def _body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
         )  # fmt: skip
         return body
     corners = Corners(stored["corner_count"], stored["corners"])
-    pieces = Pieces(*(stored[f"piece_{name}"] for name in ("kind", "size", "pose", "ball")), corners)
+    pieces = Pieces(
+        stored["piece_kind"], stored["piece_size"], stored["piece_pose"], stored["piece_ball"], corners
+    )
     return _Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)
 
 
@@ -488,7 +493,7 @@ def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str
     return (T, repr((overshoot, shape)))
 
 
-def _new_body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
+def _new_body(shapes: list[tuple[Shape, F64, float]], split: Splitter) -> _Body:
     spheres, groups, sizes = [], [], []
     for shape, T, overshoot in shapes:
         found: Cover = cover(shape, overshoot)
@@ -499,7 +504,7 @@ def _new_body(shapes: list[tuple[Shape, F64, float]]) -> _Body:
         sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
     every = np.vstack(groups)
     centre, radius = bounding_sphere(every[:, :3], every[:, 3])
-    pieces = pieces_of([(s, T) for s, T, _ in shapes])
+    pieces = pieces_of([(s, T) for s, T, _ in shapes], split)
     return _Body(np.append(centre, radius), np.vstack(spheres), every, sizes, pieces)
 
 

@@ -274,6 +274,8 @@ class RealDriver(Driver):
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
         """Return a monitor that compares a streamed motion with its dry run; see `Driver.watch`."""
+        if self.guard is None:
+            raise self._incapable(Capability.DRY_RUN)
         arms = self._arms_of(trajectory.joint_names)
         moving = Commanded(lambda: self._due() + self.settings.stream_lead)
         supervisor = self._connected()

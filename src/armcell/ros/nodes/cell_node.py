@@ -19,8 +19,8 @@ from armcell.cell import LiveCell
 from armcell.collision.motion_proof import Moving, first_conflict
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.execution import (
-    CHANGED,
     NOT_STARTED,
+    SCENE_INVALIDATED,
     ExecutionSettings,
     ExecutionSteps,
     GuardedMotion,
@@ -331,9 +331,9 @@ class _Announced(GuardedMotion):
         super().__init__(node.live.ctx.gate, trajectory, planned_in, cancel)
         self._node = node
 
-    def begin(self, fade: JointTrajectory | None = None) -> ExecutionResult | None:
+    def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
         self._node.look_at_hands()
-        refused = super().begin(fade)
+        refused = super().begin(blend)
         if refused is None:
             self._node.say(f"executing {len(self.trajectory.times)} points, {self.trajectory.duration:.2f} s")
             self._node.live.ctx.announce(self.trajectory)
@@ -397,5 +397,5 @@ def _follow_code(result: ExecutionResult) -> int:
         return SUCCESSFUL
     if result.code is ErrorCode.PREEMPTED:
         return INVALID_GOAL  # preemption has no code; ros2_control uses this one for a replaced goal
-    left = "left the path" in result.message or result.code is CHANGED
+    left = "left the path" in result.message or result.code is SCENE_INVALIDATED
     return PATH_TOLERANCE_VIOLATED if left else GOAL_TOLERANCE_VIOLATED

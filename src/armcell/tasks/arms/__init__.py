@@ -1,13 +1,12 @@
 """Tasks for two arms, working side by side at their own pace or on one object."""
 
 from armcell.tasks.arms.carry import Carrying, shifted
-from armcell.tasks.arms.context import ArmContext
 from armcell.tasks.arms.coupled import move_together
 from armcell.tasks.arms.hand_over import hand_over
 from armcell.tasks.arms.hand_pair import CarrySettings
 from armcell.tasks.arms.order import orders
 from armcell.tasks.arms.screw import ScrewSettings, screw
-from armcell.tasks.arms.side_by_side import SideBySide, side_by_side
+from armcell.tasks.arms.side_by_side import ArmContext, SideBySide, side_by_side
 from armcell.tasks.arms.tour_cost import CycleTimes
 
 __all__ = [

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.arms import without_arm
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode, InputError, JointState, Outcome
-from armcell.execution.admittance import Admittance
+from armcell.execution import Admittance
 from armcell.planning import plan_cartesian
 from armcell.tasks.arms.hand_pair import CarrySettings, HandPair, PairHold
 from armcell.tasks.arms.two_arm_pick import PickWithTwoArms
@@ -89,7 +89,9 @@ class Carrying:
         report.clearance_m = result.min_clearance
         self.ctx.expect_contact(self.item, held.supports)
         evidence = {"poses": list(poses), "seed": self.ctx.seed, **result.evidence}
-        outcome = self.hands.play(name, result.trajectory, report, self._correct, self._watch, evidence)
+        outcome = self.hands.play(
+            name, result.trajectory, report, self._correct, self._watch, evidence, scene
+        )
         if outcome.ok:
             held.q = self._corrected(result.trajectory.positions[-1], self._admittance.offset)
         return self._with_record(outcome)

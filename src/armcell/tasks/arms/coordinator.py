@@ -29,7 +29,7 @@ from armcell.planning import RunningMotion, plan_around_moving_arm
 from armcell.scene import PlanningScene
 
 if TYPE_CHECKING:
-    from armcell.tasks.arms.context import ArmContext
+    from armcell.tasks.arms.side_by_side import ArmContext
     from armcell.tasks.steps import Motion
 
 RETRY = 0.1  # [s] between attempts of an arm that waits to move

@@ -32,19 +32,21 @@ def move_together(
     told = {"goals": {group: goal_data(goal) for group, goal in goals.items()}, "seed": ctx.seed,
             "between_arms_m": pair.clearance, "message": pair.message, **pair.evidence}  # fmt: skip
     trajectory = pair.trajectory.reindexed(scene.model.group(both).joint_names)
-    return play(ctx, trajectory, report, evidence=told)
+    return play(ctx, trajectory, report, evidence=told, planned_in=scene)
 
 
 def play(
     ctx: TaskContext, trajectory: JointTrajectory, report: StageReport,
     correct: Callable | None = None, watch: Callable | None = None,
     evidence: Mapping[str, Any] = MappingProxyType({}), scene: Callable[[], PlanningScene] | None = None,
+    planned_in: PlanningScene | None = None,
 ) -> Outcome:  # fmt: skip
     """Execute a trajectory of coupled arms as a stage.
 
     Args:
         evidence: planning metadata for the record.
         scene: returns the measured scene with this motion's contacts and carried object; default: the cell's.
+        planned_in: scene in which the trajectory was planned; the gate's proof reuses its cached arrays.
     """
 
     def act() -> Outcome:
@@ -52,10 +54,10 @@ def play(
             trajectory, report.name, planner=report.planner, planning_time_s=report.planning_time_s,
             clearance_m=report.clearance_m, evidence=dict(evidence),
         )  # fmt: skip
-        motion = ctx.gate.motion(trajectory, cancel=ctx.cancel, scene=scene)
+        motion = ctx.gate.motion(trajectory, planned_in, ctx.cancel, scene)
         return execute_coupled(
             ctx.driver, motion, correct, watch, settings=ctx.settings.execution,
-            progress=lambda _: ctx.observe(),
+            progress=ctx.progress,
         )  # fmt: skip
 
     return staged(ctx, report, act)

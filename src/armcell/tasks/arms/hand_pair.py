@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armcell.collision import neighbors
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome, PlanResult
 from armcell.core.checks import checked, require
-from armcell.execution.admittance import AdmittanceSettings
+from armcell.execution import AdmittanceSettings
 from armcell.kinematics import kinematic_tree
 from armcell.planning import CarriedObject, plan_carry
 from armcell.scene import PlanningScene
@@ -98,12 +98,14 @@ class HandPair:
         """Return T_world_tcp of both arms at joint positions (n,) of both, by arm group."""
         full = self.ctx.driver.joint_state().positions.copy()
         full[self.columns] = q
-        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+        return self._tcp_poses(full)
 
     def measured_tcp_poses(self) -> dict[str, SE3]:
         """Return the measured T_world_tcp of both arms, by arm group."""
-        full = self.ctx.driver.joint_state().positions
-        return {g: self.tree.link_pose(full, self.tips[g]) for g in self.groups}
+        return self._tcp_poses(self.ctx.driver.joint_state().positions)
+
+    def _tcp_poses(self, q: Array) -> dict[str, SE3]:
+        return dict(zip(self.groups, self.tree.link_poses(q, tuple(self.tips.values())), strict=True))
 
     def supports(self, scene: PlanningScene) -> tuple[str, ...]:
         """Return the object's supports, now or at the time of the grasp."""
@@ -165,13 +167,14 @@ class HandPair:
     def play(
         self, name: str, trajectory: JointTrajectory, report: StageReport | None = None,
         correct: Callable | None = None, watch: Callable | None = None,
-        evidence: Mapping[str, Any] = MappingProxyType({}),
+        evidence: Mapping[str, Any] = MappingProxyType({}), planned_in: PlanningScene | None = None,
     ) -> Outcome:  # fmt: skip
         """Execute a trajectory of both arms as a stage (see `coupled.play`)."""
         report = report or StageReport(name, "cartesian")
         return play(
-            self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching
-        )
+            self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching,
+            planned_in,
+        )  # fmt: skip
 
     def _touching(self) -> PlanningScene:
         """Return the measured scene with the hands' contacts allowed and a held object attached."""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.core.checks import require
-from armcell.execution import execute_coupled
-from armcell.execution.admittance import Admittance, AdmittanceSettings
+from armcell.execution import Admittance, AdmittanceSettings, execute_coupled
 from armcell.kinematics import kinematic_tree
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import staged
@@ -82,7 +81,7 @@ def screw(
         motion = ctx.gate.motion(trajectory, planned_in, ctx.cancel)
         result = execute_coupled(
             ctx.driver, motion, turning.correct, turning.watch, settings=ctx.settings.execution,
-            progress=lambda _: ctx.observe(),
+            progress=ctx.progress,
         )  # fmt: skip
         return replace(result, evidence={**result.evidence, **turning.evidence()})
 

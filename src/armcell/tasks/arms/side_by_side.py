@@ -1,17 +1,61 @@
-"""Programs of two arms that work side by side, each at its own pace."""
+"""Programs of two arms that work side by side, each at its own pace in its own task context."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
-from armcell.collision.arms import check_two
-from armcell.core import ErrorCode, InputError, Outcome
-from armcell.execution.turns import ArmView, run_by_turns
+from armcell.collision.arms import check_two, without_arm
+from armcell.core import ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.drivers import Driver
+from armcell.execution import ArmDriver, run_cooperatively
 from armcell.planning import RunningMotion
-from armcell.tasks.arms.context import ArmContext
+from armcell.scene import PlanningScene
 from armcell.tasks.arms.coordinator import MotionCoordinator
-from armcell.tasks.context import TaskContext
+from armcell.tasks.context import Holding, TaskContext
+from armcell.tasks.steps import Motion
+
+
+class ArmContext(TaskContext):
+    """Task context (see `TaskContext`) of one of two arms that work side by side."""
+
+    def __init__(self, parent: TaskContext, group: str, driver: Driver, coordinator: MotionCoordinator):
+        super().__init__(driver, parent.base, parent.settings, parent.observers, parent.seed, parent.cancel)
+        self.parent, self.group, self.coordinator, self.ended = parent, group, coordinator, False
+        self.events, self.world = parent.events, parent.world
+        self.gate, self.lost = parent.gate, parent.lost
+        coordinator.contexts[group] = self
+        arm = {g.name for g in parent.base.model.grippers.values() if g.arm_group == group}
+        self.holding = {n: h for n, h in parent.holding.items() if h.gripper.name in arm}
+
+    def hands(self) -> Iterable[Holding]:
+        return self.parent.hands()
+
+    def scene(self) -> PlanningScene:
+        return without_arm(self.whole_scene(), self.coordinator.other(self.group))
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        self.parent.expect_contact(body, others, expected)
+
+    def observe(self) -> None:
+        self.parent.observe()
+
+    def clear(self, motion: Motion) -> JointTrajectory | Outcome:
+        return self.coordinator.clear(self, motion)
+
+    def reserve(self, zone: str) -> AbstractContextManager[None]:
+        return self.coordinator.reserved(self, zone)
+
+    def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
+        return self.coordinator.choose(self.group, items, zone)
+
+    def rendezvous(self, name: str) -> None:
+        self.coordinator.rendezvous(self, name)
+
+    def rested(self) -> None:
+        self.coordinator.rest(self)
+
 
 CLEARANCE = 0.02  # [m] between the arms
 PATIENCE = 30.0  # [s] of the driver's clock that an arm waits until its motion may start
@@ -53,10 +97,10 @@ def side_by_side(
     for group in groups:
         coordinator.running[group] = RunningMotion.standing(scene, group, began)
 
-    def program(group: str) -> Callable[[ArmView], None]:
-        def run(view: ArmView) -> None:
+    def program(group: str) -> Callable[[ArmDriver], None]:
+        def run(driver: ArmDriver) -> None:
             mine = contexts[group]
-            mine.driver = view
+            mine.driver = driver
             found = programs[group](mine)
             outcomes[group] = found if isinstance(found, Outcome) else Outcome(ErrorCode.SUCCESS)
             if not outcomes[group].ok:
@@ -69,7 +113,7 @@ def side_by_side(
     ctx.at_work = tuple(contexts.values())
     cancelled = ctx.cancel.is_set()
     try:
-        run_by_turns(
+        run_cooperatively(
             ctx.driver, {g: model.group(g).joint_names for g in groups}, {g: program(g) for g in groups}
         )
     finally:

@@ -10,8 +10,7 @@ try:
 except ImportError:
     raise MissingExtraError("py_trees", "trees") from None
 
-from armcell.tasks.trees.draw import as_dot, drawn, reasons
-from armcell.tasks.trees.nodes import Act, Check, run
+from armcell.tasks.trees.nodes import Act, Check, as_dot, drawn, reasons, run
 from armcell.tasks.trees.recipes import (
     held,
     looking,

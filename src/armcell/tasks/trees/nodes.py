@@ -1,4 +1,4 @@
-"""Behavior tree nodes: `Act` for recipes over many ticks, `Check` for immediate results."""
+"""Behavior tree nodes: `Act` for recipes over many ticks, `Check` for immediate results; trees as text."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import threading
 from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
+from py_trees import display
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from armcell.core import ErrorCode, Event, InputError, JointTrajectory, Outcome, StateSample
 from armcell.core.checks import require
 from armcell.tasks.context import TaskContext
-from armcell.tasks.trees.draw import reasons
 
 TICK = 0.1  # [s] duration of a tick on the driver's clock
 Recipe = Callable[[TaskContext], Outcome]
@@ -174,3 +174,27 @@ def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
         if root.status is Status.RUNNING:
             root.stop(Status.INVALID)
     return Outcome(ErrorCode.TIMED_OUT, f"still running after {ticks} ticks", {"ticks": ticks})
+
+
+def drawn(root: Behaviour, status: bool = True) -> str:
+    """Return a behavior tree as text, with each node's status and feedback message."""
+    return display.ascii_tree(root, show_status=status).rstrip("\n")
+
+
+def as_dot(root: Behaviour) -> str:
+    """Return a behavior tree as a graph in Graphviz format (`dot -Tsvg`)."""
+    return display.dot_tree(root).to_string()
+
+
+def reasons(root: Behaviour) -> list[str]:
+    """Return the feedback messages of the leaves that failed in the last run."""
+    return [
+        f"{node.name}: {node.feedback_message}"
+        for node in root.iterate()
+        if not node.children and node.feedback_message and _failed(node)
+    ]
+
+
+def _failed(node: Behaviour) -> bool:
+    outcome = getattr(node, "outcome", None)  # composites with memory reset the status of finished children
+    return node.status is Status.FAILURE if outcome is None else not outcome.ok

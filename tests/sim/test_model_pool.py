@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import weakref
 from dataclasses import replace
 
@@ -9,13 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from armcell.core import SE3, SO3, Box, Cone, Cylinder
+from armcell.core import SE3, SO3, ArmcellError, Box, Cone, Cylinder
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
 from armcell.sim.build import build
-from armcell.sim.built import BuiltModel
-from armcell.sim.kept import kept_build
+from armcell.sim.model_pool import ModelLease, lease_model
 
 SETTINGS = PhysicsSettings()
 SHAPES = {
@@ -38,9 +38,9 @@ def _scene(rng: np.random.Generator, **of_all) -> PlanningScene:
     return PlanningScene.of(load_robot("panda"), objects=objects)
 
 
-def _compiled(scene: PlanningScene, settings: PhysicsSettings) -> tuple[BuiltModel, mujoco.MjData]:
+def _compiled(scene: PlanningScene, settings: PhysicsSettings) -> ModelLease:
     built = build(scene, settings)
-    return built, mujoco.MjData(built.mj)
+    return ModelLease(built, mujoco.MjData(built.mj))
 
 
 def _bits(of: mujoco.MjModel | mujoco.MjData) -> dict[str, bytes]:
@@ -59,7 +59,8 @@ def test_it_is_the_compiled_one_bit_for_bit():
     rng = np.random.default_rng(3)
     for _ in range(8):
         scene = _scene(rng)
-        (kept, _), fresh = kept_build(scene, SETTINGS), build(scene, SETTINGS)
+        lease, fresh = lease_model(scene, SETTINGS), build(scene, SETTINGS)
+        kept = lease.built
         a, b = _bits(kept.mj), _bits(fresh.mj)
         assert len(a) > 200 and [name for name in b if a[name] != b[name]] == []
         assert kept.scene is scene and {n: o.mass for n, o in kept.objects.items()} == {
@@ -69,9 +70,10 @@ def test_it_is_the_compiled_one_bit_for_bit():
 
 def test_a_world_of_it_moves_as_one_compiled_anew(monkeypatch):
     scene = _scene(np.random.default_rng(4))
-    SimWorld(scene).step(300)  # leaves nothing behind
+    with SimWorld(scene) as world:
+        world.step(300)  # leaves nothing behind
     kept = SimWorld(scene)
-    monkeypatch.setattr("armcell.sim.world.kept_build", _compiled)
+    monkeypatch.setattr("armcell.sim.world.lease_model", _compiled)
     fresh = SimWorld(scene)
     assert _bits(kept.mj_data) == _bits(fresh.mj_data)
     for _ in range(2):
@@ -83,18 +85,43 @@ def test_a_world_of_it_moves_as_one_compiled_anew(monkeypatch):
             world.reset()
 
 
-def test_it_is_lent_to_one_at_a_time():
+def test_it_is_leased_to_one_world_at_a_time():
     scene = _scene(np.random.default_rng(6))
     first = SimWorld(scene)
-    mj = weakref.ref(first.mj_model)
-    kept = {"world": first, "snapshot": first.snapshot(), "model": first.mj_model, "data": first.mj_data}
-    kept |= {"array": first.mj_model.body_mass, "part": first.mj_data.qpos[3:7]}
-    del first
-    for name in list(kept):  # each alone is reason enough
-        assert SimWorld(scene).mj_model is not mj(), name
-        del kept[name]
-    again = SimWorld(scene)
-    assert again.mj_model is mj()
+    mj, data = first.mj_model, first.mj_data
+    second = SimWorld(scene)  # works, with a model of its own
+    assert second.mj_model is not mj and second.mj_data is not data
+    first.close()
+    first.close()
+    with SimWorld(scene) as again:
+        assert again.mj_model is mj and again.mj_data is data
+
+
+def test_a_world_that_is_dropped_leaves_its_model_to_who_holds_it():
+    """Views and snapshots stay valid, because only `close` gives the model back."""
+    scene = _scene(np.random.default_rng(9))
+    world = SimWorld(scene)
+    world.step(10)
+    position, mj = world.mj_data.qpos[:], weakref.ref(world.mj_model)
+    before = position.copy()
+    del world
+    gc.collect()
+    with SimWorld(scene) as other:
+        assert other.mj_model is not mj()
+        other.step(50)
+        assert np.array_equal(position, before)
+        kept = other.mj_model
+    with SimWorld(scene) as again:
+        assert again.mj_model is kept
+
+
+def test_a_closed_world_says_so():
+    world = SimWorld(_scene(np.random.default_rng(6)))
+    world.close()
+    uses = (world.step, world.joint_state, world.object_poses, world.snapshot, world.contacts)
+    for use in (*uses, lambda: world.time, lambda: world.mj_data.qpos, lambda: world.mj_model.nq):
+        with pytest.raises(ArmcellError, match="the simulation is closed"):
+            use()
 
 
 def test_what_a_world_wrote_is_put_back():
@@ -107,7 +134,7 @@ def test_what_a_world_wrote_is_put_back():
     world.step(200)
     changed = _bits(world.mj_model)
     assert {"body_mass", "dof_damping", "geom_conaffinity"} <= {n for n in before if before[n] != changed[n]}
-    del world
+    world.close()
     again = SimWorld(scene)
     assert again.mj_model is mj()
     assert _bits(again.mj_model) == before
@@ -121,14 +148,15 @@ def test_many_loose_objects():
         for i, z in enumerate(rng.uniform(0.2, 0.4, 60))
     ]
     scene = PlanningScene.of(load_robot("panda"), objects=objects)
-    (kept, _), fresh = kept_build(scene, SETTINGS), build(scene, SETTINGS)
+    lease, fresh = lease_model(scene, SETTINGS), build(scene, SETTINGS)
+    kept = lease.built
     assert _bits(kept.mj) == _bits(fresh.mj)
 
 
 @pytest.mark.parametrize("change", ("color", "shape", "pose", "allowed", "settings", "fixed"))
 def test_what_else_changes_is_seen(change):
     scene, settings = _scene(np.random.default_rng(5)), SETTINGS
-    kept_build(scene, settings)
+    lease_model(scene, settings).release()
     table, cube = scene.objects["table"], scene.objects["cube"]
     if change == "color":
         scene = scene.with_object(replace(cube, color=(1.0, 0.0, 0.0, 1.0)))
@@ -142,6 +170,6 @@ def test_what_else_changes_is_seen(change):
         settings = replace(settings, impratio=5.0)
     else:
         scene = scene.with_object(replace(cube, movable=False))
-    (a, _), b = kept_build(scene, settings), build(scene, settings)
+    a, b = lease_model(scene, settings).built, build(scene, settings)
     assert a.object_qpos == b.object_qpos
     assert [name for name, bits in _bits(b.mj).items() if _bits(a.mj)[name] != bits] == []

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armcell.cell.seeing import LiveCamera
+from armcell.cell.live_cameras import LiveCamera
 from armcell.core import CameraImage, ErrorCode, InputError, Outcome
 from armcell.grasping import support_surface
 from armcell.model import Gripper

@@ -1,6 +1,6 @@
 """Cooperative scheduling of several programs on one robot clock; one program runs at a time.
 
-Each program gets its own driver view. A program that lets time pass yields to the next one; when all programs
+Each program gets its own `ArmDriver`. A program that lets time pass yields to the next one; when all programs
 wait, the robot's clock advances to the earliest wake-up time. Programs for two arms can therefore run
 concurrently as plain blocking code, and in simulation the same programs always produce the same run.
 """
@@ -20,22 +20,22 @@ class _Ended(BaseException):
     """Ends a waiting program after another one failed; a BaseException, so no handler stops it."""
 
 
-class Turns:
-    """Scheduler that runs one program at a time on a shared driver clock; see `run_by_turns`."""
+class CooperativeScheduler:
+    """Scheduler that runs one program at a time on a shared driver clock; see `run_cooperatively`."""
 
     def __init__(self, driver: Driver, names: Iterable[str]):
         self.driver = driver
         self.names = tuple(names)
         self._wake = dict.fromkeys(self.names, driver.now)
-        self._gates = {name: threading.Semaphore(0) for name in self.names}
+        self._semaphores = {name: threading.Semaphore(0) for name in self.names}
         self._done = threading.Event()
         self.failed: BaseException | None = None
 
     def start(self) -> None:
-        self._gates[self.names[0]].release()
+        self._semaphores[self.names[0]].release()
 
-    def wait_for_turn(self, name: str) -> None:
-        self._gates[name].acquire()
+    def wait_until_scheduled(self, name: str) -> None:
+        self._semaphores[name].acquire()
         if self.failed is not None:
             raise _Ended
 
@@ -43,7 +43,7 @@ class Turns:
         """Suspend one program for `duration` [s] of driver time and let the others run."""
         self._wake[name] = self.driver.now + duration
         self._pass_on(name)
-        self.wait_for_turn(name)
+        self.wait_until_scheduled(name)
 
     def finish(self, name: str, error: BaseException | None = None) -> None:
         """Remove a finished program from the schedule; an error ends all other programs as well."""
@@ -53,13 +53,13 @@ class Turns:
         if not self._wake:
             self._done.set()
         elif self.failed is not None:
-            self._gates[next(iter(self._wake))].release()
+            self._semaphores[next(iter(self._wake))].release()
         else:
             try:
                 self._pass_on(name)
             except BaseException as broken:  # the driver failed: the other programs must end too
                 self.failed = broken
-                self._gates[next(iter(self._wake))].release()
+                self._semaphores[next(iter(self._wake))].release()
 
     def wait_until_done(self) -> None:
         self._done.wait()
@@ -71,15 +71,15 @@ class Turns:
         if soonest > self.driver.now + EPSILON:
             self.driver.advance(soonest - self.driver.now)
         ready = [n for n in order if self._wake[n] <= self.driver.now + EPSILON]
-        self._gates[(ready or sorted(order, key=self._wake.__getitem__))[0]].release()
+        self._semaphores[(ready or sorted(order, key=self._wake.__getitem__))[0]].release()
 
 
-class ArmView(DriverProxy):
+class ArmDriver(DriverProxy):
     """Driver of one program: time passes for all programs, and `stop` acts on the program's own joints."""
 
-    def __init__(self, turns: Turns, name: str, joint_names: tuple[str, ...]):
-        super().__init__(turns.driver)
-        self._turns, self._me, self._joints = turns, name, joint_names
+    def __init__(self, scheduler: CooperativeScheduler, name: str, joint_names: tuple[str, ...]):
+        super().__init__(scheduler.driver)
+        self._scheduler, self._me, self._joints = scheduler, name, joint_names
 
     def __enter__(self) -> Self:
         return self  # the driver is connected
@@ -88,45 +88,45 @@ class ArmView(DriverProxy):
         return None
 
     def advance(self, duration: float) -> None:
-        self._turns.sleep(self._me, duration)
+        self._scheduler.sleep(self._me, duration)
 
     def stop(self) -> None:
         self.hold(self._joints)
 
 
-def run_by_turns(
-    driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmView], None]]
+def run_cooperatively(
+    driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmDriver], None]]
 ) -> None:
     """Run several programs concurrently on one driver and return when all have ended.
 
     Args:
         joints: program name to the joints that its `stop` holds.
-        programs: program name to the function to run, called with its driver view.
+        programs: program name to the function to run, called with its driver.
     Raises:
         BaseException: the first exception that a program raised, after the robot has been stopped.
     """
-    turns = Turns(driver, programs)
+    scheduler = CooperativeScheduler(driver, programs)
 
     def run(name: str) -> None:
         error: BaseException | None = None
         try:
-            turns.wait_for_turn(name)
-            programs[name](ArmView(turns, name, joints[name]))
+            scheduler.wait_until_scheduled(name)
+            programs[name](ArmDriver(scheduler, name, joints[name]))
         except BaseException as raised:
             error = raised
-        turns.finish(name, error)
+        scheduler.finish(name, error)
 
     threads = [threading.Thread(target=run, args=(n,), name=f"armcell {n}", daemon=True) for n in programs]
     for thread in threads:
         thread.start()
-    turns.start()
+    scheduler.start()
     try:
-        turns.wait_until_done()
+        scheduler.wait_until_done()
     except BaseException as error:  # an interrupt: every program ends at its next sleep
-        turns.failed = turns.failed or error
-        turns.wait_until_done()
+        scheduler.failed = scheduler.failed or error
+        scheduler.wait_until_done()
     for thread in threads:
         thread.join()
-    if turns.failed is not None:
+    if scheduler.failed is not None:
         driver.stop()
-        raise turns.failed
+        raise scheduler.failed

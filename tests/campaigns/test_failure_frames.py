@@ -8,7 +8,7 @@ from PIL import Image
 
 import armcell
 from armcell.campaigns import CampaignSpec, begin, take_pictures
-from armcell.campaigns.moments import moment, picture_file
+from armcell.campaigns.failure_frames import moment, picture_file
 from armcell.campaigns.trial import Trial, failed, run_trial
 
 OFFSET = {"disturbances.joint_offset_deg.panda_joint2": 3.9, "objects.cube.friction": 0.36}  # meets the cube

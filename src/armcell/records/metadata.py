@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from armcell.cell import Cell, cell_names, content_hashes, load
+from armcell.cell.identity import versions
 from armcell.cell.schema import validated
-from armcell.cell.versions import versions
 from armcell.core import InputError
 
 FORMAT = 1
 """Format version of the metadata in a record."""
 
 
-def about_run(
+def run_metadata(
     cell: Cell, seed: int | None, mode: str, values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return JSON-ready run metadata, which suffices to execute the run again.
@@ -47,14 +47,14 @@ def this_machine() -> str:
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
-def origin_of(about: Mapping[str, Any], file: Path) -> str:
+def origin_of(metadata: Mapping[str, Any], file: Path) -> str:
     """Describe the origin of another user's or computer's record; empty for the user's own.
 
     Args:
-        about: run metadata of the record.
+        metadata: run metadata of the record.
         file: file of the record.
     """
-    machine = str(about.get("machine"))
+    machine = str(metadata.get("machine"))
     if machine != this_machine():
         return f"named by a record from another computer, {_printable(machine)}"
     if hasattr(os, "getuid") and file.stat().st_uid != os.getuid():
@@ -66,7 +66,7 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text[:80])
 
 
-def cell_of(about: Mapping[str, Any]) -> Cell:
+def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
     """Return the cell as it was when the run was recorded, independent of its current file.
 
     Meshes, scripts and robots in separate files are read in their current version; see `changed_since`.
@@ -74,28 +74,28 @@ def cell_of(about: Mapping[str, Any]) -> Cell:
     Raises:
         InputError: a file of the cell is missing.
     """
-    name, file = str(about["cell"]), Path(about["file"])
-    if about.get("built_in") and name in cell_names():
+    name, file = str(metadata["cell"]), Path(metadata["file"])
+    if metadata.get("built_in") and name in cell_names():
         file = load(name).file  # armcell may be installed in another folder now
-    return Cell(name, file, validated(dict(about["spec"]), file))
+    return Cell(name, file, validated(dict(metadata["spec"]), file))
 
 
-def changed_since(about: Mapping[str, Any], cell: Cell) -> list[str]:
+def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
     """Describe what has changed since the recording.
 
     An empty list means that executing the run again must give bit-identical results.
     """
-    then, now = about["hashes"], content_hashes(cell)
+    then, now = metadata["hashes"], content_hashes(cell)
     found = []
     for part in sorted({*then, *now}):
         if then.get(part) != now.get(part):
             _, _, library = part.partition("versions.")
-            was, here = (m.get(library) for m in (about["versions"], versions()))
+            was, here = (m.get(library) for m in (metadata["versions"], versions()))
             found.append(f"{library} {was} -> {here}" if library else part)
     return found
 
 
-def checked_about(data: Any, file: Path) -> dict[str, Any]:
+def checked_metadata(data: Any, file: Path) -> dict[str, Any]:
     """Validate a record's run metadata and return it.
 
     Raises:

@@ -80,9 +80,9 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
         without = scene
         for name in names:
             without = without.with_object_pose(name, poses[name])
-        settled = SimWorld(without, settings)  # without the fence
-        settled.step(round(AT_LAST / settled.timestep))
-        poses = {n: settled.object_pose(n) for n in names}
+        with SimWorld(without, settings) as settled:  # without the fence
+            settled.step(round(AT_LAST / settled.timestep))
+            poses = {n: settled.object_pose(n) for n in names}
         left = [n for n in names if not _is_in(scene.object(n), poses[n], frame, half)]
         if not left:
             return poses

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from armcell.cell.built_in import CELL_FILE, LIBRARY
-from armcell.cell.loading import load
+from armcell.cell.loader import load
 from armcell.cell.objects_file import load_objects, object_entries, objects_text
 from armcell.core import SE3, InputError
 from armcell.model.files import SafeLoader, read_text

@@ -12,8 +12,8 @@ import pytest
 from tests.records.synthetic import panda_scene
 
 from armcell.core import JointState, StateSample
-from armcell.records import RunRecorder, behind, read_record
-from armcell.records.behind import WrittenBehind
+from armcell.records import RunRecorder, read_record, write_behind
+from armcell.records.write_behind import WriteBehindFile
 
 LONGEST = 0.5  # [s] the machine may be busy
 
@@ -73,7 +73,7 @@ def test_a_disk_that_hangs_makes_no_step_wait_and_loses_nothing(scene, tmp_path)
 
 
 def test_a_disk_too_far_behind_ends_the_record_and_not_the_run(scene, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(behind, "MOST_WAITING", 1 << 20)
+    monkeypatch.setattr(write_behind, "MOST_WAITING", 1 << 20)
     recorder = RunRecorder(tmp_path, scene)
     hung = Hung(recorder._mcap._stream.fileno())
     for k in range(6000):
@@ -88,7 +88,7 @@ def test_a_disk_too_far_behind_ends_the_record_and_not_the_run(scene, tmp_path, 
 
 
 def test_what_is_written_is_there_in_order_and_close_waits(tmp_path):
-    file = WrittenBehind(tmp_path / "x")
+    file = WriteBehindFile(tmp_path / "x")
     expected = b""
     for k in range(200):
         data = bytes([k]) * (k * 37)

@@ -2,21 +2,20 @@
 
 Compilation takes milliseconds, and the next trial of a campaign usually changes only the poses, mass, and
 friction of free objects. A model from the pool equals the result of `build` bit for bit. The pool leases each
-model with its data to one world at a time: allocating new ones for each world would fragment the heap, so
-that the memory of the process would grow from trial to trial.
+model with its data to one world at a time, until the world gives it back: allocating new ones for each world
+would fragment the heap, so that the memory of the process would grow from trial to trial.
 """
 
 from __future__ import annotations
 
 import copy
 import ctypes
-import sys
 import threading
-from collections.abc import Hashable
+import weakref
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 
 import mujoco
-import numpy as np
 
 from armcell.collision.kernel.lru_cache import LruCache
 from armcell.scene import CollisionObject, PlanningScene
@@ -30,51 +29,77 @@ _copy_model = ctypes.CDLL(str(LIBRARY)).mj_copyModel  # copies into an existing 
 _copy_model.argtypes, _copy_model.restype = (ctypes.c_void_p, ctypes.c_void_p), ctypes.c_void_p
 
 
-class _Lender:
+class ModelLease:
+    """The exclusive use of a compiled model and its data, until `release`.
+
+    Attributes:
+        built: the model of a scene.
+        data: MuJoCo's data for it.
+    """
+
+    def __init__(self, built: BuiltModel, data: mujoco.MjData, pooled: _PooledModel | None = None):
+        self.built, self.data, self._pooled = built, data, pooled
+        self.released = False
+
+    def release(self) -> None:
+        """Give the model back to the pool; a second call has no effect.
+
+        From now on nobody may read or write the model, its data or views of their arrays: the pool leases
+        them to another world. A lease that is dropped without `release` is safe: the pool then replaces the
+        model by a new copy.
+        """
+        if not self.released and self._pooled is not None:
+            self._pooled.take_back(self)
+        self.released = True
+
+
+def _no_lease() -> None:
+    return None
+
+
+class _PooledModel:
     """A compiled MuJoCo model in its original state, with one copy that worlds can lease."""
 
     def __init__(self, built: BuiltModel):
-        self._built, self._mj = built, copy.copy(built.mj)
-        self._data = mujoco.MjData(self._mj)
-        self._parts = [self._mj, self._data, *_arrays(self._mj), *_arrays(self._data)]
-        self._alone = self._references()
+        self._built = built
+        self._free: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+        self._lease: Callable[[], ModelLease | None] = _no_lease
 
-    def _references(self) -> int:
-        return sum(map(sys.getrefcount, self._parts))
-
-    @property
-    def free(self) -> bool:
-        """Whether the pooled model is free: no world holds the model, its data, or their arrays.
-
-        The test compares reference counts, so snapshots of a world count as well.
-        """
-        return self._references() == self._alone
-
-    def lend(
+    def lease(
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
-    ) -> tuple[BuiltModel, mujoco.MjData]:  # fmt: skip
-        """Return the pooled copy with its data, reset to the original model and adapted to a scene."""
-        _copy_model(self._mj._address, self._built.mj._address)
-        mujoco.mj_resetData(self._mj, self._data)
-        built = replace(self._built, scene=scene, objects=objects, mj=self._mj)
-        _put_in(built, loose, settings, self._data)
-        mujoco.mj_resetData(self._mj, self._data)
-        return built, self._data
+    ) -> ModelLease | None:  # fmt: skip
+        """Lease the copy, reset to the original model and adapted to a scene; None while it is leased."""
+        if self._lease() is not None:
+            return None
+        mj, data = self._free or self._copied()
+        self._free = None
+        _copy_model(mj._address, self._built.mj._address)
+        mujoco.mj_resetData(mj, data)
+        built = replace(self._built, scene=scene, objects=objects, mj=mj)
+        _put_in(built, loose, settings, data)
+        mujoco.mj_resetData(mj, data)
+        lease = ModelLease(built, data, self)
+        self._lease = weakref.ref(lease)
+        return lease
+
+    def take_back(self, lease: ModelLease) -> None:
+        with _lock:
+            self._free = lease.built.mj, lease.data
+            self._lease = _no_lease
+
+    def _copied(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        mj = copy.copy(self._built.mj)
+        return mj, mujoco.MjData(mj)
 
 
-def _arrays(of: object) -> list[np.ndarray]:
-    values = (getattr(of, name) for name in dir(of))
-    return [value for value in values if isinstance(value, np.ndarray)]
-
-
-_models: LruCache[_Lender] = LruCache(4)
+_models: LruCache[_PooledModel] = LruCache(4)
 """Pool of models; the key holds all inputs of `build` except the values that `_put_in` writes."""
 _lock = threading.Lock()  # makes the test whether a model is free and its lease atomic
 
 
-def kept_build(scene: PlanningScene, settings: PhysicsSettings) -> tuple[BuiltModel, mujoco.MjData]:
-    """Return the model of `build(scene, settings)` with data, from the model pool if possible."""
+def lease_model(scene: PlanningScene, settings: PhysicsSettings) -> ModelLease:
+    """Lease the model of `build(scene, settings)` with data, from the model pool if possible."""
     objects = scene_objects(scene)
     loose = [o for n, o in objects.items() if o.thread is None and (o.movable or n in scene.attached)]
     if any(item.thread is not None for item in objects.values()):
@@ -87,15 +112,14 @@ def kept_build(scene: PlanningScene, settings: PhysicsSettings) -> tuple[BuiltMo
         frozenset(scene.attached),
         tuple(_seen(item, item.name in names) for item in objects.values()),
     )
-    lender = _models.get(key, lambda: _Lender(build(scene, settings)))
+    pooled = _models.get(key, lambda: _PooledModel(build(scene, settings)))
     with _lock:
-        if lender.free:
-            return lender.lend(scene, objects, loose, settings)
-    return _new(build(scene, settings))
+        lease = pooled.lease(scene, objects, loose, settings)
+    return lease or _new(build(scene, settings))
 
 
-def _new(built: BuiltModel) -> tuple[BuiltModel, mujoco.MjData]:
-    return built, mujoco.MjData(built.mj)
+def _new(built: BuiltModel) -> ModelLease:
+    return ModelLease(built, mujoco.MjData(built.mj))
 
 
 def _seen(item: CollisionObject, loose: bool) -> Hashable:

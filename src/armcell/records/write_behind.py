@@ -11,7 +11,7 @@ from pathlib import Path
 MOST_WAITING = 256 << 20  # [bytes] about one hour of recording; a disk this far behind counts as failed
 
 
-class WrittenBehind:
+class WriteBehindFile:
     """Sequential binary file with background writes, usable as output of the `mcap` writer.
 
     `write` and `flush` never wait for the disk. The next call of either raises the error of a failed write.

@@ -12,7 +12,7 @@ from tests.cli.helpers import call, read_json
 
 import armcell
 from armcell.cell import load_objects
-from armcell.cell.importing import add_to_cell, import_world, with_objects, write_imported
+from armcell.cell.world_import import add_to_cell, import_world, with_objects, write_imported
 from armcell.core import SE3, InputError
 from armcell.scene import Material
 from armcell.scene.sdf import load_sdf

@@ -9,15 +9,15 @@ from typing import Any
 from armcell.cell import announce_code, run_task
 from armcell.core import InputError, Observer
 from armcell.planning import warm_up
-from armcell.records.about import about_run, cell_of, changed_since, origin_of
 from armcell.records.compare import Comparison, compare
+from armcell.records.metadata import changed_since, origin_of, recorded_cell, run_metadata
 from armcell.records.reader import Record, read_record
 from armcell.records.recorder import RunRecorder
 
 REPEATABLE = ("sim", "fake")
 
 
-def execute_again(
+def reexecute(
     record: Record, folder: Path, anyway: bool = False, observers: Sequence[Observer] = ()
 ) -> tuple[Comparison, dict[str, Any], RunRecorder]:
     """Execute a recorded run's task again and record it into a folder.
@@ -30,10 +30,10 @@ def execute_again(
         InputError: the record has no run metadata, was made with a real arm, or its inputs have changed.
     """
     cell = checked_cell(record, anyway)
-    seed, mode = int(record.about["seed"]), str(record.about["mode"])
-    about = about_run(cell, seed, mode, record.about.get("values", {}))
+    seed, mode = int(record.metadata["seed"]), str(record.metadata["mode"])
+    metadata = run_metadata(cell, seed, mode, record.metadata.get("values", {}))
     warm_up()
-    recorder = RunRecorder(folder, cell.scene(seed), about=about)
+    recorder = RunRecorder(folder, cell.scene(seed), metadata=metadata)
     with recorder, cell.connect(mode, seed, [recorder, *observers]) as live:
         result = run_task(cell, live, seed, mode)
         result["command"] = command_of(record)
@@ -47,34 +47,36 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
     Raises:
         InputError: the run is not reproducible; the text gives the cause.
     """
-    if not record.about:
+    if not record.metadata:
         raise InputError(
             "does not say what ran", file=record.file,
             cure="records of `armcell run` do; this one can be looked at: armcell replay without --execute",
         )  # fmt: skip
-    if by := record.about.get("by"):
+    if by := record.metadata.get("by"):
         raise InputError(
             f"was led by {by}, by the clock on the wall: that need not repeat itself", file=record.file,
             cure="armcell replay shows it; armcell diff compares it with another run",
         )  # fmt: skip
-    mode = record.about["mode"]
+    mode = record.metadata["mode"]
     if mode not in REPEATABLE:
         raise InputError(
             f"is of mode {mode}: only physics repeats itself", file=record.file,
             cure="armcell replay shows it; armcell diff compares it with another run",
         )  # fmt: skip
-    cell = cell_of(record.about)
-    changed = changed_since(record.about, cell)
+    cell = recorded_cell(record.metadata)
+    changed = changed_since(record.metadata, cell)
     if changed and not anyway:
         raise InputError(
             f"since this record, what changed is: {', '.join(changed)}", file=record.file,
             cure="restore it, or compare all the same with --anyway",
         )  # fmt: skip
-    announce_code(cell, origin_of(record.about, record.file))
+    announce_code(cell, origin_of(record.metadata, record.file))
     return cell
 
 
 def command_of(record: Record) -> str:
     """Return the shell command that started the recorded run."""
     result: Mapping[str, Any] = record.result or {}
-    return str(result.get("command") or f"armcell run {record.about['cell']} --seed {record.about['seed']}")
+    return str(
+        result.get("command") or f"armcell run {record.metadata['cell']} --seed {record.metadata['seed']}"
+    )
