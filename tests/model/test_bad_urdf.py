@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.model.helpers import collision, joint, link, robot
+from tests.model.helpers import collision, joint, link, model_of, robot
 
 from armcell.core import InputError
 from armcell.kinematics import kinematic_tree
@@ -133,3 +133,24 @@ def test_a_mimic_must_follow_a_joint_that_is_driven(tmp_path, within, type, mimi
     )  # fmt: skip
     with within(10), pytest.raises(InputError, match="mimic"):
         kinematic_tree(load_robot(file))
+
+
+def test_faults_of_units_and_inertia_are_reported_with_their_line(tmp_path, caplog):
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="0.1" izz="0.1"/></inertial>'
+    limit = '<limit lower="-170" upper="170" velocity="1" effort="1"/>'
+    model_of(link("a"), link("b", body), joint("j", "a", "b", limit=limit))
+    assert ":3: the inertia of link 'b' is not of a real body" in caplog.text
+    assert ":4: the limits of joint 'j', -170 to 170 rad, look like degrees" in caplog.text
+
+
+def test_a_mesh_in_millimeters_is_refused(tmp_path):
+    (tmp_path / "big.obj").write_text(
+        "v 0 0 0\nv 150 0 0\nv 0 150 0\nv 0 0 150\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    with pytest.raises(InputError, match=r':2: .*mesh is 150 m large.*scale="0.001 0.001 0.001"'):
+        model_of(link("a", collision('<mesh filename="big.obj"/>')), file=tmp_path / "r.urdf")
+
+
+def test_a_closed_linkage_names_the_joint_and_mimic():
+    with pytest.raises(InputError, match=r":6: .*child of both 'j' and 'k'.*<mimic>"):
+        model_of(link("a"), link("b"), link("c"), joint("j", "a", "b"), joint("k", "c", "b"))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from armcell.core import SE3, Format, InputError, Shape, named_shapes
+from armcell.core import SE3, Format, InputError, Mesh, Shape, named_shapes
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
@@ -21,6 +21,8 @@ from armcell.model.xacro import expand_xacro
 
 logger = logging.getLogger(__name__)
 
+LARGEST_LINK = 20.0  # [m] larger meshes of a link are in millimeters
+DEGREES = 30.0, 720.0  # limits [rad] in this range are more likely degrees
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
 
@@ -73,6 +75,7 @@ class _Reader:
         self.file = file
         self.folder = file.resolve().parent
         self.undrawn: list[str] = []  # errors of visual meshes that are missing
+        self.lines: dict[str, int | None] = {}  # of the joints
 
     def fail(self, element: etree._Element, reason: str, cure: str | None = None) -> InputError:
         name = element.get("name")
@@ -135,6 +138,7 @@ class _Reader:
                 joints[joint.name] = joint
         for joint in joints.values():
             self.check_mimic(joint, joints)
+        self.lines = {str(e.get("name")): e.sourceline for e in root.findall("joint")}
         root_link, ordered = self.tree(links, joints)
         name = root.get("name") or self.file.stem
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
@@ -172,7 +176,9 @@ class _Reader:
                 raise InputError(
                     f"link {joint.child!r} is the child of both {parent[joint.child]!r} and {joint.name!r}",
                     file=self.file,
-                    cure="a robot is a tree: each link has one parent joint",
+                    line=self.lines.get(joint.name),
+                    cure="a URDF is a tree: cut the loop at one of the joints and couple the passive joints "
+                    "to the driven joint with <mimic>; an MJCF file may close the loop",
                 )
             parent[joint.child] = joint.name
             children[joint.parent].append(joint)
@@ -230,7 +236,20 @@ class _Reader:
                 (2, 2): "izz",
             }.items():
                 I[i, j] = I[j, i] = self.number(inertia, key, 0.0)
+        self.check_inertia(element, mass, I)
         return Inertial(mass, self.origin(element), I)
+
+    def check_inertia(self, element: etree._Element, mass: float, inertia: np.ndarray) -> None:
+        """Warn about an inertia matrix that no body of this mass can have; planning does not need it."""
+        a, b, c = np.linalg.eigvalsh(inertia)
+        if mass > 0 and (a <= 0 or a + b < c * (1 - 1e-3) - 1e-9):
+            link = element.getparent()
+            logger.warning(
+                "%s:%s: the inertia of link %r is %s (principal moments %.3g, %.3g, %.3g kg m^2; each must "
+                "be above 0 and at most the sum of the others): check signs and units, physics may be wrong",
+                self.file, element.sourceline, None if link is None else link.get("name"),
+                "not of a real body" if inertia.any() else "zero", a, b, c,
+            )  # fmt: skip
 
     def geometry(self, element: etree._Element) -> etree._Element:
         geometry = element.find("geometry")
@@ -256,12 +275,20 @@ class _Reader:
                     lambda key: self.number(geometry, key), lambda key, n: self.numbers(geometry, key, n)
                 )
             if geometry.tag == "mesh":
-                return load_mesh(*self.mesh_file(geometry))
+                return self.checked_size(geometry, load_mesh(*self.mesh_file(geometry)))
         except InputError as error:
             if error.line is not None:
                 raise
             raise self.fail(geometry, str(error)) from None
         raise self.fail(geometry, "unknown geometry", cure=f"{', '.join(sized)} and mesh exist")
+
+    def checked_size(self, geometry: etree._Element, mesh: Mesh) -> Mesh:
+        """Return a link's mesh after checking that it has the size of a robot's part in meters."""
+        size = float(np.ptp(mesh.vertices, axis=0).max())
+        if size > LARGEST_LINK:
+            cure = 'if its file is in millimeters, add scale="0.001 0.001 0.001"'
+            raise self.fail(geometry, f"mesh is {size:.4g} m large", cure)
+        return mesh
 
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
         """Return the visual geometry of a URDF element, or None if its mesh file is missing.
@@ -351,6 +378,11 @@ class _Reader:
         upper = self.number(limit, "upper", 0.0) if bounded else np.inf
         if lower > upper:
             raise self.fail(limit, f"lower {lower:g} is above upper {upper:g}")
+        if type_ == "revolute" and DEGREES[0] <= max(abs(lower), abs(upper)) <= DEGREES[1]:
+            logger.warning(
+                "%s:%s: the limits of joint %r, %g to %g rad, look like degrees: URDF has radians",
+                self.file, limit.sourceline, element.get("name"), lower, upper,
+            )  # fmt: skip
         positive = lambda v: v if v > 0 else np.inf  # noqa: E731  (0 means "no limit" in many files)
         return JointLimits(
             lower,

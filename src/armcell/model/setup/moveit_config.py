@@ -250,8 +250,10 @@ def load_ompl_planning(file: Path, model: RobotModel) -> Data:
 class _Reader:
     """A reader for one MoveIt configuration package; error messages contain the file and key."""
 
-    def __init__(self, folder: Path, allow_env: bool | None, xacro_args: dict[str, str]):
-        self.folder, self.allow_env, self.xacro_args = folder, allow_env, xacro_args
+    def __init__(
+        self, folder: Path, allow_env: bool | None = None, xacro_args: Mapping[str, str] | None = None
+    ):
+        self.folder, self.allow_env, self.xacro_args = folder, allow_env, dict(xacro_args or {})
         self.config = folder / "config"
 
     def read(self, urdf: Path | None) -> MoveItConfig:
