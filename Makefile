@@ -12,6 +12,7 @@ PY   := $(BIN)/python
 JOBS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))))
 # Workers take neighboring tests, which share fixtures, and steal from each other at the end.
 PYTEST := $(PY) -m pytest -n $(JOBS) --dist worksteal
+TESTS := not interop and not realtime
 # PYTHON= names the interpreter to use; without it the first usable one of these is taken.
 CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
 
@@ -51,7 +52,9 @@ demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 
 test: $(VENV)/.stamp ## set up, then lint and run all tests but the interop and real-time ones
 	@$(MAKE) --no-print-directory -j2 lint prepare
-	$(PYTEST) --durations=25 -m "not interop and not realtime"
+	$(PYTEST) --durations=25 -m "$(TESTS)" || { \
+	  echo "Running the failed tests again, one at a time: on a busy machine, time limits can be missed."; \
+	  $(PY) -m pytest --last-failed --last-failed-no-failures none -m "$(TESTS)"; }
 
 check: prepare ## set up, then run the quick tests
 	$(PYTEST) -m "not slow and not interop and not realtime"
