@@ -62,6 +62,8 @@ BENCHMARKS = (
         page="benchmarks_planners.md",
     ),
     Benchmark("cartesian", "Straight lines"),
+    Benchmark("changing_scenes", "Changing scenes", ("--passes", "2")),
+    Benchmark("holding", "Held objects", ("--seconds", "5", "--runs", "0"), full=("--runs", "10")),
     Benchmark("constraints", "Path constraints", ("--runs", "3", "--rejection", "2")),
     Benchmark("kernel_truth", "The kernel against exact meshes", ("--samples", "20000")),
     Benchmark("perception", "Perception", ("--scenes", "5")),

@@ -9,8 +9,7 @@ import time
 import numpy as np
 
 from armcell.core import JointTrajectory
-from armcell.drivers import DriverOptions, drivers
-from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.drivers import DashboardClient, DriverOptions, drivers
 from armcell.emulators.ur import ControllerSettings, Rack
 from armcell.execution import DriverWorld, MotionGate, execute
 from armcell.model import load_robot

@@ -10,7 +10,7 @@ import time
 
 from armcell.cell import load, run_task, with_values
 from armcell.core import InputError
-from armcell.drivers.ur.dashboard import DashboardClient
+from armcell.drivers import DashboardClient
 from armcell.planning import warm_up
 
 HOSTS = {"left_arm": "127.0.0.23", "right_arm": "127.0.0.24"}

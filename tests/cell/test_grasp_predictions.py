@@ -69,8 +69,8 @@ def test_what_is_planned_with_is_what_is_believed(cube, monkeypatch):
         known.append(ctx.scene().object("cube"))
         return grasp_predictions_planned(ctx, stages, what)
 
-    grasp_predictions_planned = grasp_predictions.planned
-    monkeypatch.setattr(grasp_predictions, "planned", spied)
+    grasp_predictions_planned = grasp_predictions.plan_stages
+    monkeypatch.setattr(grasp_predictions, "plan_stages", spied)
     held = held_in_truth(scene, truth, GRIPPER, grasps[0], SETTINGS, 0.5)
     assert held is not None and held.firmly
     assert known[0].T_world_object.distance_to(item.T_world_object) == (0.0, 0.0)

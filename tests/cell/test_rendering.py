@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from armcell.cell import load, pictures, rendering, seeing
+from armcell.cell import live_cameras, load, pictures, rendering
 from armcell.cli.camera_frames import camera_frames
 from armcell.core import SE3, ArmcellError, Event
 from armcell.perception import MapSettings
@@ -318,4 +318,4 @@ def test_in_lock_step_pictures_are_drawn_at_once(cell):
         assert len(got) == 1 and got[0].time == live.driver.now
         assert renderer_of(live).pid is None
         assert live.camera("top").take(live.ctx.advance) is got[0]
-        assert isinstance(live.camera("top"), seeing.LiveCamera)
+        assert isinstance(live.camera("top"), live_cameras.LiveCamera)

@@ -13,10 +13,12 @@ from armcell.drivers.driver import (
 from armcell.drivers.following import Following
 from armcell.drivers.proxy import DriverProxy
 from armcell.drivers.safety import Fault, SafetyEvent, Supervisor
+from armcell.drivers.ur.dashboard import DashboardClient
 
 __all__ = [
     "Capability",
     "ContactRecord",
+    "DashboardClient",
     "Driver",
     "DriverOptions",
     "DriverProxy",

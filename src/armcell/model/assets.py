@@ -177,6 +177,8 @@ def _checked(path: Path) -> Path:
         raise InputError(
             f"mesh format {path.suffix!r} is not read", file=path, cure="use STL, OBJ, DAE, PLY or GLB"
         )
+    if not path.is_file():
+        raise InputError("mesh file not found", file=path)
     if path.stat().st_size > MAX_MESH_BYTES:
         raise InputError(f"mesh is larger than {MAX_MESH_BYTES} bytes", file=path)
     return path

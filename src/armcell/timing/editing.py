@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, JointState, JointTrajectory
+from armcell.core.checks import float_array
 
 Array = NDArray[np.float64]
 
@@ -99,7 +100,7 @@ def delayed(trajectory: JointTrajectory, wait: float) -> JointTrajectory:
 # --- points ---
 def resting(joint_names: Iterable[str], positions: ArrayLike, time: float = 0.0) -> JointTrajectory:
     """Return the trajectory with one point: joints (n,) at rest, to be reached at `time` [s]."""
-    q = np.asarray(positions, dtype=float)[None]
+    q = float_array(positions, (None,), "positions")[None]
     return JointTrajectory(tuple(joint_names), np.array([time]), q, np.zeros_like(q), np.zeros_like(q))
 
 

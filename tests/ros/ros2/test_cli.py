@@ -6,7 +6,7 @@ import pytest
 from tests.cli.helpers import call
 
 WRONG = {
-    ("serve", "panda_pick"): "give --unity, --ros1 or --ros2",
+    ("serve", "panda_pick"): "give --unity, --ros1, --ros2 or --wire",
     ("serve", "panda_pick", "--unity", "--domain", "3"): "it goes with --ros2",
     ("sim", "panda_pick"): "--connect HOST:PORT, or --ros1 or --ros2",
     (

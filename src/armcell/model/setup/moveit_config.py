@@ -107,7 +107,9 @@ class MoveItConfig:
             InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type;
                 the message names the file and key.
         """
-        reader = _Reader(Path(folder), allow_env, dict(xacro_args or {}))
+        if not isinstance(xacro_args, Mapping | None):
+            raise InputError(f"xacro_args is {xacro_args!r}, a mapping is needed", cure="{name: value}")
+        reader = _Reader(Path(folder), allow_env, xacro_args)
         return reader.read(None if urdf is None else Path(urdf))
 
     # --- settings for planners and controllers ---
