@@ -10,7 +10,7 @@ import numpy as np
 
 from armcell.core import JointTrajectory
 from armcell.drivers import DashboardClient, DriverOptions, drivers
-from armcell.emulators.ur import ControllerSettings, Rack
+from armcell.emulators import ControllerSettings, Rack
 from armcell.execution import DriverWorld, MotionGate, execute
 from armcell.model import load_robot
 from armcell.scene import PlanningScene
