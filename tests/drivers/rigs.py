@@ -7,10 +7,13 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from tests.drivers.franka.emulated import emulator as fci_emulator
+from tests.drivers.franka.emulated import operate
 from tests.drivers.toy_kind import ROBOTS, ToyKind, ToyRobot
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts, free_port
 
 from armcell.drivers.real import robot_kinds
+from armcell.emulators.franka import free_arm
 from armcell.model import RobotModel, load_robot
 
 if "toy" not in robot_kinds:
@@ -56,5 +59,13 @@ def toy() -> Iterator[Rig]:
     del ROBOTS["toy"]
 
 
-RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {"ur": ur, "toy": toy}
-WITHOUT_RIG = {"franka"}  # TODO: against `armcell franka-controller`
+@contextmanager
+def franka() -> Iterator[Rig]:
+    with fci_emulator() as host:
+        yield Rig(
+            free_arm().model, {"host": host}, lambda: operate(host, "user stop on"),
+            lambda: operate(host, "user stop off"),
+        )  # fmt: skip
+
+
+RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {"ur": ur, "toy": toy, "franka": franka}

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from tests.drivers.rigs import RIGS, WITHOUT_RIG
+from tests.drivers.rigs import RIGS
 from tests.drivers.test_proxy import OPTIONAL
 from tests.drivers.toy_kind import ROBOTS, ToyRobot
 from tests.execution.ungated import execute
@@ -51,7 +51,7 @@ def until(true, seconds=5.0):
 
 
 def test_each_installed_kind_has_a_rig():
-    assert set(robot_kinds) == set(RIGS) | WITHOUT_RIG, "add the kind's emulator to tests/drivers/rigs.py"
+    assert set(robot_kinds) == set(RIGS), "add the kind's emulator to tests/drivers/rigs.py"
 
 
 @kinds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -74,10 +75,8 @@ def test_a_move_survives_the_wire():
 @given(st.binary(max_size=1500))
 def test_damaged_datagrams_are_rejected_or_read(data):
     for read in (read_state, read_command):
-        try:
+        with suppress(WireError):  # any other exception fails
             read(data)
-        except WireError:
-            assert True
 
 
 def test_numbers_that_are_not_finite_are_rejected():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import time
 
@@ -47,7 +48,7 @@ class FciClient:
         self._robot: tuple[str, int] | None = None  # address from which the robot sends its states
         try:
             self.udp.bind((self.tcp.getsockname()[0], 0))
-            self.udp.settimeout(TIMEOUT)
+            self.udp.setblocking(False)
             self._connect()
         except BaseException:
             self.close()
@@ -112,7 +113,7 @@ class FciClient:
         raise FciError("unreachable", f"{self.host} does not answer")
 
     def states(self) -> list[bytes]:
-        """Return the state messages that have arrived; waits for none if the socket does not block."""
+        """Return the state messages that have arrived, without waiting for more."""
         found = []
         while True:
             try:
@@ -127,12 +128,11 @@ class FciClient:
         Raises:
             FciError: none arrives.
         """
-        try:
-            data, self._robot = self.udp.recvfrom(STATE_SIZE + 1)
-        except OSError:
+        if not select.select([self.udp], [], [], TIMEOUT)[0]:
             raise FciError(
                 "unreachable", f"{self.host} sends no state to UDP port {self.udp.getsockname()[1]}"
-            ) from None
+            )
+        data, self._robot = self.udp.recvfrom(STATE_SIZE + 1)
         return data
 
     def command(self, data: bytes) -> None:

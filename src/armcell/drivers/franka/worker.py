@@ -58,7 +58,6 @@ class Worker:
         self._number, self._streaming = 0, False
         self._moving, self._ending = False, False
         client.tcp.setblocking(False)
-        client.udp.setblocking(False)
         link.setblocking(True)
 
     def run(self) -> None:
