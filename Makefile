@@ -80,7 +80,7 @@ test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono,
 test-realtime: $(VENV)/.stamp ## set up, then test two emulated arms moved as one; nothing else should run meanwhile
 	$(PY) -m pytest -m realtime
 
-lint: $(VENV)/.stamp ## style, types and the layers of the rooms
+lint: $(VENV)/.stamp ## style, types and the layers of the packages
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright

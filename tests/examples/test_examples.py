@@ -87,7 +87,7 @@ def test_each_has_its_number_and_its_test():
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_short_documented_and_public(script):
-    """What a learner reads: a docstring, at most 100 lines, no private names, no room's inner files."""
+    """What a learner reads: a docstring, at most 100 lines, no private names, no package's inner files."""
     text = script.read_text()
     assert text.startswith('"""') and 30 <= text.count("\n") <= 100
     assert not re.search(r"\b_[a-z]", re.sub(r"T_\w+|__file__", "", text))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import socket
-from contextlib import suppress
 from pathlib import Path
 
 import typer
 
 from armcell.cli.console import console
+from armcell.cli.emulator import run_emulator
 from armcell.cli.listening import tell_listening
 from armcell.core import ArmcellError, InputError
-from armcell.core.pauses import no_long_pauses
 
 EXAMPLES = """
 Examples:
@@ -76,16 +74,7 @@ def franka_controller(
     controller.robot.listeners.append(
         lambda text: console.print(f"{host}: {text}", soft_wrap=True, markup=False, highlight=False)
     )
-    console.print("an emulator, not a robot; Ctrl-C ends it")
-    with suppress(PermissionError, AttributeError):  # a controller must not be late on a busy machine
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
-    try:
-        with no_long_pauses():
-            rack.run()
-    finally:
-        rack.close()
-        if file is not None:
-            file.close()
+    run_emulator(rack, file)
     return 0
 
 

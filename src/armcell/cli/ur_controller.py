@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,9 +9,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from armcell.cli.console import console
+from armcell.cli.emulator import run_emulator
 from armcell.cli.listening import tell_listening
 from armcell.core import InputError
-from armcell.core.pauses import no_long_pauses
 
 if TYPE_CHECKING:
     from armcell.emulators.ur.notices import Notice
@@ -119,16 +117,7 @@ def ur_controller(
         console.print(f"{each.model} (serial {each.serial}) at {each.host}", soft_wrap=True)
         tell_listening(controller.network.endpoints)
         controller.robot.listeners.append(partial(_print_notice, each.host))
-    console.print("an emulator, not a robot; Ctrl-C ends it")
-    with suppress(PermissionError, AttributeError):  # a controller must not be late on a busy machine
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
-    try:
-        with no_long_pauses():
-            rack.run()
-    finally:
-        rack.close()
-        if file is not None:
-            file.close()
+    run_emulator(rack, file)
     return 0
 
 

@@ -1,0 +1,29 @@
+"""Running emulated controllers from the command line, whatever their vendor."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from typing import IO, Any
+
+from armcell.cli.console import console
+from armcell.core.pauses import no_long_pauses
+
+
+def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
+    """Run opened controllers until a signal ends them, then close them and the trace file.
+
+    Args:
+        rack: an `emulators.rack.Rack` whose ports are open.
+        trace: file for the record of every control step, or None.
+    """
+    console.print("an emulator, not a robot; Ctrl-C ends it")
+    with suppress(PermissionError, AttributeError):  # a controller must not be late on a busy machine
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
+    try:
+        with no_long_pauses():
+            rack.run()
+    finally:
+        rack.close()
+        if trace is not None:
+            trace.close()
