@@ -28,7 +28,7 @@ from armcell.planning.warm_up import warm_up_ik
 from armcell.timing import BlendedPath
 
 PACKAGES = ("core", "model", "kinematics", "timing", "scene", "collision", "planning", "grasping",
-            "perception", "sim", "control", "tasks", "cell", "campaigns")  # fmt: skip
+            "perception", "sim", "drivers", "execution", "twin", "tasks", "cell", "campaigns")  # fmt: skip
 ROOT = Path(__file__).parents[2]
 LONGEST = 2.0  # [s] of processor time of a call: other processes may take the machine
 WAITING = 20.0  # [s] of a call that waits

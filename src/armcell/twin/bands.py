@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import InputError
+from armcell.core.checks import float_array
 from armcell.twin.load import explaining
 from armcell.twin.rehearsal import Rehearsal
 
@@ -86,7 +87,11 @@ class ArmBands:
         Args:
             effort: simulated joint torques (n,) [Nm].
             velocity: joint velocities (n,) [rad/s].
+        Raises:
+            InputError: wrong shape, or not finite.
         """
+        effort = float_array(effort, self.gain.shape, "effort")
+        velocity = float_array(velocity, self.gain.shape, "velocity")
         rubbing = self.friction * np.tanh(velocity / CREEP) + self.viscous * velocity
         return self.gain * effort + rubbing + self.offset
 

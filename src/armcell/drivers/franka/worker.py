@@ -150,10 +150,8 @@ class Worker:
         else:
             self._points.add(*point)
 
-    def _start(self, state: RobotState) -> None:
-        """Start the waiting motion once the robot is idle."""
-        assert self._waiting is not None
-        since, source = self._waiting
+    def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
+        """Start the motion that waits since `since` [s, monotonic] once the robot is idle."""
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:
                 self._waiting = None
@@ -224,7 +222,7 @@ class Worker:
         if self._setpoints is not None:
             self._stream(state, ticks, now)
         elif self._waiting is not None:
-            self._start(state)
+            self._start(state, *self._waiting)
         report = before is None or state.time // REPORT != before.time // REPORT or state.mode != before.mode
         if report:
             raw = max(messages, key=lambda m: m[:8][::-1])

@@ -101,8 +101,8 @@ class Hand:
             task.answer(status)
 
     def _drive(self, width: float, force: float) -> None:
-        assert self._plant.hand is not None
-        self._plant.world.set_gripper_target(self._plant.hand.name, max(width, 0.0), force)
+        if self._plant.hand is not None:
+            self._plant.world.set_gripper_target(self._plant.hand.name, max(width, 0.0), force)
 
     def step(self) -> None:
         """Advance the running command by one millisecond."""
