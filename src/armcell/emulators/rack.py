@@ -48,6 +48,11 @@ class Controller(Protocol):
     def close(self) -> None: ...
 
 
+def selector() -> selectors.BaseSelector:
+    """Return a selector for a rack; epoll would round up timeouts to whole milliseconds."""
+    return selectors.SelectSelector()
+
+
 AnyController = TypeVar("AnyController", bound=Controller)
 
 

@@ -27,15 +27,20 @@ def trapezoid(q: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
     return q + np.minimum(s, s[-1])[:, None] * amplitude
 
 
-def drive(rig: Rig, setpoints: Setpoints, lost, milliseconds: int, pace=lambda t: 1.0) -> np.ndarray:
-    """Answer the robot's states with setpoints; `lost(k)`: 1 if a state, 2 if a command is lost."""
+def drive(
+    rig: Rig, setpoints: Setpoints, lost, milliseconds: int, pace=lambda t: 1.0, wall=lambda k: k * TICK
+) -> np.ndarray:
+    """Answer the robot's states with setpoints; `lost(k)`: 1 if a state, 2 if a command is lost.
+
+    `wall(k)` is the wall time [s] at which state k arrives.
+    """
     rig.start(MoveGenerator.JOINT_POSITION)
     last, path = rig.state.time - 1, []
     for k in range(milliseconds):
         state, command = rig.state, None
         if lost(k) != 1:
             ticks, last = state.time - last, state.time
-            q = setpoints.next(ticks, pace(k * TICK), k * TICK, *(state[x] for x in ("q_d", "dq_d", "ddq_d")))
+            q = setpoints.next(ticks, pace(k * TICK), wall(k), *(state[x] for x in ("q_d", "dq_d", "ddq_d")))
             command = RobotCommand(state.time, q=tuple(q), motion_finished=setpoints.finished)
         rig.robot.step([command] if command is not None and lost(k) != 2 else [])
         path.append(rig.robot.reference.q)
@@ -79,6 +84,33 @@ def test_streamed_points_are_joined_and_end_at_rest():
     assert rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
     coasted = (0.2 * np.sin(2 * 0.472)) ** 2 / (2 * COAST)
     assert np.abs(path[-1] - start - 0.1 * (1 - np.cos(2 * 0.472)) - coasted).max() < 1e-5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_streamed_points_with_jitter_delays_and_a_gap_never_make_the_arm_jump(seed):
+    rig, rng = Rig(), np.random.default_rng(seed)
+    start, points = rig.robot.reference.q, Points()
+    amplitude = rng.uniform(-0.3, 0.3, 7)
+    late = np.cumsum(rng.exponential(0.05 * TICK, 5000))  # the robot's clock is 5 % slow, and states are late
+    late[int(rng.integers(200, 900)) :] += rng.uniform(0.02, 0.2)
+    gap = int(rng.integers(40, 120))  # the program pauses for 0.15 s, until the arm has passed the last point
+
+    def wall(k: int) -> float:
+        now = k * TICK + late[k]
+        while wall.sent < 200 and now >= (due := wall.sent * 0.008 + 0.15 * (wall.sent > gap)):
+            x = wall.sent * 0.008
+            s, v = 0.5 * (1 - np.cos(2 * x)), np.sin(2 * x)
+            points.add(due + 0.04, start + s * amplitude, v * amplitude)
+            wall.sent += 1
+        return now + rng.exponential(0.4 * TICK)
+
+    wall.sent = 0
+    wall(0)
+    path = drive(rig, Setpoints(points), lambda k: 0, 5000, wall=wall)
+    assert wall.sent == 200 and rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
+    v = np.abs(np.sin(2 * 1.592) * amplitude)
+    goal = start + 0.5 * (1 - np.cos(2 * 1.592)) * amplitude
+    assert np.abs(path[-1] - goal - np.sign(np.sin(2 * 1.592) * amplitude) * v**2 / (2 * COAST)).max() < 1e-5
 
 
 def _trajectory(goal: float, duration: float, joint: int = 0) -> JointTrajectory:

@@ -51,15 +51,28 @@ def emulator(*options: str, hosts: list[str]):
     process = subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    with suppress(PermissionError):  # a busy machine must not make the driver late
-        os.setpriority(os.PRIO_PROCESS, 0, -10)
     try:
-        for host in hosts:
-            _wait(process, host)
-        yield process
+        with before_others(process.pid):
+            for host in hosts:
+                _wait(process, host)
+            yield process
     finally:
         process.kill()
         process.communicate()
+
+
+@contextmanager
+def before_others(*processes: int):
+    """This process and others, such as its emulator, before the machine's other programs, where allowed."""
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    with suppress(PermissionError):  # a busy machine must make neither the driver nor the robot late
+        for process in (0, *processes):
+            os.setpriority(os.PRIO_PROCESS, process, -10)
+    try:
+        yield
+    finally:
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, usual)
 
 
 @contextmanager

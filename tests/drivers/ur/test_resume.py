@@ -28,7 +28,7 @@ start: {{arm: home}}
 real:
   twin: false
   backend: {backend}
-  max_state_age: 0.3
+  max_state_age: 1.0
   watchdog: 0.5
   arms:
     arm: {{host: {host}, port: {port}, model: {model}}}

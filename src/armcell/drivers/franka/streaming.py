@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+Point = tuple[float, Array, Array]
+"""Due time [s, monotonic], positions and velocities, each (7,)."""
+
 TICK = 0.001  # [s]
 WINDOW = 12  # [ms] of the moving average, which turns steps of acceleration into bounded jerk
 PACE_TIME = 0.5  # [s] in which the pace changes from 0 to 1
@@ -17,6 +20,11 @@ REJOIN = 0.15  # [s] in which a deviation from the plan decays
 NOISE = 3e-6  # [rad] difference between sent and reported setpoints by float32
 COAST = 5.0  # [rad/s^2] deceleration after the last streamed point
 LATEST = 0.3  # [s] after the last streamed point before the stream ends
+GAP = 0.1  # [s] without points in which the arm decelerates instead of following a cubic
+MAX_POINTS = 512  # streamed points; 2 s at 4 ms
+FOLLOW = 5.0  # [1/s] gain with which the time of streamed points follows the wall time
+EVEN = 0.1  # [s] time constant of the rate of that time
+CATCH_UP = 0.2  # largest deviation of that rate from 1
 
 
 class Rows:
@@ -33,6 +41,10 @@ class Rows:
     def ended(self) -> bool:
         return self.clock >= (len(self._rows) - 1) * TICK
 
+    @property
+    def start(self) -> Array:
+        return self._rows[0]
+
     def next(self, pace: float, now: float) -> Array:
         """Advance by 1 ms at a pace (0 to 1); return the positions (7,)."""
         self.clock = min(self.clock + pace * TICK, (len(self._rows) - 1) * TICK)
@@ -41,36 +53,123 @@ class Rows:
         return self._rows[i] + (at - i) * (self._rows[i + 1] - self._rows[i])
 
 
+class Decay:
+    """A deviation from a plan that decays to zero, continuously up to the acceleration.
+
+    Args:
+        off, rate, change: deviation (7,) [rad] and its first two derivatives.
+        duration: [s]
+    """
+
+    def __init__(self, off: Array, rate: Array, change: Array | float = 0.0, duration: float = REJOIN):
+        T = self._duration = duration
+        a = -10 * off - 6 * rate * T - 1.5 * change * T**2
+        b = 15 * off + 8 * rate * T + 1.5 * change * T**2
+        c = -6 * off - 3 * rate * T - 0.5 * change * T**2
+        self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2 + 0.0 * off, a, b, c])
+
+    def at(self, t: float) -> Array | None:
+        """Return the deviation (7,) at time t [s] after the start; None: it has decayed."""
+        x = t / self._duration
+        return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
+
+
 class Points:
-    """Setpoints with due times, interpolated by cubics."""
+    """Setpoints with due times, interpolated by cubics.
+
+    The setpoints' time follows the wall time, but at an even rate: states arrive with jitter, which would
+    turn into steps of speed.
+    """
 
     clock = 0.0
 
     def __init__(self) -> None:
-        self._points: deque[tuple[float, Array, Array]] = deque(maxlen=64)
+        self._points: deque[Point] = deque(maxlen=MAX_POINTS)
         self.ended = False
+        self._time: float | None = None
+        self._rate = 1.0
+        self._coast: Point | None = None  # last point, which the arm has passed
+        self._away: tuple[float, Decay] | None = None
+
+    @property
+    def start(self) -> Array:
+        return self._points[0][1]
 
     def add(self, due: float, q: Array, v: Array) -> None:
         """Add a setpoint: due time [s, monotonic], positions and velocities (7,)."""
         self._points.append((due, q, v))
 
     def next(self, pace: float, now: float) -> Array:
-        """Return the positions (7,) at a time [s, monotonic]: the first point's before it is due.
+        """Advance to a time [s, monotonic]; return the positions (7,): the first point's before it is due.
 
-        After the last point, the arm decelerates from the point's speed.
+        After the last point, the arm decelerates from the point's speed. A point that comes later is joined
+        without a jump.
         """
+        return self._at(self._follow(now))
+
+    def _follow(self, now: float) -> float:
+        if self._time is None:
+            self._time = now
+        else:
+            wanted = 1.0 + float(np.clip(FOLLOW * (now - self._time), -CATCH_UP, CATCH_UP))
+            self._rate += (wanted - self._rate) * TICK / EVEN
+            self._time += self._rate * TICK
+        return self._time
+
+    def _at(self, now: float) -> Array:
+        while len(self._points) > 2 and self._points[1][0] <= now:
+            self._points.popleft()
         points = list(self._points)
-        self.ended = now - points[-1][0] > LATEST + float(np.abs(points[-1][2]).max()) / COAST
-        if now <= points[0][0]:
-            return points[0][1]
-        for (t0, q0, v0), (t1, q1, v1) in pairwise(points):
-            if t0 <= now < t1:
-                h, x = t1 - t0, (now - t0) / (t1 - t0)
-                low, high = (1 + 2 * x) * (1 - x) ** 2, x * x * (3 - 2 * x)
-                return low * q0 + high * q1 + h * x * (1 - x) * ((1 - x) * v0 - x * v1)
-        last, q, v = points[-1]
-        passed = np.minimum(now - last, np.abs(v) / COAST)
-        return q + passed * (v - 0.5 * COAST * np.sign(v) * passed)
+        last, _, v = points[-1]
+        self.ended = now - last > LATEST + float(np.abs(v).max()) / COAST
+        passed = _coasts_from(points, now)
+        if passed is not None:
+            self._coast = passed
+            return _coasted(passed, now)[0] + self._off(now)
+        position = _between(points, now)
+        if self._coast is not None:
+            q_coast, v_coast = _coasted(self._coast, now)
+            off = q_coast + self._off(now) - position
+            rate = v_coast + self._rate_of_off(now) - (_between(points, now + TICK) - position) / TICK
+            gentle = max(np.sqrt(6 * np.abs(off).max() / COAST), 6 * np.abs(rate).max() / COAST, REJOIN)
+            self._away, self._coast = (now, Decay(off, rate, duration=float(gentle))), None
+        return position + self._off(now)
+
+    def _off(self, now: float) -> Array:
+        """Return the decaying deviation (7,) from the points at a time."""
+        off = None if self._away is None else self._away[1].at(now - self._away[0])
+        return np.zeros(7) if off is None else off
+
+    def _rate_of_off(self, now: float) -> Array:
+        return (self._off(now + TICK) - self._off(now)) / TICK
+
+
+def _coasts_from(points: list[Point], now: float) -> Point | None:
+    """Return the point that the arm has passed, if no point follows it soon."""
+    passed = [point for point in points if point[0] <= now]
+    coming = points[len(passed) :]
+    if not passed or (coming and coming[0][0] - passed[-1][0] < GAP):
+        return None
+    return passed[-1]
+
+
+def _coasted(point: Point, now: float) -> tuple[Array, Array]:
+    """Return positions and velocities (7,) of an arm that has decelerated since a point."""
+    last, q, v = point
+    passed = np.minimum(now - last, np.abs(v) / COAST)
+    return q + passed * (v - 0.5 * COAST * np.sign(v) * passed), v - COAST * np.sign(v) * passed
+
+
+def _between(points: list[Point], now: float) -> Array:
+    """Return the positions (7,) at a time between the points, or those of the nearest point."""
+    if now <= points[0][0]:
+        return points[0][1]
+    for (t0, q0, v0), (t1, q1, v1) in pairwise(points):
+        if t0 <= now < t1:
+            h, x = t1 - t0, (now - t0) / (t1 - t0)
+            low, high = (1 + 2 * x) * (1 - x) ** 2, x * x * (3 - 2 * x)
+            return low * q0 + high * q1 + h * x * (1 - x) * ((1 - x) * v0 - x * v1)
+    return points[-1][1]
 
 
 class Setpoints:
@@ -87,9 +186,8 @@ class Setpoints:
         self._window: deque[Array] = deque(maxlen=WINDOW)
         self._plan: deque[Array] = deque(maxlen=3)  # the smoothed plan at the last three milliseconds
         self._sent = np.full(7, np.nan)
-        self._away: Array | None = None  # coefficients (6, 7) of the decaying deviation
+        self._away: Decay | None = None
         self._since = 0.0
-        self._started = False
         self._settled = 0
 
     @property
@@ -99,15 +197,7 @@ class Setpoints:
 
     def start_error(self, q: Array) -> float:
         """Return the distance [rad] of the source's start from positions q (7,)."""
-        return float(np.abs(self._first(0.0) - q).max())
-
-    def _first(self, now: float) -> Array:
-        if not self._started:
-            first = self.source.next(0.0, now)
-            self._window.extend([first] * WINDOW)
-            self._plan.extend([first] * 3)
-            self._started = True
-        return self._plan[-1]
+        return float(np.abs(self.source.start - q).max())
 
     def next(
         self, ticks: int, wanted_pace: float, now: float, q_d: Array, dq_d: Array, ddq_d: Array
@@ -118,7 +208,9 @@ class Setpoints:
             ticks: milliseconds since the last state; above 1 if states were lost.
             q_d, dq_d, ddq_d: setpoint that the robot tracks, from the state.
         """
-        self._first(now)
+        if not self._plan:
+            self._window.extend([self.source.start] * WINDOW)
+            self._plan.extend([self.source.start] * 3)
         for left in range(ticks - 1, 0, -1):
             self._advance(wanted_pace, now - left * TICK)
         if not np.abs(q_d - self._sent).max() <= NOISE:  # also before the first setpoint
@@ -142,19 +234,15 @@ class Setpoints:
         off = q_d - p2
         rate = dq_d - (p2 - p1) / TICK
         change = ddq_d - (p2 - 2.0 * p1 + p0) / TICK**2
-        T = REJOIN
-        a = -10 * off - 6 * rate * T - 1.5 * change * T**2
-        b = 15 * off + 8 * rate * T + 1.5 * change * T**2
-        c = -6 * off - 3 * rate * T - 0.5 * change * T**2
-        self._away = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
+        self._away = Decay(off, rate, change)
         self._since = 0.0
 
     def _deviation(self) -> Array:
         if self._away is None:
             return np.zeros(7)
         self._since += TICK
-        x = self._since / REJOIN
-        if x >= 1.0:
+        off = self._away.at(self._since)
+        if off is None:
             self._away = None
             return np.zeros(7)
-        return np.power(x, np.arange(6)) @ self._away
+        return off

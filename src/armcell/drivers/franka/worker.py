@@ -154,13 +154,14 @@ class Worker:
         """Start the motion that waits since `since` [s, monotonic] once the robot is idle."""
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:
-                self._waiting = None
+                self._drop()
                 self._result(f"the robot is not ready: mode {RobotMode(state.mode).name}")
             return
         self._waiting = None
         setpoints = Setpoints(source, self._pace)
         off = setpoints.start_error(state["q_d"])
         if off > START_DISTANCE:
+            self._drop()
             self._result(f"the motion starts {off:.3f} rad from the arm")
             return
         self._setpoints, self._moving, self._ending = setpoints, True, False
@@ -176,6 +177,10 @@ class Worker:
                 self._ended(status, number)
 
         self._send(Command.MOVE, request.pack(), answered)
+
+    def _drop(self) -> None:
+        """Give up the motion that waits; the next streamed point starts a new one."""
+        self._waiting = self._points = None
 
     def _ended(self, status: MoveStatus, number: int) -> None:
         self._moving, self._setpoints = False, None
@@ -194,7 +199,7 @@ class Worker:
 
     def _cancel(self) -> None:
         if self._waiting is not None:
-            self._waiting = None
+            self._drop()
             self._result("cancelled")
         if self._moving and not self._ending:
             self._ending, self._setpoints = True, None

@@ -124,7 +124,7 @@ class Rack(rack.Rack[FrankaController]):
         trace: BinaryIO | None = None,
         reset_between_runs: bool = False,
     ):
-        super().__init__([], selectors.DefaultSelector(), trace, reset_between_runs)
+        super().__init__([], rack.selector(), trace, reset_between_runs)
         try:
             for each, plant, group in zip(settings, plants, groups, strict=True):
                 self.controllers.append(FrankaController(each, self._selector, plant, group))

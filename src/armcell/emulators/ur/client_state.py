@@ -41,11 +41,12 @@ class ClientState:
         return int(self._robot.time * 1e6)
 
     def realtime(self) -> bytes:
-        values = np.zeros(max(n for _, n in REALTIME_DOUBLES))
+        values = np.zeros(max(n for _, n in REALTIME_DOUBLES), dtype=">f8")
         for first, name in _REALTIME:
-            value = np.atleast_1d(np.asarray(self._read[name](), dtype=float))
-            values[first : first + len(value)] = value
-        return struct.pack(f">i{self._doubles}d", 4 + 8 * self._doubles, *values[: self._doubles])
+            value = self._read[name]()
+            place = first if np.isscalar(value) else slice(first, first + len(value))
+            values[place] = value
+        return struct.pack(">i", 4 + 8 * self._doubles) + values[: self._doubles].tobytes()
 
     def primary(self) -> bytes:
         """Return a robot state message with every package that this controller model sends."""

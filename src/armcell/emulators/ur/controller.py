@@ -143,7 +143,7 @@ class Rack(emulators.Rack[UrController]):
         trace: BinaryIO | None = None,
         reset_between_runs: bool = False,
     ):
-        super().__init__([], selectors.DefaultSelector(), trace, reset_between_runs)
+        super().__init__([], emulators.selector(), trace, reset_between_runs)
         try:
             for i, each in enumerate(settings):
                 plant = plants[i] if plants else None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import ArmcellError
-from armcell.drivers.ur.wire.kinematics import forward, jacobian, pose_of
+from armcell.drivers.ur.wire.kinematics import cross, forward, jacobian, pose_of
 from armcell.drivers.ur.wire.models import UrModel
 from armcell.drivers.ur.wire.modes import MAY_MOVE, RobotMode, RuntimeState, SafetyMode
 from armcell.drivers.ur.wire.primary import Kinematics
@@ -413,7 +413,7 @@ class Robot:
         force, torque, at = self.plant.wrench()
         point = forward(self.dh, self.plant.read()[0], tcp)[:3, 3]
         hand_at = forward(self.dh, self.plant.read()[0], self.setpoint.tcp)[:3, 3]
-        torque = torque + np.cross(at - point, force) + np.cross(hand_at - point, self.hand)
+        torque = torque + cross(at - point, force) + cross(hand_at - point, self.hand)
         return np.concatenate([force + self.hand, torque])
 
     def tcp_force(self) -> Array:

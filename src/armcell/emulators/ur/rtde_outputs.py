@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.drivers.ur.wire import rtde
-from armcell.drivers.ur.wire.kinematics import forward, frames_of, jacobian
+from armcell.drivers.ur.wire.kinematics import cross, forward, frames_of, jacobian
 from armcell.drivers.ur.wire.modes import SAFETY_BITS, RobotMode
 from armcell.emulators.ur.robot import Robot
 
@@ -112,7 +112,7 @@ def _raw_wrench(r: Robot) -> Array:
     R = forward(r.dh, r.plant.read()[0], [0.0] * 6)[:3, :3]
     wrench = r.tcp_force()
     weight = -r.payload * np.asarray(r.gravity)
-    torque = wrench[3:] + np.cross(R @ np.asarray(r.payload_cog), weight)
+    torque = wrench[3:] + cross(R @ np.asarray(r.payload_cog), weight)
     return np.concatenate([R.T @ (wrench[:3] + weight), R.T @ torque])
 
 
