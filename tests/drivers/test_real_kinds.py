@@ -113,7 +113,7 @@ def _streams(driver, names):
             assert sent.joint_names == names
             driver.advance(driver.period)
         driver.command(names, motion.positions[-1], np.zeros(len(names)))
-        driver.advance(0.5)
+        driver.advance(1.0)
         fault = driver.fault()
         if fault is None:
             break

@@ -24,7 +24,7 @@ GAP = 0.1  # [s] without points in which the arm decelerates instead of followin
 MAX_POINTS = 512  # streamed points; 2 s at 4 ms
 FOLLOW = 5.0  # [1/s] gain with which the time of streamed points follows the wall time
 EVEN = 0.1  # [s] time constant of the rate of that time
-CATCH_UP = 0.2  # largest deviation of that rate from 1
+CATCH_UP = 0.4  # largest deviation of that rate from 1
 
 
 class Rows:

@@ -26,7 +26,7 @@ from armcell.sim import PhysicsSettings, SimWorld
 TRACE, _TRACE_RECORD = struct.Struct("<B16d"), struct.Struct("<16d")
 """Trace record: arm index, monotonic time and robot time [s], actual and desired positions (7,) [rad]."""
 
-ANSWER_TIME = 0.0005  # [s] in which a client must be able to answer a state
+ANSWER_TIME = 0.0004  # [s] in which a client must be able to answer a state
 
 
 @dataclass(frozen=True)
