@@ -45,7 +45,7 @@ CHROMIUM_THERE := command -v chromium || command -v chromium-browser || command 
 # $(call debian,name,VARIABLE): install $(VARIABLE) unless $(VARIABLE_THERE); where that cannot be, say so and go on.
 debian = { $($(2)_THERE); } >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
   && echo "Installing $(1) ..." && apt-get update -q && apt-get install -qy --no-install-recommends $($(2)); } \
-  || echo "$(1) cannot be installed from here; its tests are skipped. Cure: apt-get install $($(2))"
+  || echo "$(1) cannot be installed from here; its tests are skipped. Hint: apt-get install $($(2))"
 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
@@ -144,7 +144,7 @@ $(VENV)/.stamp-run: $(VENV)/.python requirements.txt pyproject.toml
 USABLE := import sys; v = sys.version_info[:2]; sys.exit( \
   "is Python %d.%d; 3.11, 3.12 or 3.13 is needed" % v if not (3, 11) <= v <= (3, 13) else \
   None if __import__("importlib.util").util.find_spec("ensurepip") else \
-  "is Python %d.%d but cannot create environments; cure: apt install python%d.%d-venv" % (v + v))
+  "is Python %d.%d but cannot create environments; hint: apt install python%d.%d-venv" % (v + v))
 IDENTITY := import sys; print(sys.version.split()[0], sys.base_prefix)
 
 # The environment itself; .python holds who made it. With PYTHON= given it is made anew if that one differs.
@@ -161,6 +161,6 @@ $(VENV)/.python: $(if $(PYTHON),FORCE)
 	done; \
 	echo "No usable Python. armcell needs Python 3.11, 3.12 or 3.13 that can create environments." >&2; \
 	printf '%b' "$$tried" >&2; \
-	echo "Cure: on Debian or Ubuntu 'sudo apt install python3 python3-venv'; elsewhere install Python 3.13." >&2; \
+	echo "Hint: on Debian or Ubuntu 'sudo apt install python3 python3-venv'; elsewhere install Python 3.13." >&2; \
 	echo "Or name one: make PYTHON=/path/to/python3.13 <target>" >&2; \
 	exit 1

@@ -44,7 +44,7 @@ with cell.connect("fake") as live:
     T_stool_can = live.scene().transform("stool", "can")
 print("\nthe can stands", T_stool_can.translation.round(3), "m from the stool's foot")
 
-# A mistake in the file is one line that names the place and the cure; nothing runs with half a cell.
+# A mistake in the file is one line that names the place and a hint; nothing runs with half a cell.
 with tempfile.TemporaryDirectory() as other:
     text = folder.joinpath("cell.yaml").read_text()
     Path(other, "cell.yaml").write_text(text.replace("friction: 0.5", "frction: 0.5"))

@@ -70,7 +70,7 @@ def private_folder() -> Path:
 
 def _say_unused(folder: Path, reason: str, instead: Path) -> None:
     log.warning(
-        "armcell: the cache %s is not used, because %s; %s is used instead. Cure: let only your user write "
+        "armcell: the cache %s is not used, because %s; %s is used instead. Hint: let only your user write "
         "there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder",
         folder, reason, instead,
     )  # fmt: skip

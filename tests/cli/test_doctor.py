@@ -1,4 +1,4 @@
-"""doctor: what is there, what is not, and the cure; without guessing."""
+"""doctor: what is there, what is not, and the hint; without guessing."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_step_and_drives_are_told_apart(capsys, tmp_path, hinge, physics, check,
     file.write_text(file.read_text() + f"physics: {physics}\n")
     found = lines(capsys, tmp_path, file)
     assert found[check]["verdict"] == verdict and words in found[check]["found"]
-    if "too coarse" in words:  # the cure that is named cures
+    if "too coarse" in words:  # the hint that is named hints
         finer = found[check]["found"].rpartition("timestep: ")[2].partition("`")[0]
         file.write_text(file.read_text().replace("timestep: 0.05", f"timestep: {finer}"))
         assert lines(capsys, tmp_path, file)[check]["verdict"] == "ok"

@@ -26,7 +26,7 @@ def test_only_success_is_ok():
 
 
 def test_message_names_file_line_element_reason_and_cure():
-    error = InputError("is odd", file="a.urdf", line=7, element="<link>", cure="make it even")
+    error = InputError("is odd", file="a.urdf", line=7, element="<link>", hint="make it even")
     assert str(error) == "a.urdf:7: <link>: is odd (make it even)"
     assert str(InputError("is odd", file="a.urdf")) == "a.urdf: is odd"
     assert str(InputError("is odd")) == "is odd"

@@ -125,7 +125,7 @@ class ToyArm(RealArm):
 
     def prepare_resume(self):
         if self.robot.stopped:
-            raise InputError(f"arm {self.name!r}: protective stop", cure="unlock it")
+            raise InputError(f"arm {self.name!r}: protective stop", hint="unlock it")
 
     def restart(self):
         self.robot.hold()
@@ -149,7 +149,7 @@ class ToyKind(RobotKind[ToySettings, ToyIdentity]):
 
     def identify(self, arm):
         if arm.host not in ROBOTS:
-            raise InputError(f"no toy answers at {arm.host}", cure="plug it in")
+            raise InputError(f"no toy answers at {arm.host}", hint="plug it in")
         return ToyIdentity(arm.host, ROBOTS[arm.host].serial)
 
     def check_identity(self, name, arm, found):
@@ -157,7 +157,7 @@ class ToyKind(RobotKind[ToySettings, ToyIdentity]):
 
     def check_ready(self, name, found):
         if ROBOTS[found.host].stopped:
-            raise InputError(f"arm {name!r}: the toy at {found.host} is stopped", cure="unlock it")
+            raise InputError(f"arm {name!r}: the toy at {found.host} is stopped", hint="unlock it")
 
     def calibrated(self, model, group, found):
         return model  # each toy is as its model says

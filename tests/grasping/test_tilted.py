@@ -66,7 +66,7 @@ def test_the_limit_is_that_of_the_friction_with_its_margin(friction):
     with pytest.raises(InputError) as error:
         place_candidates(flat, board(limit + 0.5))
     assert f"leans by {limit + 0.5:.1f} degrees" in str(error.value) and f"{limit:.1f}" in str(error.value)
-    assert "friction" in error.value.cure
+    assert "friction" in error.value.hint
     # Put there by force where friction alone, without a margin, is too little: it slides.
     steep = board(np.degrees(np.arctan(friction)) + 3)
     forced = replace(flat, material=Material(10.0))
@@ -111,7 +111,7 @@ def test_the_plumb_line_decides_not_the_normal():
     with pytest.raises(InputError) as error:
         place_candidates(tower, board(15))
     assert "would topple" in str(error.value) and "leans by 15.0 degrees" in str(error.value)
-    assert "level" in error.value.cure
+    assert "level" in error.value.hint
     # 25 mm to an edge, less 4 mm, from 150 mm up; at 45 degrees, over a corner, it would be farther
     said = float(str(error.value).split("stands up to ")[1].split(",")[0])
     low, high = (np.degrees(np.arctan(reach / 0.150)) for reach in (0.021, 0.021 * np.sqrt(2)))

@@ -83,7 +83,7 @@ def test_what_go_does_without_waiting_is_not_what_execute_does():
     (execute,) = lint_text(HEAD + "arm.execute(p, wait=False)")
     (go,) = lint_text(HEAD + "arm.go(wait=False)")
     assert execute.rule == go.rule == "two-at-once" and "ends this motion" in go.text
-    assert "armcell moves both" in execute.cure and "execute" in go.cure
+    assert "armcell moves both" in execute.hint and "execute" in go.hint
 
 
 def test_a_guessed_wait():
@@ -114,7 +114,7 @@ def test_deep_and_broken_texts_end_in_a_finding():
 
 def test_rules_are_many_and_each_has_a_cure():
     every = {f for text in ("arm.go([400]*1)", "time.sleep(1)") for f in lint_text(HEAD + text)}
-    assert len(RULES) >= 10 and all(f.cure and f.text for f in every)
+    assert len(RULES) >= 10 and all(f.hint and f.text for f in every)
 
 
 @pytest.mark.skipif(not SCRIPTS.is_dir(), reason="the users' scripts are in ../shared")

@@ -180,7 +180,7 @@ def test_what_cannot_be_done_is_aborted_with_the_plain_reason(caplog):
     bus = Bus()
 
     def execute(g):
-        raise InputError("no joint states yet", cure="start the simulator")
+        raise InputError("no joint states yet", hint="start the simulator")
 
     with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
         sent = client.send(goal())

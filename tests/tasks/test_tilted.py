@@ -43,4 +43,4 @@ def test_a_board_that_is_too_steep_is_refused_with_both_angles():
         with pytest.raises(InputError) as error:
             cell.arm.place("cube", on="board")
         assert "leans by 24.0 degrees" in str(error.value) and "21.8" in str(error.value)
-        assert "friction" in error.value.cure
+        assert "friction" in error.value.hint

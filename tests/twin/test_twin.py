@@ -214,11 +214,11 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_fault_slows_and_stops(bands, twins, name, ramp):
     STUCK.clear()
-    fault, said, cure = FAULTS[name]
+    fault, said, hint = FAULTS[name]
     slowed, stopped, trip, robot, _ = driven(bands, twins[3], fault, ramp=ramp)
     assert slowed is not None and stopped is not None and 0 <= slowed <= stopped < 0.45
     assert isinstance(trip, Fault) and trip.kind == "twin deviation"
-    assert said in trip.text and cure in trip.cure
+    assert said in trip.text and hint in trip.hint
     assert robot.sliders == [SLOW, 0.8]  # and back, once it is stopped
 
 
@@ -275,7 +275,7 @@ def test_efforts_of_a_slowed_arm_are_what_physics_says(swings):
 
 def test_a_payload_is_told_in_kilograms(swing_bands, swings, loaded):
     slowed, stopped, trip, _, notes = driven(swing_bands, swings[3], begin=0.0, arm=loaded)
-    assert slowed < 0.5 and stopped < 0.6 and "payload" in trip.cure
+    assert slowed < 0.5 and stopped < 0.6 and "payload" in trip.hint
     assert "kg more than its model says" in trip.text
     load = float(notes[-1][2].split("load ")[1].split()[0])
     assert load == pytest.approx(2.0, abs=0.3)

@@ -35,7 +35,7 @@ def begin(spec: CampaignSpec, runs: Path) -> Store:
     """
     if spec.sampling == "adaptive" and not spec.parameters:  # not checked in the spec: options may add some
         raise InputError(
-            "adaptive sampling needs parameters, to go where they fail", cure="--vary PATH=LOW,HIGH"
+            "adaptive sampling needs parameters, to go where they fail", hint="--vary PATH=LOW,HIGH"
         )
     if spec.cell not in cell_names() and (file := Path(spec.cell)).exists():
         spec = replace(spec, cell=str(file.resolve()))  # the printed commands must work in any folder
@@ -57,7 +57,7 @@ def resume(folder: str | Path) -> Store:
         store.close()
         raise InputError(
             f"since this campaign began, what changed is: {', '.join(changed)}", file=store.folder,
-            cure="trials of two different cells do not make one table: begin a new campaign",
+            hint="trials of two different cells do not make one table: begin a new campaign",
         )  # fmt: skip
     announce_code(cell)
     return store

@@ -221,11 +221,11 @@ def find_cluster(address: str) -> str | None:
     if address != OURS and not (host and colon and port.isdecimal() and "//" not in host):
         raise InputError(
             f"--ray {address!r} is no address",
-            cure="give auto, or HOST:PORT as `ray start --head` prints it (6379), not the client's ray://",
+            hint="give auto, or HOST:PORT as `ray start --head` prints it (6379), not the client's ray://",
         )
     named = os.environ.get("RAY_ADDRESS")
     if named and address not in (OURS, named):
-        raise InputError(f"RAY_ADDRESS is {named}, --ray is {address}", cure="unset RAY_ADDRESS")
+        raise InputError(f"RAY_ADDRESS is {named}, --ray is {address}", hint="unset RAY_ADDRESS")
     try:
         asked = subprocess.run(
             [sys.executable, "-P", "-c", _ASK, address], capture_output=True, text=True, timeout=ANSWER_WITHIN
@@ -236,7 +236,7 @@ def find_cluster(address: str) -> str | None:
             return None  # stale file of a cluster that has ended
         raise InputError(
             f"--ray {named or address}: no Ray cluster answers within {ANSWER_WITHIN:g} s",
-            cure="does it run (`ray start --head` there), is the port right (6379) and open to us?",
+            hint="does it run (`ray start --head` there), is the port right (6379) and open to us?",
         ) from None
     if found is None:
         return None
@@ -248,7 +248,7 @@ def find_cluster(address: str) -> str | None:
             f"the Ray cluster at {found} runs Ray {there['ray_version']} with Python "
             f"{there['python_version']}, here it is Ray {here['ray_version']} with Python "
             f"{here['python_version']}",
-            cure=f"take the same here and on all nodes: pip install ray=={here['ray_version']}",
+            hint=f"take the same here and on all nodes: pip install ray=={here['ray_version']}",
         )
     return found
 

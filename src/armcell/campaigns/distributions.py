@@ -100,7 +100,7 @@ def distribution(data: Any, place: str) -> Distribution:
         raise InputError(
             "is no distribution",
             element=place,
-            cure=f"write one of {', '.join(KINDS)}: [...], or [low, high]",
+            hint=f"write one of {', '.join(KINDS)}: [...], or [low, high]",
         )
     kind, given = next(iter(data.items()))
     if kind not in KINDS:

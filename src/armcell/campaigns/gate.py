@@ -65,14 +65,14 @@ def issue(
     if changed:
         raise InputError(
             f"is not of this cell as it is now; what differs is: {', '.join(changed)}", file=folder,
-            cure=f"armcell gate {cell.file}",
+            hint=f"armcell gate {cell.file}",
         )  # fmt: skip
     rows, _ = rows_of(folder / TRIALS)
     if spec.half_width is not None or spec.max_seconds is not None or len(rows) != spec.trials:
         raise InputError(
             f"has {len(rows)} trials, and {_asked(spec)}: where the number was not fixed beforehand, the "
             "interval promises too much",
-            file=folder, cure=f"armcell gate {_name(cell)} --trials {max(len(rows), _fewest(least))}",
+            file=folder, hint=f"armcell gate {_name(cell)} --trials {max(len(rows), _fewest(least))}",
         )  # fmt: skip
     names = varied(cell, rows)
     if not names and allow_unvaried is None:
@@ -83,7 +83,7 @@ def issue(
         raise InputError(
             f"shows too little: {share.count} of {share.total} succeeded, which is at least {low:.1%} "
             f"(95 % interval), and {least:.0%} is asked for",
-            file=folder, cure=_cure(share.count, share.total, least),
+            file=folder, hint=_cure(share.count, share.total, least),
         )  # fmt: skip
     record = {
         "format": FORMAT,
@@ -112,7 +112,7 @@ def issue(
         file.write_text(json.dumps(signed, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(
-            f"cannot be written: {error.strerror}", file=file, cure="choose another with -o"
+            f"cannot be written: {error.strerror}", file=file, hint="choose another with -o"
         ) from None
     return signed
 
@@ -125,7 +125,7 @@ def check_reason(allow_unvaried: str | None) -> None:
     """
     if allow_unvaried is not None and not allow_unvaried.strip():
         raise InputError(
-            "--allow-unvaried needs a reason", cure='--allow-unvaried "the fixture holds every part in place"'
+            "--allow-unvaried needs a reason", hint='--allow-unvaried "the fixture holds every part in place"'
         )
 
 
@@ -164,7 +164,7 @@ def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
     return InputError(
         f"a campaign that varies nothing shows one case only: {what}", file=file,
-        cure="say under 'randomize' in the cell file what may vary; or armcell campaign "
+        hint="say under 'randomize' in the cell file what may vary; or armcell campaign "
         f"{_name(cell)} --vary PATH=LOW,HIGH and then armcell gate {_name(cell)} --campaign FOLDER; or "
         "--allow-unvaried REASON, which the record keeps",
     )  # fmt: skip
@@ -177,10 +177,10 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
         InputError: the record is missing or invalid; the error says how to get a new one.
     """
     place = file or gate_file(cell)
-    cure = f"armcell gate {_name(cell)}, or --without-gate REASON, which goes into the run's record"
+    hint = f"armcell gate {_name(cell)}, or --without-gate REASON, which goes into the run's record"
     if not place.is_file():
         raise InputError(
-            f"cell {cell.name!r} has not been shown to work in simulation: no gate record {place}", cure=cure
+            f"cell {cell.name!r} has not been shown to work in simulation: no gate record {place}", hint=hint
         )
     try:
         record = json.loads(place.read_text(encoding="utf-8"))
@@ -188,22 +188,22 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
         form, then, least = record["format"], record["hashes"], record["least"]
         low = record["campaign"]["interval"][0]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise InputError(f"is no gate record ({type(error).__name__})", file=place, cure=cure) from None
+        raise InputError(f"is no gate record ({type(error).__name__})", file=place, hint=hint) from None
     if form != FORMAT:
-        raise InputError(f"is of format {form}, this armcell reads {FORMAT}", file=place, cure=cure)
+        raise InputError(f"is of format {form}, this armcell reads {FORMAT}", file=place, hint=hint)
     if not hmac.compare_digest(str(signature), _signature(record, _key(make=False))):
         raise InputError(
             "its signature is not right: it was edited, or issued under another key", file=place,
-            cure=f"{cure}; to take a key to another machine: {KEY_VARIABLE}=FILE",
+            hint=f"{hint}; to take a key to another machine: {KEY_VARIABLE}=FILE",
         )  # fmt: skip
     changed = changed_parts(then, content_hashes(cell), record["versions"])
     if changed:
         raise InputError(
             f"is not valid for the cell as it is now; since then, what changed is: {', '.join(changed)}",
-            file=place, cure=cure,
+            file=place, hint=hint,
         )  # fmt: skip
     if low < LEAST or least < LEAST:
-        raise InputError(f"shows {low:.1%}, {LEAST:.0%} is asked for", file=place, cure=cure)
+        raise InputError(f"shows {low:.1%}, {LEAST:.0%} is asked for", file=place, hint=hint)
     return {**record, "file": str(place)}
 
 
@@ -251,7 +251,7 @@ def _key(make: bool) -> bytes:
     except (OSError, ValueError) as error:
         raise InputError(f"the gate's key cannot be read ({error})", file=file) from None
     if len(key) < KEY_BYTES:
-        raise InputError("is too short for a key", file=file, cure="delete it: a new one is made")
+        raise InputError("is too short for a key", file=file, hint="delete it: a new one is made")
     return key
 
 

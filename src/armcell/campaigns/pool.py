@@ -111,7 +111,7 @@ class Pool(Generic[W]):
         """
         self.died += 1
         if self.died >= TRIES * self._workers.size:
-            raise InputError(f"workers end {how} as they start", cure=self._workers.help)
+            raise InputError(f"workers end {how} as they start", hint=self._workers.help)
 
     def _look_for_ready_ones(self) -> None:
         """Check that some worker is ready.
@@ -122,7 +122,7 @@ class Pool(Generic[W]):
         if any(worker.ready for worker in self._all):
             self._some_ready = time.monotonic()
         elif time.monotonic() - self._some_ready > PATIENCE:
-            raise InputError(f"no worker is ready after {PATIENCE:g} s", cure=self._workers.help)
+            raise InputError(f"no worker is ready after {PATIENCE:g} s", hint=self._workers.help)
 
     def run(self, trials: Iterator[Trial]) -> Iterator[dict[str, Any]]:
         """Yield the row of each trial exactly once, in the order in which the trials finish.
@@ -170,7 +170,7 @@ class Pool(Generic[W]):
                         continue
                     if "cell" in row:  # the worker cannot load the cell
                         raise InputError(
-                            f"a worker says: {row['cell']}", cure="was the cell changed just now?"
+                            f"a worker says: {row['cell']}", hint="was the cell changed just now?"
                         )
                     worker.trial = None
                     worker.done += 1

@@ -55,20 +55,20 @@ class CampaignSpec:
         for name, least in (("trials", 1), ("seed", 0)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(f"{name} is {value!r}", cure=f"give a whole number, at least {least}")
+                raise InputError(f"{name} is {value!r}", hint=f"give a whole number, at least {least}")
         for name in ("max_seconds", "half_width", "trial_seconds"):
             value = getattr(self, name)
             if value is None and name != "trial_seconds":
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise InputError(f"{name} is {value!r}", cure="give a positive number")
+                raise InputError(f"{name} is {value!r}", hint="give a positive number")
         if self.half_width is not None and self.half_width >= 0.5:
-            raise InputError(f"half_width is {self.half_width:g}", cure="give a share below 0.5, e.g. 0.01")
+            raise InputError(f"half_width is {self.half_width:g}", hint="give a share below 0.5, e.g. 0.01")
         for name in ("parameters", "values"):
             given = getattr(self, name)
             if not isinstance(given, Mapping) or not all(isinstance(path, str) for path in given):
                 raise InputError(
-                    f"{name} is not a mapping from paths", cure="e.g. {objects.cube.mass: [0.1, 1]}"
+                    f"{name} is not a mapping from paths", hint="e.g. {objects.cube.mass: [0.1, 1]}"
                 )
         self._check_places()
         distributions(self)  # raises errors of the distributions early
@@ -86,7 +86,7 @@ class CampaignSpec:
             part_varies = outer in self.values and inner in self.parameters and within != place
             if within[: len(place)] == place and not part_varies:
                 how = "the same as" if within == place else "a part of"
-                raise InputError(f"{inner} is {how} {outer}", cure="give one or the other")
+                raise InputError(f"{inner} is {how} {outer}", hint="give one or the other")
 
     @staticmethod
     def read(file: str | Path) -> CampaignSpec:
@@ -101,14 +101,14 @@ class CampaignSpec:
             if key not in KEYS:
                 raise UnknownNameError("key", key, KEYS, file=path)
         if not isinstance(data.get("cell"), str):
-            raise InputError("has no cell", file=path, cure="cell: panda_pick")
+            raise InputError("has no cell", file=path, hint="cell: panda_pick")
         beside = path.parent / data["cell"]
         if beside.exists():
             data["cell"] = str(beside)
         try:
             return CampaignSpec(**data)
         except InputError as error:
-            raise InputError(error.reason, file=path, element=error.element, cure=error.cure) from None
+            raise InputError(error.reason, file=path, element=error.element, hint=error.hint) from None
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -128,8 +128,8 @@ def checked_cell(spec: CampaignSpec) -> Cell:
     """
     cell = with_values(load(spec.cell), spec.values)
     if not cell.spec.task and cell.spec.script is None:
-        cure = "add 'task: [...]' or 'script: task.py'"
-        raise InputError("the cell has no task", file=cell.file, cure=cure)
+        hint = "add 'task: [...]' or 'script: task.py'"
+        raise InputError("the cell has no task", file=cell.file, hint=hint)
     for path, found in distributions(spec).items():
         for value in ends(found):
             try:
@@ -150,5 +150,5 @@ def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value:
     except InputError:
         return error
     low, high = math.ceil(found.low), math.floor(found.high)
-    cure = f"parameters: {{{path}: {{whole: [{low}, {high}]}}}}" if low <= high else "give a whole number"
-    return InputError(error.reason, file=error.file, element=error.element, cure=cure)
+    hint = f"parameters: {{{path}: {{whole: [{low}, {high}]}}}}" if low <= high else "give a whole number"
+    return InputError(error.reason, file=error.file, element=error.element, hint=hint)

@@ -200,7 +200,7 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
     a, b = success(first), success(second)
     for name, share in (("first", a), ("second", b)):
         if not share.total:
-            raise InputError(f"the {name} campaign has no finished trial", cure="go on with it by --resume")
+            raise InputError(f"the {name} campaign has no finished trial", hint="go on with it by --resume")
     difference = b.value - a.value
     (la, ua), (lb, ub) = a.wilson, b.wilson
     interval = (

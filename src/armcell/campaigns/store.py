@@ -108,7 +108,7 @@ class Store:
                 os.ftruncate(self._file, before)
             raise InputError(
                 f"cannot be written ({error.strerror})", file=self.folder / TRIALS,
-                cure=f"make room, then go on with --resume {self.folder}",
+                hint=f"make room, then go on with --resume {self.folder}",
             ) from None  # fmt: skip
         self.rows[row["trial"]] = dict(row)
 
@@ -131,7 +131,7 @@ def write_whole(file: Path, data: bytes) -> None:
             part.unlink()
         raise InputError(
             f"cannot be written ({error.strerror}); every finished trial is kept in {TRIALS}", file=file,
-            cure="make room, then go on with armcell campaign --resume FOLDER",
+            hint="make room, then go on with armcell campaign --resume FOLDER",
         ) from None  # fmt: skip
 
 
@@ -187,6 +187,6 @@ def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
             row = _row(line)
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             text = f"is no trial ({type(error).__name__})"
-            raise InputError(text, file=file, line=number, cure="delete the line") from None
+            raise InputError(text, file=file, line=number, hint="delete the line") from None
         rows.append(row)
     return rows, len(whole)

@@ -39,7 +39,7 @@ def clear_with(
     if known:
         raise InputError(
             f"the poses of {', '.join(known[:3])} are known without a camera",
-            cure="name them under 'perception: objects' in the cell file",
+            hint="name them under 'perception: objects' in the cell file",
         )
     for link in gripper.hand_links:  # in a heap, the hand touches neighboring objects
         ctx.driver.expect_contact(link, things)

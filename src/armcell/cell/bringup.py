@@ -59,7 +59,7 @@ class BringUp:
         try:
             self.settings = real_settings(cell.spec.real, cell.model)
         except InputError as error:
-            raise InputError(error.reason, file=cell.file, element=error.element, cure=error.cure) from None
+            raise InputError(error.reason, file=cell.file, element=error.element, hint=error.hint) from None
         self.steps: list[Step] = []
         self._found: dict[str, RobotIdentity] = {}
 
@@ -131,7 +131,7 @@ class BringUp:
         if report.worst_gap > self.settings.max_state_age:
             raise InputError(
                 f"{report}: a gap longer than {self.settings.max_state_age * 1000:.0f} ms would stop the arm",
-                cure="a cable instead of WLAN, a switch of its own for the robots, no other load here",
+                hint="a cable instead of WLAN, a switch of its own for the robots, no other load here",
             )
         return str(report)
 
@@ -188,7 +188,7 @@ class BringUp:
         if error > ZERO_TOLERANCE:
             raise InputError(
                 f"the flange is {error * 1000:.0f} mm from where the cell's model has it",
-                cure="wrong robot model in the cell, or a joint's zero is off (pendant: joint calibration)",
+                hint="wrong robot model in the cell, or a joint's zero is off (pendant: joint calibration)",
             )
         if applied:
             return f"flange {error * 1000:.2f} mm from the model with the robot's own calibration"
@@ -217,7 +217,7 @@ class BringUp:
         model = self.cell.model
         names, tip = model.group(name).joint_names, model.group(name).tip_link
         if tip is None:
-            raise InputError(f"group {name!r} has no tip link", cure="name a chain in the robot's SRDF")
+            raise InputError(f"group {name!r} has no tip link", hint="name a chain in the robot's SRDF")
         now = live.scene()
         start = live.driver.joint_state().reindexed(names).positions
         pose = now.frame_pose(tip)
@@ -232,7 +232,7 @@ class BringUp:
             reasons.append(result.message)
         else:
             raise InputError(
-                f"no line of {LINE * 100:.0f} cm is free: {reasons[0]}", cure="move the arm by hand"
+                f"no line of {LINE * 100:.0f} cm is free: {reasons[0]}", hint="move the arm by hand"
             )
         trajectory = result.trajectory
         worst = 0.0
@@ -274,7 +274,7 @@ class BringUp:
             live.scene(), PlanRequest(group, (goal,), velocity_scaling=SLOW, acceleration_scaling=SLOW)
         )
         if not result.ok or result.trajectory is None:
-            raise InputError(f"no plan: {result.message}", cure="is the scene as the cell file says?")
+            raise InputError(f"no plan: {result.message}", hint="is the scene as the cell file says?")
         done = execute(live.driver, live.ctx.gate.motion(result.trajectory))
         if not done.ok:
             raise InputError(f"motion failed: {done.message}")

@@ -61,8 +61,8 @@ class Cell:
         self.decals = tuple(self._decal(n, m) for n, m in spec.markers.items())
         self.controllers = controllers_of(spec.controllers, self.model, self.file)
 
-    def _fail(self, element: str, reason: str, cure: str | None = None) -> InputError:
-        return InputError(reason, file=self.file, element=element, cure=cure)
+    def _fail(self, element: str, reason: str, hint: str | None = None) -> InputError:
+        return InputError(reason, file=self.file, element=element, hint=hint)
 
     def _robot(self) -> RobotModel:
         spec = self.spec.robot
@@ -82,7 +82,7 @@ class Cell:
         try:
             return settings_from(cls, values, element)
         except InputError as error:
-            raise self._fail(error.element or element, error.reason, error.cure) from None
+            raise self._fail(error.element or element, error.reason, error.hint) from None
 
     def _physics(self) -> PhysicsSettings:
         try:
@@ -90,7 +90,7 @@ class Cell:
         except InputError as error:
             if error.file is not None:
                 raise
-            raise self._fail("physics/gains", error.reason, error.cure) from None
+            raise self._fail("physics/gains", error.reason, error.hint) from None
         settings = self._settings(PhysicsSettings, values, "physics")
         check_joint_gains(settings, self.model, file=self.file, element="physics/joint_gains")
         return settings
@@ -123,13 +123,13 @@ class Cell:
         except InputError as error:
             if error.file is not None:
                 raise
-            raise self._fail(f"cameras/{name}", error.reason, error.cure) from None
+            raise self._fail(f"cameras/{name}", error.reason, error.hint) from None
 
     def _decal(self, name: str, spec: MarkerSpec) -> Decal:
         try:
             return decal_of(name, spec, [*self.model.links, *self.spec.objects])
         except InputError as error:
-            raise self._fail(f"markers/{name}", error.reason, error.cure) from None
+            raise self._fail(f"markers/{name}", error.reason, error.hint) from None
 
     def _check_names(self) -> None:
         """Check the names in randomize, start, perception, drop and task.
@@ -156,8 +156,8 @@ class Cell:
             if seen.camera not in spec.cameras:
                 raise UnknownNameError("camera", seen.camera, spec.cameras, file=where, element="perception")
             if not spec.cameras[seen.camera].depth:
-                cure = "take 'depth: false' away, or name another camera"
-                raise self._fail("perception", f"camera {seen.camera!r} has no depth", cure)
+                hint = "take 'depth: false' away, or name another camera"
+                raise self._fail("perception", f"camera {seen.camera!r} has no depth", hint)
             for name in (*seen.objects, *([seen.surface] if seen.surface else [])):
                 if name not in spec.objects:
                     raise UnknownNameError("object", name, spec.objects, file=where, element="perception")
@@ -183,7 +183,7 @@ class Cell:
                 try:
                     make_stage(name, values)
                 except InputError as error:
-                    raise self._fail(f"task/{i}", error.reason, error.cure) from None
+                    raise self._fail(f"task/{i}", error.reason, error.hint) from None
             if step.move is not None and step.move not in states:
                 raise UnknownNameError("named state", step.move, states, file=where, element=f"task/{i}")
 
@@ -214,7 +214,7 @@ class Cell:
             except InputError as error:
                 if error.file is not None:
                     raise
-                raise self._fail(f"objects/{name}", error.reason, error.cure) from None
+                raise self._fail(f"objects/{name}", error.reason, error.hint) from None
         if seed is not None and self.spec.drop is not None:
             scene = dropped(scene, self.spec.drop.objects, self.spec.drop.into, seed)
         return scene

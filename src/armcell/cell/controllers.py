@@ -63,7 +63,7 @@ def controllers_of(
                 raise UnknownNameError("joint", joint, model.joint_names, **where)
             if joint in owner:
                 raise InputError(
-                    f"{joint} also belongs to {owner[joint]}", cure="name each joint once", **where
+                    f"{joint} also belongs to {owner[joint]}", hint="name each joint once", **where
                 )
             owner[joint] = name
         driven = [g.joint_name for g in model.grippers.values()]
@@ -71,7 +71,7 @@ def controllers_of(
             raise InputError(
                 f"a GripperCommand moves one gripper, not {', '.join(joints)}",
                 **where,
-                cure=f"joints: [{driven[0]}]" if driven else "this robot has no gripper",
+                hint=f"joints: [{driven[0]}]" if driven else "this robot has no gripper",
             )
         ending = ENDINGS[spec.type] if spec.action_ns is None else spec.action_ns
         topic = "/" + "/".join(part for part in (name.strip("/"), ending.strip("/")) if part)
@@ -104,5 +104,5 @@ def _joints_of(name: str, spec: ControllerSpec, model: RobotModel, where: dict[s
     raise InputError(
         "does not say which joints it moves",
         **where,
-        cure="add joints: [...], or name it <group>_controller",
+        hint="add joints: [...], or name it <group>_controller",
     )

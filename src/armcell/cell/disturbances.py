@@ -33,7 +33,7 @@ def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbanc
         place = f"disturbances/pushes/{name}"
         if push.on in spec.objects:
             raise InputError(
-                f"the object {push.on!r} is fixed", file=file, element=place, cure="give it 'movable: true'"
+                f"the object {push.on!r} is fixed", file=file, element=place, hint="give it 'movable: true'"
             )
         raise UnknownNameError("link or object", push.on, [*model.links, *movable], file=file, element=place)
     for name in given.moved:
@@ -41,8 +41,8 @@ def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbanc
         if name not in spec.objects:
             raise UnknownNameError("object", name, spec.objects, file=file, element=place)
         if (thread := spec.objects[name].thread) is not None:
-            reason, cure = f"the object is screwed into {thread.into!r}", "move that, or push this"
-            raise InputError(reason, file=file, element=place, cure=cure)
+            reason, hint = f"the object is screwed into {thread.into!r}", "move that, or push this"
+            raise InputError(reason, file=file, element=place, hint=hint)
     return Disturbances(
         {name: float(np.deg2rad(value)) for name, value in given.joint_offset_deg.items()},
         float(np.deg2rad(given.joint_noise_deg)),

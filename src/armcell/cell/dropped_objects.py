@@ -90,7 +90,7 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
         for name in inside:
             world.set_object_pose(name, poses[name])
     raise InputError(
-        f"{', '.join(left)} do not stay in {into!r} (seed {seed})", cure="a larger bin, or fewer objects"
+        f"{', '.join(left)} do not stay in {into!r} (seed {seed})", hint="a larger bin, or fewer objects"
     )
 
 

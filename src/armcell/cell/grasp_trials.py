@@ -108,7 +108,7 @@ def objects_of(
     )
     if not files:
         raise InputError(
-            "has no mesh and no URDF in it", file=folder, cure=f"put {', '.join(sorted(MESH_SUFFIXES))} there"
+            "has no mesh and no URDF in it", file=folder, hint=f"put {', '.join(sorted(MESH_SUFFIXES))} there"
         )
     if skip >= len(files):
         raise InputError(f"has {len(files)} files, {skip} are to be skipped", file=folder)

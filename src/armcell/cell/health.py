@@ -48,7 +48,7 @@ class Health:
         """
         missing = [n for n in LAYERS[: LAYERS.index(name)] if self.states[n] != OK]
         if missing:
-            raise InputError(f"{name} cannot start before {', '.join(missing)}", cure="start them in order")
+            raise InputError(f"{name} cannot start before {', '.join(missing)}", hint="start them in order")
         said: list[str] = []
         try:
             yield said
@@ -97,7 +97,7 @@ def check_description(cell: Cell) -> str:
         raise InputError(
             f"the description of {cell.model.name!r} has no planning group that is a chain",
             file=cell.file, element="robot",
-            cure="add an SRDF with groups to the robot: `armcell setup` writes one",
+            hint="add an SRDF with groups to the robot: `armcell setup` writes one",
         )  # fmt: skip
     return f"{cell.model.name}, {cell.model.dof} joints, {', '.join(arms)}"
 
@@ -118,7 +118,7 @@ def check_controllers(cell: Cell, mode: str) -> str:
     except InputError as error:
         if error.file is not None:
             raise
-        raise InputError(error.reason, file=cell.file, element=error.element, cure=error.cure) from None
+        raise InputError(error.reason, file=cell.file, element=error.element, hint=error.hint) from None
     return ", ".join(
         f"{name}: {kind_of(arm).control(settings.backend)} at {arm.host}"
         for name, arm in settings.arms.items()
@@ -139,7 +139,7 @@ def check_driver(live: LiveCell) -> str:
     fault = live.driver.fault()
     if fault is not None:
         raise InputError(
-            f"the driver {live.driver.name!r} has stopped: {fault.text}", cure=fault.cure or None
+            f"the driver {live.driver.name!r} has stopped: {fault.text}", hint=fault.hint or None
         )
     return f"{live.driver.name}, {len(state.joint_names)} joints"
 
@@ -172,6 +172,6 @@ def check_task(cell: Cell) -> str:
     if not cell.spec.task:
         raise InputError(
             "the cell has no task", file=cell.file,
-            cure="add 'task: [...]' or 'script: task.py', or use the Python API",
+            hint="add 'task: [...]' or 'script: task.py', or use the Python API",
         )  # fmt: skip
     return f"{len(cell.spec.task)} steps"

@@ -133,10 +133,10 @@ class Arm:
         planner = motion.planner_id if isinstance(motion, PlanResult) else ""
         trajectory = motion.trajectory if isinstance(motion, PlanResult) else motion
         if trajectory is None:
-            raise InputError("there is no trajectory to execute", cure="execute only what was planned")
+            raise InputError("there is no trajectory to execute", hint="execute only what was planned")
         mine = self._ctx.base.model.group(self.group).joint_names
         if other := [n for n in trajectory.joint_names if n not in mine]:
-            raise InputError(f"joint {other[0]!r} is not one of {self.group!r}", cure=f"{list(mine)}")
+            raise InputError(f"joint {other[0]!r} is not one of {self.group!r}", hint=f"{list(mine)}")
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
@@ -269,7 +269,7 @@ class LiveCell:
         arms = self.arms
         if len(arms) != 1:
             raise InputError(
-                f"cell {self.name!r} has {len(arms)} arms", cure=f"use cell.arms[...]: {sorted(arms)}"
+                f"cell {self.name!r} has {len(arms)} arms", hint=f"use cell.arms[...]: {sorted(arms)}"
             )
         return next(iter(arms.values()))
 
@@ -412,7 +412,7 @@ class LiveCell:
         if name is None and len(self.cameras) != 1:
             raise InputError(
                 f"cell {self.name!r} has {len(self.cameras)} cameras",
-                cure=f"name one: {sorted(self.cameras)}",
+                hint=f"name one: {sorted(self.cameras)}",
             )
         name = next(iter(self.cameras)) if name is None else name
         if name not in self.cameras:

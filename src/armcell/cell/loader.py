@@ -21,7 +21,7 @@ def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
     Args:
         allow_env: lets the robot's xacro files read environment variables, see `load_robot`.
     Raises:
-        InputError: the cell is invalid; the error has the file, the element, the reason and the cure.
+        InputError: the cell is invalid; the error has the file, the element, the reason and the hint.
     """
     if isinstance(cell, str) and cell in cell_names():
         file = LIBRARY / cell / CELL_FILE

@@ -108,7 +108,7 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
         except InputError as error:
             if error.file is not None:
                 raise
-            raise InputError(error.reason, file=file, element=f"objects/{name}", cure=error.cure) from None
+            raise InputError(error.reason, file=file, element=f"objects/{name}", hint=error.hint) from None
     return tuple(found.values())
 
 
@@ -127,7 +127,7 @@ def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> Col
     if into not in others or not item.movable:
         raise InputError(
             f"is screwed into {into!r}: that has to stand before it in the file, and it has to be movable",
-            cure=f"before it: {', '.join(others) or 'nothing'}",
+            hint=f"before it: {', '.join(others) or 'nothing'}",
         )
     return item.at(others[into].T_world_object @ item.T_world_object)
 
@@ -197,7 +197,7 @@ def _entry(
         if thread.into not in every:
             raise InputError(
                 f"{item.name!r} is screwed into {thread.into!r}, which is not among the objects",
-                cure="write both",
+                hint="write both",
             )
         T = every[thread.into].T_world_object.inv() @ T
     entry: dict[str, Any] = {"shapes": shapes, "pose": _pose(T)}

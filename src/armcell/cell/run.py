@@ -36,7 +36,7 @@ def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[st
         raise InputError(
             "the cell has no task",
             file=cell.file,
-            cure="add 'task: [...]' or 'script: task.py', or use the Python API",
+            hint="add 'task: [...]' or 'script: task.py', or use the Python API",
         )
     began = time.monotonic()
     outcome, placements = Outcome(ErrorCode.SUCCESS), []

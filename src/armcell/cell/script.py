@@ -61,7 +61,7 @@ def _file_of(name: str, cell_file: Path) -> Path:
     if cell_file.parent.resolve() not in file.parents or file.suffix != ".py":
         raise InputError(f"{name!r} is not a Python file in the cell's folder", **where)
     if not os.path.isfile(file):
-        raise InputError(f"{name!r} does not exist", cure="put it beside the cell file", **where)
+        raise InputError(f"{name!r} does not exist", hint="put it beside the cell file", **where)
     return file
 
 

@@ -112,7 +112,7 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
     if len(parts) > 1 or found.prefix or found.xyz is not None:
         raise InputError(
             "an MJCF robot is set up alone, without a prefix or pose", file=found.file,
-            cure="set up each robot by itself and combine the folders under 'parts' in a robot.yaml",
+            hint="set up each robot by itself and combine the folders under 'parts' in a robot.yaml",
         )  # fmt: skip
     return found.file.resolve()
 

@@ -56,10 +56,10 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
         if changed:
             raise InputError(
                 f"since the twin's bands were learned, what changed is: {', '.join(changed)}", file=file,
-                cure=f"learn them anew, which begins with a slow loop: armcell twin {cell.file}",
+                hint=f"learn them anew, which begins with a slow loop: armcell twin {cell.file}",
             )  # fmt: skip
     elif watch:
-        logger.info("%s; cure: armcell twin %s", UNWATCHED, cell.file)
+        logger.info("%s; hint: armcell twin %s", UNWATCHED, cell.file)
     return TwinGuard(Stage(scene, cell.physics), bands, learning=not watch)
 
 
@@ -82,7 +82,7 @@ def learn_bands(
         driver = live.driver
         calibrations, guard = driver.calibrations(), driver.guard
         if guard is None:
-            raise InputError("the cell's real arms have no twin", file=cell.file, cure="real: {twin: true}")
+            raise InputError("the cell's real arms have no twin", file=cell.file, hint="real: {twin: true}")
         for name in calibrations:
             home = _home(cell, name)
             _go(live, name, home, HOME_SPEED, tell)
@@ -138,5 +138,5 @@ def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[
     if not done.ok and done.evidence.get("twin"):
         raise _NotFree(done.message)
     if not done.ok:
-        raise InputError(f"{group}: {done.message}", cure="see docs/real_ur.md, Faults")
+        raise InputError(f"{group}: {done.message}", hint="see docs/real_ur.md, Faults")
     tell(f"{group}: {done.duration:.1f} s at {speed:.0%}")

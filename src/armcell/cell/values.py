@@ -75,7 +75,7 @@ def parsed(setting: str) -> tuple[str, Any]:
     """
     path, equals, text = setting.partition("=")
     if not equals or not path.strip():
-        raise InputError(f"{setting!r} is not PATH=VALUE", cure="e.g. objects.cube.mass=0.3")
+        raise InputError(f"{setting!r} is not PATH=VALUE", hint="e.g. objects.cube.mass=0.3")
     try:
         return path.strip(), yaml_value(text)
     except yaml.YAMLError as error:

@@ -58,7 +58,7 @@ def write_imported(
         InputError: the file exists (without `force`) or cannot be written, or the robot is invalid.
     """
     if file.exists() and not force:
-        raise InputError("file exists", file=file, cure="add --force, or add the objects to it with --into")
+        raise InputError("file exists", file=file, hint="add --force, or add the objects to it with --into")
     head = "" if robot is None else yaml.safe_dump({"robot": robot})
     _write_checked(file, lambda entries: head + objects_text(entries), objects, robot is not None)
 
@@ -73,13 +73,13 @@ def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
     file = path / CELL_FILE if path.is_dir() else path
     if not file.is_file():
         built_in = (LIBRARY / str(cell)).is_dir()
-        cure = "write a cell of your own with --robot MODEL -o FILE.yaml" if built_in else "check the path"
-        raise InputError("is a built-in cell" if built_in else "file not found", file=file, cure=cure)
+        hint = "write a cell of your own with --robot MODEL -o FILE.yaml" if built_in else "check the path"
+        raise InputError("is a built-in cell" if built_in else "file not found", file=file, hint=hint)
     loaded = load(file)
     taken = sorted({o.name for o in objects} & {*loaded.spec.objects, *loaded.model.links})
     if taken:
         raise InputError(
-            f"has {', '.join(repr(n) for n in taken[:5])} already", file=file, cure="add --prefix TEXT"
+            f"has {', '.join(repr(n) for n in taken[:5])} already", file=file, hint="add --prefix TEXT"
         )
     text = read_text(file)
     _write_checked(file, lambda entries: with_objects(text, entries), objects, True)
@@ -136,5 +136,5 @@ def _write_checked(file: Path, text_of, objects: Iterable[CollisionObject], is_c
             made.unlink(missing_ok=True)
         where = file if error.file == trial else error.file
         raise InputError(
-            error.reason, file=where, line=error.line, element=error.element, cure=error.cure
+            error.reason, file=where, line=error.line, element=error.element, hint=error.hint
         ) from None

@@ -84,7 +84,7 @@ def _solver(robot: str, group: str | None, tip: str | None, numeric: bool) -> IK
         if len(chains) != 1:
             raise InputError(
                 f"robot {model.name!r} has {len(chains)} planning groups with a tip",
-                cure=f"name one of {chains} with --group" if chains else "name the link to place with --tip",
+                hint=f"name one of {chains} with --group" if chains else "name the link to place with --tip",
             )
         group = chains[0]
     return NumericIK(model, group, tip) if numeric else ik_solver(model, group, tip)

@@ -82,7 +82,7 @@ def find_robot(robot: str, problems: Path) -> str | Path:
     if len(urdfs) == 1 or named:
         return (named or urdfs)[0]
     raise InputError(
-        f"has {len(urdfs)} URDF files and no robot.yaml", file=path, cure="name the URDF file itself"
+        f"has {len(urdfs)} URDF files and no robot.yaml", file=path, hint="name the URDF file itself"
     )
 
 

@@ -27,7 +27,7 @@ def bringup(
     check_writable(record)
     if not yes and not sys.stdin.isatty():
         raise InputError("bring-up asks before each step, and nobody is here to answer",
-                         cure="run it in a terminal (or --yes against emulators)")  # fmt: skip
+                         hint="run it in a terminal (or --yes against emulators)")  # fmt: skip
     from armcell.cell.bringup import BringUp
     from armcell.cell.health import first_layers
 
@@ -42,7 +42,7 @@ def bringup(
     hosts = [str(arm.get("host", "")) for arm in loaded.spec.real.get("arms", {}).values()]
     if yes and not all(h.startswith("127.") for h in hosts):
         raise InputError("--yes is for emulators on this machine (127.x), these arms may be real",
-                         cure="leave it out and confirm each step")  # fmt: skip
+                         hint="leave it out and confirm each step")  # fmt: skip
     done = BringUp(loaded, confirm, tell, record).run()
     console.print(
         "bring-up complete" if done else "[red]bring-up ended early[/red]; nothing goes on by itself"

@@ -20,7 +20,7 @@ def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) ->
         UnknownNameError: a camera does not exist.
     """
     if recorder is None or mode != "sim":
-        raise InputError("--frames needs physics and a record", cure="mode sim, and no --headless")
+        raise InputError("--frames needs physics and a record", hint="mode sim, and no --headless")
     known = live.cameras
     found = []
     for each in wanted:
@@ -33,7 +33,7 @@ def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) ->
             hertz = 0.0
         if not 0 < hertz <= 100:
             raise InputError(
-                f"--frames {each}: {rate!r} is no rate", cure="a number of Hz up to 100: overview=10"
+                f"--frames {each}: {rate!r} is no rate", hint="a number of Hz up to 100: overview=10"
             )
         found.append(CameraFrames(live.driver, known[name], hertz, recorder))
     return found

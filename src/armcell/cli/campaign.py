@@ -146,7 +146,7 @@ def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) 
             low, high = (float(end) for end in ends.split(","))
         except ValueError:
             text = f"--vary {one!r} is not PATH=LOW,HIGH"
-            raise InputError(text, cure="e.g. --vary objects.cube.mass=0.05,0.5") from None
+            raise InputError(text, hint="e.g. --vary objects.cube.mass=0.05,0.5") from None
         ranges[name.strip()] = {"uniform": [low, high]}
     given = {key: value for key, value in options.items() if value is not None}
     return replace(

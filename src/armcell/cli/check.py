@@ -19,7 +19,7 @@ def check(
 ) -> int:
     """Check a cell without running it: files, limits, start state, objects, reach.
 
-    Exit status 0 if all checks pass, 1 with the cures if not.
+    Exit status 0 if all checks pass, 1 with the hints if not.
     """
     if json_file is not None:
         check_writable(json_file)
@@ -37,7 +37,7 @@ def findings(name: str) -> Iterator[Finding]:
     """Yield the results of the checks of a cell: files, limits, start state, objects and task."""
     from armcell.cell import load
 
-    cell = load(name)  # raises an InputError with file, element and cure
+    cell = load(name)  # raises an InputError with file, element and hint
     model, scene = cell.model, cell.scene()
     yield True, "cell file", str(cell.file)
     yield True, "robot", f"{model.name}: {len(model.links)} links, {model.dof} actuated joints"
@@ -51,8 +51,8 @@ def findings(name: str) -> Iterator[Finding]:
 def _limits(model) -> Iterator[Finding]:
     for kind in ("velocity", "acceleration"):
         missing = [n for n in model.joint_names if not getattr(model.joints[n].limits, kind) < float("inf")]
-        cure = f"{', '.join(missing)} have none: add them to the robot's joint_limits.yaml"
-        yield not missing, f"{kind} limits", cure if missing else "every joint has one"
+        hint = f"{', '.join(missing)} have none: add them to the robot's joint_limits.yaml"
+        yield not missing, f"{kind} limits", hint if missing else "every joint has one"
 
 
 def _start(scene) -> Iterator[Finding]:

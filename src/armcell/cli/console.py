@@ -36,7 +36,7 @@ def check_writable(path: Path) -> None:
     if path.is_dir():
         raise InputError("is a folder, a file name is needed", file=path)
     if not folder.is_dir():
-        raise InputError("folder does not exist", file=folder, cure=f"mkdir -p {folder}")
+        raise InputError("folder does not exist", file=folder, hint=f"mkdir -p {folder}")
     try:  # os.access always returns True for root
         handle, trial = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""`armcell doctor`: find faults of the installation, a cell or an endpoint, with cures."""
+"""`armcell doctor`: find faults of the installation, a cell or an endpoint, with hints."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check the installation and a cell's requirements; each line says ok or no, with the cure.
+    """Check the installation and a cell's requirements; each line says ok or no, with the hint.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 
@@ -104,14 +104,14 @@ def cache() -> Iterator[Line]:
     root, folder = _cache.cache_root(), Path(os.environ["NUMBA_CACHE_DIR"])
     chosen = _cache.chosen_root()
     if (reason := _cache.doubt(chosen)) is not None:
-        cure = "let only your user write there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder"
-        yield Line(NO, "cache folder", f"{chosen} is not used, because {reason}: {cure}")
+        hint = "let only your user write there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder"
+        yield Line(NO, "cache folder", f"{chosen} is not used, because {reason}: {hint}")
     elif _cache.writable(root):
         size = sum(f.stat().st_size for f in root.rglob("*") if f.is_file())
         yield Line(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
     else:
-        cure = "kernels compile anew in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
-        yield Line(NO, "cache folder", f"{root} is not writable: {cure}")
+        hint = "kernels compile anew in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
+        yield Line(NO, "cache folder", f"{root} is not writable: {hint}")
     kept = len(list(folder.rglob("*.nbi")))
     if kept:
         yield Line(OK, "compiled kernels", f"{kept} functions kept in {folder}")
@@ -125,8 +125,8 @@ def opengl() -> Line:
     backend = gl_backend()
     if backend:
         return Line(OK, "OpenGL", f"cameras draw with {backend}")
-    cure = "cameras cast rays, which is slower (apt install libegl1 libosmesa6, or unset MUJOCO_GL)"
-    return Line(NOTE, "OpenGL", cure)
+    hint = "cameras cast rays, which is slower (apt install libegl1 libosmesa6, or unset MUJOCO_GL)"
+    return Line(NOTE, "OpenGL", hint)
 
 
 # --- the network ---
@@ -138,8 +138,8 @@ def ports() -> Iterator[Line]:
                 probe.bind(("127.0.0.1", port))
                 yield Line(OK, f"port {port}", f"free, for {what}")
             except OSError as error:
-                cure = f"taken ({error.strerror}): stop that program, or give another port"
-                yield Line(NOTE, f"port {port}", f"{cure} for {what}")
+                hint = f"taken ({error.strerror}): stop that program, or give another port"
+                yield Line(NOTE, f"port {port}", f"{hint} for {what}")
 
 
 def endpoint(connect: str) -> Line:
@@ -157,11 +157,11 @@ def endpoint(connect: str) -> Line:
     except socket.gaierror:
         return Line(NO, what, f"wrong address: {host!r} is not known (check the name, or give the number)")
     except ConnectionRefusedError:
-        cure = "the machine answers, but nothing listens there: start the endpoint, or give its port"
-        return Line(NO, what, cure)
+        hint = "the machine answers, but nothing listens there: start the endpoint, or give its port"
+        return Line(NO, what, hint)
     except TimeoutError:
-        cure = f"no answer in {PATIENCE:g} s: a firewall drops it (open TCP {port}), or the address is wrong"
-        return Line(NO, what, cure)
+        hint = f"no answer in {PATIENCE:g} s: a firewall drops it (open TCP {port}), or the address is wrong"
+        return Line(NO, what, hint)
     except OSError as error:
         return Line(NO, what, f"cannot be reached ({error.strerror}): check the network and the address")
 
@@ -245,8 +245,8 @@ def strength(loaded: Any) -> Iterator[Line]:
     share = held / effort
     k = int(np.argmax(share))
     text = f"holding the start takes {share[k]:.0%} of {names[k]}'s effort ({held[k]:.3g} of {effort[k]:.3g})"
-    cure = ": the robot would sag; check masses and effort limits in the URDF"
-    yield Line(OK if share[k] <= 1 else NO, "gains", text if share[k] <= 1 else text + cure)
+    hint = ": the robot would sag; check masses and effort limits in the URDF"
+    yield Line(OK if share[k] <= 1 else NO, "gains", text if share[k] <= 1 else text + hint)
     gains = [joint_drive(model.joint(n), physics).kp for n in arm_joints(model)] or [0.0]
     low, high = min(gains), max(gains)
     yield Line(OK, "gains in physics", f"stiffness {low:.3g} to {high:.3g} Nm/rad (fingers have their own)")

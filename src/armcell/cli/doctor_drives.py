@@ -32,13 +32,13 @@ def drives(loaded: Any) -> Iterator[Line]:
         return
     for finer in (s for s in FINER if s < step):
         if _followed(scene, replace(physics, timestep=finer))[1]:
-            cure = f"with {1e3 * finer:g} ms they follow: write `timestep: {finer:g}` under `physics:`"
-            yield Line(NO, "physics step", f"{1e3 * step:g} ms is too coarse: {text}; {cure}")
+            hint = f"with {1e3 * finer:g} ms they follow: write `timestep: {finer:g}` under `physics:`"
+            yield Line(NO, "physics step", f"{1e3 * step:g} ms is too coarse: {text}; {hint}")
             return
     gains = f"arm_kp {physics.arm_kp:g}, arm_kv {physics.arm_kv:g}"
     gains += f", joint_gains of {', '.join(physics.joint_gains)}" if physics.joint_gains else ""
-    cure = f"look at the gains under `physics:` ({gains}), and at efforts, masses and inertias in the URDF"
-    yield Line(NO, "drives", f"{text}, with a finer step as well: {cure}")
+    hint = f"look at the gains under `physics:` ({gains}), and at efforts, masses and inertias in the URDF"
+    yield Line(NO, "drives", f"{text}, with a finer step as well: {hint}")
 
 
 def _followed(scene: Any, physics: Any) -> tuple[str, bool]:

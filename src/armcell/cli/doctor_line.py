@@ -14,7 +14,7 @@ class Line:
     Attributes:
         verdict: "ok", "no" (fault) or "note" (information).
         check: name of the check.
-        found: the result in words; for a fault, with the cure.
+        found: the result in words; for a fault, with the hint.
     """
 
     verdict: str

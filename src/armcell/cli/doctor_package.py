@@ -48,12 +48,12 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
     for group in config.model.groups.values():
         missing = [joint for joint in group.joint_names if joint not in every]
         if group.tip_link is not None and missing:
-            cure = "MoveIt would plan and then refuse to execute; add them to a controller's joints"
-            yield Line(NO, f"group {group.name}", f"no controller moves {', '.join(missing)}: {cure}")
+            hint = "MoveIt would plan and then refuse to execute; add them to a controller's joints"
+            yield Line(NO, f"group {group.name}", f"no controller moves {', '.join(missing)}: {hint}")
     for joint, names in of_joint.items():
         if len(names) > 1:
-            cure = "which one executes is chance; take `default: true` from all but one"
-            yield Line(NO, f"joint {joint}", f"is in {' and '.join(names)}: {cure}")
+            hint = "which one executes is chance; take `default: true` from all but one"
+            yield Line(NO, f"joint {joint}", f"is in {' and '.join(names)}: {hint}")
 
 
 def driver_names(config: MoveItConfig) -> Iterator[Line]:

@@ -135,7 +135,7 @@ def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     from armcell.tasks.stages import ChooseGrasp
 
     if not scene.object(item).movable:
-        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+        raise InputError(f"object {item!r} is fixed", hint="give it 'movable: true'")
     gripper = loaded.model.gripper(arm_group=goals.arm_group(loaded.model))
     grasps, rejected = grasp_candidates(scene.object(item), hand_of(scene.model, gripper))
     planning = Planning(loaded.settings)

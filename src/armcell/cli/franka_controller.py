@@ -61,7 +61,7 @@ def franka_controller(
     arms = [name for joints, name in chains.items() if len(joints) == 7]
     if len(arms) != 1:
         raise InputError(
-            f"cell {cell!r} has {len(arms)} groups of seven joints with a tip", cure="use a cell with one arm"
+            f"cell {cell!r} has {len(arms)} groups of seven joints with a tip", hint="use a cell with one arm"
         )
     plant = FrankaPlant(world, arms[0])
     settings = ControllerSettings(model, host, locked=locked, active=not inactive, homed=not unhomed)

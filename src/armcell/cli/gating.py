@@ -33,7 +33,7 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
     if without is not None:
         if not without.strip():
             raise InputError(
-                "--without-gate needs a reason", cure='--without-gate "first trial, arm in the air"'
+                "--without-gate needs a reason", hint='--without-gate "first trial, arm in the air"'
             )
         try:
             gate.check(cell, file)
@@ -64,7 +64,7 @@ def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
     if not (without or "").strip():
         raise InputError(
             f"no campaign can show {what}: there is no gate record for that",
-            cure='--without-gate "REASON"; a cell\'s own task has one: armcell gate',
+            hint='--without-gate "REASON"; a cell\'s own task has one: armcell gate',
         )
     err(f"without a gate record: {without}")
     return {"gate": {"overridden": True, "reason": without, "else": f"no campaign can show {what}"}}
@@ -88,4 +88,4 @@ def tell_unwatched(driver: Any, cell: str) -> None:
     if driver.guard is not None and not driver.guard.compares:
         from armcell.twin import UNWATCHED
 
-        errors.print(f"{UNWATCHED}; cure: armcell twin {cell}", soft_wrap=True)
+        errors.print(f"{UNWATCHED}; hint: armcell twin {cell}", soft_wrap=True)

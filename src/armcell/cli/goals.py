@@ -70,7 +70,7 @@ def arm_group(model: Any) -> str:
     ]
     if not groups:
         raise InputError(
-            f"robot {model.name!r} has no arm: no planning group is a chain", cure="name one with --group"
+            f"robot {model.name!r} has no arm: no planning group is a chain", hint="name one with --group"
         )
     return groups[0]
 
@@ -91,7 +91,7 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
     else:
         raise InputError(
             f"{len(words)} joint positions given, group {group!r} has {len(names)}: {', '.join(names)}",
-            cure="give all of them, or some as name=value",
+            hint="give all of them, or some as name=value",
         )
     values = {}
     for name, word in pairs:

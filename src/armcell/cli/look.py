@@ -88,7 +88,7 @@ def look(
         try:
             Image.fromarray(picture_of).save(picture)
         except (ValueError, OSError) as error:
-            raise InputError(f"cannot be written: {error}", file=picture, cure="name it .png") from None
+            raise InputError(f"cannot be written: {error}", file=picture, hint="name it .png") from None
     if json_file is not None:
         write_json(json_file, {
             "ok": result.ok, "code": result.code.name, "message": result.message, "camera": image.camera,
@@ -115,11 +115,11 @@ def _source(
             raise InputError("give a cell or file, or --info with pictures, not both")
         if rgb is None and depth is None:
             raise InputError(
-                "--info alone is no picture", cure="give --depth FILE and, if there is one, --rgb FILE"
+                "--info alone is no picture", hint="give --depth FILE and, if there is one, --rgb FILE"
             )
         return load_image(info, rgb, depth, T), None, (), {}, surface
     if source is None:
-        raise InputError("nothing to look at", cure="give a cell, a file, or --info with --depth")
+        raise InputError("nothing to look at", hint="give a cell, a file, or --info with --depth")
     file = Path(source)
     suffix = file.suffix.lower()
     if suffix == ".mcap":
@@ -129,7 +129,7 @@ def _source(
             frame = camera or next(iter(sorted(record.clouds)))
             if frame not in record.clouds:
                 raise InputError(
-                    f"has no cloud of {frame!r}", file=file, cure=f"known: {sorted(record.clouds)}"
+                    f"has no cloud of {frame!r}", file=file, hint=f"known: {sorted(record.clouds)}"
                 )
             pose = T if T is not None else record.pose(frame)
             return cloud_image(pose.apply(record.clouds[frame][1]), pose, frame), None, (), {}, surface
@@ -139,7 +139,7 @@ def _source(
         return image, None, (), {}, surface
     if suffix in CLOUDS:
         if T is None:
-            raise InputError("a cloud does not say where it was seen from", cure="give --place X Y Z R P Y")
+            raise InputError("a cloud does not say where it was seen from", hint="give --place X Y Z R P Y")
         return cloud_image(load_points(file), T, file.stem), None, (), {}, surface
     if suffix == ".yaml" and file.exists() and "image_width" in file.read_text(errors="replace"):
         return load_image(file, T_world_camera=T), None, (), {}, surface
@@ -158,7 +158,7 @@ def _cell(
     if camera is None:
         camera = seen.camera if seen is not None else next(iter(cameras), None)
     if camera is None:
-        raise InputError("the cell has no camera", file=cell.file, cure="add 'cameras:' to it")
+        raise InputError("the cell has no camera", file=cell.file, hint="add 'cameras:' to it")
     if camera not in cameras:
         raise UnknownNameError("camera", camera, cameras, file=cell.file)
     scene = cell.scene(seed)

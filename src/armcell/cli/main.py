@@ -57,7 +57,7 @@ Examples:
 
   armcell lint my_script.py                   known traps in such a script
 
-  armcell check my_cell/                      what is wrong with a cell, and the cure
+  armcell check my_cell/                      what is wrong with a cell, and how to fix it
 
   armcell setup my_robot.urdf -o my_cell      a cell and MoveIt's files from a URDF
 
@@ -81,7 +81,7 @@ Examples:
 
   armcell replay runs/20261122-101500-panda_pick    a recorded run in the browser; --execute runs it again
 
-  armcell doctor panda_pick                   what this machine lacks, and the cure
+  armcell doctor panda_pick                   what this machine lacks, and how to get it
 """
 
 app = typer.Typer(

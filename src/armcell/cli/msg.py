@@ -79,7 +79,7 @@ def generate(
 
     schema = _schema(folder)
     if csharp is None and python is None:
-        raise InputError("nothing to write", cure="give --csharp FOLDER, --python FOLDER or both")
+        raise InputError("nothing to write", hint="give --csharp FOLDER, --python FOLDER or both")
     for target, files in ((csharp, csharp_files), (python, python_files)):
         if target is None:
             continue

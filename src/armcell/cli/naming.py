@@ -71,7 +71,7 @@ def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None,
     spaces = [a for a in special if a.startswith("__ns:=")]
     rest = tuple(a for a in special if a not in spaces)
     if rest and not ros1:
-        raise InputError(f"argument {rest[0]!r} applies to ROS 1 alone", cure="add --ros1")
+        raise InputError(f"argument {rest[0]!r} applies to ROS 1 alone", hint="add --ros1")
     namespace = namespace or "".join(a.partition(":=")[2] for a in spaces[-1:])
     namespace = (namespace or (os.environ.get("ROS_NAMESPACE", "") if ros1 else "")).strip("/")
     pairs = (*(a for a in arguments or () if not a.startswith("_")), *(remap or ()))

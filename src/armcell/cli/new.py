@@ -38,7 +38,7 @@ def new(
     if not model.groups:
         raise InputError(
             f"robot {robot!r} has no planning groups",
-            cure=f"armcell setup {robot} -o {folder} finds its arm and gripper and writes a cell",
+            hint=f"armcell setup {robot} -o {folder} finds its arm and gripper and writes a cell",
         )
     named = robot in robot_names()
     path = robot if named else os.path.relpath(Path(robot).resolve(), folder.resolve())

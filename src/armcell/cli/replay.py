@@ -64,7 +64,7 @@ def replay(
         raise InputError(
             "does not say which cell ran",
             file=record.file,
-            cure="it still opens in Foxglove (app.foxglove.dev)",
+            hint="it still opens in Foxglove (app.foxglove.dev)",
         )
     scene = recorded_cell(record.metadata).scene(record.metadata["seed"])
     with ReplayView(record, scene, host, port, allow_host) as view:

@@ -45,6 +45,6 @@ def keep_result(recorder: Any, result: dict[str, Any], json_file: Path | None = 
         more = "".join(f", nor {other.name}" for other in list(failed)[1:])
         raise InputError(
             f"cannot be written{more}: {error.strerror}", file=file,
-            cure="the run itself ended as shown; make room, or choose another folder with --runs or --json",
+            hint="the run itself ended as shown; make room, or choose another folder with --runs or --json",
         )  # fmt: skip
     return report

@@ -94,4 +94,4 @@ def check_own_master(ros1: bool, own_master: bool | None) -> None:
         InputError: --own-master without --ros1.
     """
     if not ros1 and own_master is not None:
-        raise InputError("--own-master means nothing here", cure="it goes with --ros1")
+        raise InputError("--own-master means nothing here", hint="it goes with --ros1")

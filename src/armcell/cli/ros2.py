@@ -46,7 +46,7 @@ def join(
         if not reach.is_open and not all(endpoint.is_local for endpoint in wire.endpoints):
             err(
                 "ROS 2: DDS looks for nodes on this machine alone, but it listens on the network, too: "
-                "a machine that names this one as its peer can move the cell; cure: a firewall"
+                "a machine that names this one as its peer can move the cell; hint: a firewall"
             )
         return wire
 
@@ -60,4 +60,4 @@ def check_domain(ros2: bool, domain: int | None) -> None:
         InputError: --domain without --ros2.
     """
     if domain is not None and not ros2:
-        raise InputError("--domain means nothing here", cure="it goes with --ros2")
+        raise InputError("--domain means nothing here", hint="it goes with --ros2")

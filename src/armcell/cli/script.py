@@ -35,7 +35,7 @@ def run_script_command(
     """
     wires.check()
     if cell is None:
-        raise InputError(f"no cell for {script}", cure="--cell CELL; `armcell cells` lists the built-in ones")
+        raise InputError(f"no cell for {script}", hint="--cell CELL; `armcell cells` lists the built-in ones")
     file = Path(script)
     if not file.is_file():
         raise InputError("there is no such script", file=file)
@@ -49,7 +49,7 @@ def run_script_command(
         }
         for option in (name for name, value in refused.items() if value):
             raise InputError(
-                f"{option} needs a robot in this process", cure="give it to the other end: armcell sim"
+                f"{option} needs a robot in this process", hint="give it to the other end: armcell sim"
             )
         return _run_elsewhere(file, cell, arguments, wires, set_)
     from armcell.cell import complaints, gains_as_values, load, parsed, with_values
@@ -164,7 +164,7 @@ def lint(
     found = [(file, finding) for file in scripts for finding in findings_of(file)]
     if as_json:
         rows = [
-            {"file": str(f), "line": x.line, "rule": x.rule, "text": x.text, "cure": x.cure} for f, x in found
+            {"file": str(f), "line": x.line, "rule": x.rule, "text": x.text, "hint": x.hint} for f, x in found
         ]
         console.print(json.dumps(rows, indent=2), soft_wrap=True, markup=False)
     else:

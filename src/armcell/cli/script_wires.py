@@ -71,7 +71,7 @@ class ScriptWires:
         check_domain(self.ros2, self.domain)
         if self.plan_only and not (self.unity or self.ros1 or self.ros2):
             raise InputError(
-                "--plan-only needs a wire to the simulator or robot", cure="add --unity, --ros1 or --ros2"
+                "--plan-only needs a wire to the simulator or robot", hint="add --unity, --ros1 or --ros2"
             )
 
     def words(self) -> list[str]:

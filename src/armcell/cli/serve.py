@@ -113,10 +113,10 @@ def serve(
     Ctrl-C ends it.
     """
     if not (unity or ros1 or ros2 or wire):
-        raise InputError("nothing to serve", cure="give --unity, --ros1, --ros2 or --wire")
+        raise InputError("nothing to serve", hint="give --unity, --ros1, --ros2 or --wire")
     if plan_only and record:
         raise InputError(
-            "--plan-only has nothing to record: the simulator is elsewhere", cure="record there: armcell sim"
+            "--plan-only has nothing to record: the simulator is elsewhere", hint="record there: armcell sim"
         )
     check_own_master(ros1, own_master)
     names = naming(ns, remap, arguments, ros1)
@@ -222,7 +222,7 @@ def sim(
     names = naming(ns, remap, arguments, ros1)
     check_domain(ros2, domain)
     if (ros1 or ros2) == (connect is not None):
-        raise InputError("where to?", cure="give either --connect HOST:PORT, or --ros1 or --ros2")
+        raise InputError("where to?", hint="give either --connect HOST:PORT, or --ros1 or --ros2")
     to = ("--connect", connect) if connect else ("--ros1",) * ros1 + ("--ros2",) * ros2
     kept = records_folder(record, mode, runs)
     to += ("--auto-grip",) * auto_grip
@@ -249,7 +249,7 @@ def sim(
 
     host, number = address(connect)
     if protocol not in CODECS:
-        raise InputError(f"protocol is {protocol!r}", cure="ROS1 or ROS2")
+        raise InputError(f"protocol is {protocol!r}", hint="ROS1 or ROS2")
     bus = Bus()
     client: RosTcpClient | None = None
 
@@ -285,7 +285,7 @@ def address(text: str) -> tuple[str, int]:
     """
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"{text!r} is no address", cure="HOST:PORT, for instance 127.0.0.1:10000")
+        raise InputError(f"{text!r} is no address", hint="HOST:PORT, for instance 127.0.0.1:10000")
     return host, int(port)
 
 

@@ -37,7 +37,7 @@ def tf(
     Without an address, the cell itself runs for the given time (mode fake).
     """
     if sum((connect is not None, ros1, ros2)) > 1:
-        raise InputError("where to listen?", cure="give one of --connect, --ros1, --ros2")
+        raise InputError("where to listen?", hint="give one of --connect, --ros1, --ros2")
     from armcell.cell import load
     from armcell.ros.tf_monitor import TfMonitor, watch
 

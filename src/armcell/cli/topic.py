@@ -118,7 +118,7 @@ def filled(message: Any, values: Any) -> Any:
     from armcell.ros.definitions import field_parts
 
     if not isinstance(values, dict):
-        raise InputError(f"{values!r} is no set of fields of {message._type}", cure="{field: value, ...}")
+        raise InputError(f"{values!r} is no set of fields of {message._type}", hint="{field: value, ...}")
     nodes = dict(schema().whole(message._type).fields)
     for name, value in values.items():
         if name not in nodes:
@@ -161,7 +161,7 @@ def joined_to(
     with RosTcpClient(bus, host, port, Bridge(**bridge), service_timeout=timeout) as client:
         if not client.wait_connected(WAIT):
             raise InputError(
-                f"no ROS-TCP endpoint at {connect}", cure="start one: armcell serve CELL --unity; firewall?"
+                f"no ROS-TCP endpoint at {connect}", hint="start one: armcell serve CELL --unity; firewall?"
             )
         yield bus, client
 

@@ -31,7 +31,7 @@ def twin(
     hosts = [str(arm.get("host", "")) for arm in loaded.spec.real.get("arms", {}).values()]
     if yes and not all(h.startswith("127.") for h in hosts):
         raise InputError("--yes is for emulators on this machine (127.x), these arms may be real",
-                         cure="leave it out and confirm")  # fmt: skip
+                         hint="leave it out and confirm")  # fmt: skip
     if hosts and not yes:
         typer.confirm(
             f"Arms at {', '.join(hosts)} will move about their home position, at first at 10 %, then up to "

@@ -75,7 +75,7 @@ def ur_controller(
 
     hosts = list(host)
     if len(set(hosts)) != len(hosts):
-        raise InputError("two arms have the same address", cure="such as --host 127.0.0.2 --host 127.0.0.3")
+        raise InputError("two arms have the same address", hint="such as --host 127.0.0.2 --host 127.0.0.3")
     plants: list = [None] * len(hosts)
     if cell is not None:
         from armcell.cell import load
@@ -86,14 +86,14 @@ def ur_controller(
         if len(arms) != len(hosts):
             raise InputError(
                 f"cell {cell!r} has {len(arms)} arms ({', '.join(arms)}), {len(hosts)} addresses are given",
-                cure="give --host once per arm",
+                hint="give --host once per arm",
             )
         plants = SharedWorld(SimWorld(loaded.scene(seed), loaded.physics), arms).plants
     senders = [RemoteHost.parse(each) for each in external_control]
     if len(senders) not in (0, 1, len(hosts)):
         raise InputError(
             f"{len(senders)} script senders for {len(hosts)} arms",
-            cure="give --external-control once per arm",
+            hint="give --external-control once per arm",
         )
     remotes = senders if len(senders) == len(hosts) else (senders or [None]) * len(hosts)
     serials = [*serial, *(f"2026{i + 1:04d}" for i in range(len(serial), len(hosts)))]

@@ -145,7 +145,7 @@ def _outside(shape: Shape, p: Array) -> Array:
                 np.maximum(found, p @ plane[:3] + plane[3], out=found)
             return found
         case PointCloud() | Octree():
-            raise InputError("a cloud cannot be filtered by another one", cure="name solid objects only")
+            raise InputError("a cloud cannot be filtered by another one", hint="name solid objects only")
 
 
 @lru_cache(maxsize=1024)

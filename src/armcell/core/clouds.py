@@ -121,7 +121,7 @@ def _rows(what: str, name: str, values: ArrayLike) -> Array:
     if bad:
         raise InputError(
             f"{what}: {bad} of {len(rows)} {name} have a NaN or infinity in them",
-            cure="leave them out with finite_points()",
+            hint="leave them out with finite_points()",
         )
     rows.setflags(write=False)
     return rows

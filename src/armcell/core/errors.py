@@ -65,15 +65,15 @@ class InputError(ArmcellError):
         file: str | Path | None = None,
         line: int | None = None,
         element: str | None = None,
-        cure: str | None = None,
+        hint: str | None = None,
     ):
-        self.reason, self.file, self.line, self.element, self.cure = reason, file, line, element, cure
+        self.reason, self.file, self.line, self.element, self.hint = reason, file, line, element, hint
         place = ""
         if file is not None:
             place = f"{file}:{line}: " if line else f"{file}: "
         if element:
             place += f"{element}: "
-        super().__init__(f"{place}{reason}" + (f" ({cure})" if cure else ""))
+        super().__init__(f"{place}{reason}" + (f" ({hint})" if hint else ""))
 
 
 class UnknownNameError(InputError):
@@ -84,7 +84,7 @@ class UnknownNameError(InputError):
         near = difflib.get_close_matches(str(name), self.known, n=1, cutoff=0.6)
         shown = ", ".join(self.known[:30]) + (", ..." if len(self.known) > 30 else "")
         reason = f"unknown {kind} {str(name)!r}; known: {shown or 'none'}"
-        super().__init__(reason, cure=f"did you mean {near[0]!r}?" if near else None, **where)
+        super().__init__(reason, hint=f"did you mean {near[0]!r}?" if near else None, **where)
 
 
 class MissingExtraError(ArmcellError):

@@ -34,7 +34,7 @@ class Pinhole:
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= MAX_PIXELS and 1 <= self.height <= MAX_PIXELS):
-            raise InputError(f"a camera has {self.width} x {self.height} pixels", cure="1 to 8192 each")
+            raise InputError(f"a camera has {self.width} x {self.height} pixels", hint="1 to 8192 each")
         for name in ("fx", "fy"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"focal length {name} is {getattr(self, name):g} px, it must be positive")
@@ -43,14 +43,14 @@ class Pinhole:
         if len(self.distortion) not in (0, 4, 5):
             raise InputError(
                 f"a camera has {len(self.distortion)} distortion coefficients",
-                cure="none, or plumb_bob's k1, k2, p1, p2, k3",
+                hint="none, or plumb_bob's k1, k2, p1, p2, k3",
             )
 
     @staticmethod
     def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
         """Create intrinsics with square pixels, a centered principal point and a vertical field of view."""
         if not 1.0 <= fovy_deg <= 170.0:
-            raise InputError(f"a camera has a field of view of {fovy_deg} deg", cure="use 1 to 170")
+            raise InputError(f"a camera has a field of view of {fovy_deg} deg", hint="use 1 to 170")
         f = height / 2 / float(np.tan(np.deg2rad(fovy_deg) / 2))
         return Pinhole(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
 
@@ -92,10 +92,10 @@ class CameraImage:
         if self.rgb is not None and self.rgb.shape != (*size, 3):
             raise InputError(
                 f"the picture of camera {self.camera!r} is of shape {self.rgb.shape}, not {(*size, 3)}",
-                cure="use the camera info of this picture's size",
+                hint="use the camera info of this picture's size",
             )
         if self.depth is not None and self.depth.shape != size:
             raise InputError(
                 f"the depth of camera {self.camera!r} is of shape {self.depth.shape}, not {size}",
-                cure="use the camera info of this picture's size",
+                hint="use the camera info of this picture's size",
             )

@@ -66,7 +66,7 @@ class SO3:
         norm = float(np.linalg.norm(q))
         if abs(norm - 1.0) > QUAT_NORM_TOLERANCE:
             raise InputError(
-                f"quaternion has norm {norm:.4g}, a rotation needs norm 1", cure="divide it by its norm"
+                f"quaternion has norm {norm:.4g}, a rotation needs norm 1", hint="divide it by its norm"
             )
         w, x, y, z = q / norm
         return SO3(
@@ -249,7 +249,7 @@ class SE3:
             raise InputError(f"{what}: {error}") from error
         raise InputError(
             f"{what}: {value!r} is not a pose",
-            cure="write [x, y, z], [x, y, z, roll, pitch, yaw] or {xyz: [...], rpy_deg: [...]}",
+            hint="write [x, y, z], [x, y, z, roll, pitch, yaw] or {xyz: [...], rpy_deg: [...]}",
         )
 
     @property

@@ -290,7 +290,7 @@ class Driver(ABC):
         known = ", ".join(sorted(c.name for c in self.capabilities)) or "none"
         return InputError(
             f"the driver {self.name!r} cannot {capability.value}",
-            cure=f"check {capability.name} in 'driver.capabilities' first; this driver has: {known}",
+            hint=f"check {capability.name} in 'driver.capabilities' first; this driver has: {known}",
         )
 
 

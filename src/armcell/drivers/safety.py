@@ -26,7 +26,7 @@ class Fault:
     arm: str
     kind: str  # "protective stop", "emergency stop", "stale state", ...
     text: str
-    cure: str = ""
+    hint: str = ""
 
     @property
     def code(self) -> ErrorCode:
@@ -34,15 +34,15 @@ class Fault:
         return ErrorCode.COMMUNICATION_FAILURE if self.kind in lost else ErrorCode.CONTROL_FAILED
 
     def __str__(self) -> str:
-        return f"{self.arm}: {self.text}" + (f" ({self.cure})" if self.cure else "")
+        return f"{self.arm}: {self.text}" + (f" ({self.hint})" if self.hint else "")
 
 
-def cannot_resume(reason: str, cure: str | None) -> InputError:
+def cannot_resume(reason: str, hint: str | None) -> InputError:
     """Return the error for a failed `resume()`, with the reason and the remedy."""
-    if cure and "start armcell" in cure:  # resuming cannot help
-        return InputError(f"cannot resume: {reason}", cure=cure)
+    if hint and "start armcell" in hint:  # resuming cannot help
+        return InputError(f"cannot resume: {reason}", hint=hint)
     return InputError(
-        f"cannot resume: {reason}", cure=f"{cure or 'see the pendant'}; then call resume() again"
+        f"cannot resume: {reason}", hint=f"{hint or 'see the pendant'}; then call resume() again"
     )
 
 
@@ -116,7 +116,7 @@ class Supervisor:
             for arm in self._arms.values():
                 found = arm.fault()
                 if found is not None:
-                    raise cannot_resume(f"{found.arm}: {found.text}", found.cure)
+                    raise cannot_resume(f"{found.arm}: {found.text}", found.hint)
             if self.tripped is not None:
                 self.record(self.tripped.arm, "resumed", f"after {self.tripped.kind}")
             self.tripped = None

@@ -100,11 +100,11 @@ class SteppedSim(Driver):
         try:
             self._connected().check()
         except ArmcellError as error:
-            raise InputError(f"cannot resume: {error}", cure="connect the cell again") from None
+            raise InputError(f"cannot resume: {error}", hint="connect the cell again") from None
 
     def _connected(self) -> SimWorld:
         if self.world is None:
-            raise InputError("the simulation has not begun", cure="connect first: with driver: ...")
+            raise InputError("the simulation has not begun", hint="connect first: with driver: ...")
         return self.world
 
     def object_poses(self) -> dict[str, SE3]:

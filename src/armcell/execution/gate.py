@@ -166,7 +166,7 @@ def executable(motion: object) -> Executable:
         return motion
     raise InputError(
         f"the executor plays motions that a MotionGate has made, not a {type(motion).__name__}",
-        cure="live.arm.execute(trajectory), or execute(live.driver, live.ctx.gate.motion(trajectory))",
+        hint="live.arm.execute(trajectory), or execute(live.driver, live.ctx.gate.motion(trajectory))",
     )
 
 

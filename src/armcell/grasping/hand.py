@@ -75,7 +75,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     if not groups["left"] or not groups["right"]:
         raise InputError(
             f"gripper {gripper.name!r} has no collision shapes on both sides of its tcp",
-            cure="give its finger links collision shapes",
+            hint="give its finger links collision shapes",
         )
     palm, left, right = (np.array(groups[k]).reshape(-1, 6) for k in ("palm", "left", "right"))
     return Hand(gripper, palm, left, right, _pad(left, right))

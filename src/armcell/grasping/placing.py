@@ -98,7 +98,7 @@ def place_candidates(
     open_edges = _highest(support, normal) < float(frame.translation @ normal) + 1e-3
     now = resting_now(item)
     if now is None:
-        raise InputError(f"object {item.name!r} does not stand on any side", cure="give it a flat side")
+        raise InputError(f"object {item.name!r} does not stand on any side", hint="give it a flat side")
     sides = [now]
     if other_sides or up is not None:
         sides += [r for r in rests(item) if r is not now and r.margin >= STABILITY_MARGIN]
@@ -119,7 +119,7 @@ def place_candidates(
             f"object {item.name!r} would topple on {support.name!r}, which leans by "
             f"{np.degrees(tilt):.1f} degrees: it stands up to {np.degrees(most):.1f}, with "
             f"{STABILITY_MARGIN * 1000:.0f} mm to spare",
-            cure="level the support, or put the object on a broader side",
+            hint="level the support, or put the object on a broader side",
         )
     found = []
     for n, side in enumerate(sides):

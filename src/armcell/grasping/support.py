@@ -39,13 +39,13 @@ def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
         return found
     text = f"object {support.name!r} has no flat surface on top"
     if not tilted:
-        raise InputError(text, cure="place on a box, table or tray")
+        raise InputError(text, hint="place on a box, table or tray")
     leans, most = (np.degrees(angle) for angle in (min(tilt_of(f[0]) for f in tilted), steepest))
     if steepest <= LEVEL:
-        raise InputError(f"{text} that is level: it leans by {leans:.1f} degrees", cure="level it")
+        raise InputError(f"{text} that is level: it leans by {leans:.1f} degrees", hint="level it")
     raise InputError(
         f"{text} that holds: it leans by {leans:.1f} degrees, friction with its margin holds to {most:.1f}",
-        cure="level it, or use a material of more friction",
+        hint="level it, or use a material of more friction",
     )
 
 

@@ -80,7 +80,7 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
 
     points = float_array(points, (None, 3), "points")
     if len(points) <= NEIGHBOURS:
-        raise InputError(f"a cloud of {len(points)} points is too thin to be gripped", cure="look closer")
+        raise InputError(f"a cloud of {len(points)} points is too thin to be gripped", hint="look closer")
     if len(points) > MOST:  # thin evenly: one point per cell, with growing cells
         edge = SPACING / 2
         while len(points) > MOST:

@@ -164,7 +164,7 @@ class InverseDynamics:
         if not any(self.mass[tree.link_index[name]] > 0.0 for name in moved):
             raise InputError(
                 f"no link that {', '.join(self.joint_names)} move has a mass",
-                cure="torque limits need <inertial> elements in the URDF",
+                hint="torque limits need <inertial> elements in the URDF",
             )
 
     def _add(self, link: int, inertial: Inertial) -> None:

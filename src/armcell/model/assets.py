@@ -94,7 +94,7 @@ def find_package(package: str, base: Path) -> FoundPackage:
     raise InputError(
         f"package {package!r} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the "
         "installed packages",
-        cure=f"pass its folder with --package {package}=FOLDER, put it (with its package.xml) beside the "
+        hint=f"pass its folder with --package {package}=FOLDER, put it (with its package.xml) beside the "
         "robot's package, or add its parent folder to ROS_PACKAGE_PATH",
     )
 
@@ -160,22 +160,22 @@ def resolve_uri(uri: str, base: Path) -> Path:
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the installed "
             "packages",
-            cure=f"pass the folder with --package {package}=FOLDER, put package {package!r} beside the URDF, "
+            hint=f"pass the folder with --package {package}=FOLDER, put package {package!r} beside the URDF, "
             "or add its parent folder to ROS_PACKAGE_PATH",
         )
     if "://" in uri and not uri.startswith("file://"):
-        raise InputError(f"{uri}: only package:// and file:// URIs are read", cure="use a local file")
+        raise InputError(f"{uri}: only package:// and file:// URIs are read", hint="use a local file")
     path = Path(uri.removeprefix("file://"))
     path = path if path.is_absolute() else base / path
     if not os.path.isfile(path):
-        raise InputError(f"mesh file {path} not found", cure="check the path")
+        raise InputError(f"mesh file {path} not found", hint="check the path")
     return path
 
 
 def _checked(path: Path) -> Path:
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
-            f"mesh format {path.suffix!r} is not read", file=path, cure="use STL, OBJ, DAE, PLY or GLB"
+            f"mesh format {path.suffix!r} is not read", file=path, hint="use STL, OBJ, DAE, PLY or GLB"
         )
     if not path.is_file():
         raise InputError("mesh file not found", file=path)
@@ -242,7 +242,7 @@ def _sound(
     if v.ndim != 2 or v.shape[1] != 3 or f.ndim != 2 or f.shape[1] != 3 or f.dtype.kind not in "iu":
         raise InputError(
             f"mesh has vertices of shape {v.shape} and faces of shape {f.shape}, it needs (v, 3) and (f, 3)",
-            file=path, cure="a vertex has x, y and z, a face three vertices or more",
+            file=path, hint="a vertex has x, y and z, a face three vertices or more",
         )  # fmt: skip
     if f.size and not 0 <= int(f.min()) <= int(f.max()) < len(v):
         raise InputError(

@@ -109,7 +109,7 @@ def compose(name: str, parts: Sequence[Part]) -> RobotModel:
         if taken:
             raise InputError(
                 f"robot {name!r}: two parts have {taken[0]!r} (and {len(taken) - 1} other names)",
-                cure="give each part its own prefix",
+                hint="give each part its own prefix",
             )
         if part.parent_link == "world" and not needs_world:
             root = model.root_link
@@ -125,7 +125,7 @@ def compose(name: str, parts: Sequence[Part]) -> RobotModel:
                 if item in into:
                     raise InputError(
                         f"robot {name!r}: two parts have {key.replace('_', ' ')[:-1]} {item!r}",
-                        cure="give each part its own prefix",
+                        hint="give each part its own prefix",
                     )
                 into[item] = value
         disabled.update(model.disabled_collisions)

@@ -81,7 +81,7 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
             raise InputError(f"is larger than {limit} bytes", file=path)
         return path.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError("file not found", file=path, cure="check the path") from None
+        raise InputError("file not found", file=path, hint="check the path") from None
     except PermissionError:
         raise InputError("no permission to read", file=path) from None
     except OSError as error:  # for example, a file name that is too long
@@ -89,7 +89,7 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text ({error.reason} at byte {error.start})", file=path) from None
     except ValueError:  # the name contains a NUL character
-        raise InputError(f"{str(path)!r} is not a file name", cure="check the path") from None
+        raise InputError(f"{str(path)!r} is not a file name", hint="check the path") from None
 
 
 class Bounded:
@@ -130,7 +130,7 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
         root = None
     if root is None or root.getroottree().docinfo.doctype:
         reason = "declares a DOCTYPE or entity, which armcell refuses"
-        raise InputError(reason, file=file, cure="delete the DOCTYPE")
+        raise InputError(reason, file=file, hint="delete the DOCTYPE")
     return root
 
 

@@ -78,7 +78,7 @@ def _tightened(limits: Any, name: str, entry: Any, path: Path):
             raise InputError(
                 f"{key} {value:g} is wider than the robot's own {old:g}",
                 **where,
-                cure="limits may only be tightened",
+                hint="limits may only be tightened",
             )
         limits = replace(limits, **{attribute: float(value)})
     if limits.lower > limits.upper:

@@ -73,7 +73,7 @@ def load_robot(
     if isinstance(robot, str) and "/" not in robot and "." not in robot:
         raise UnknownNameError("robot", robot, robot_names())
     raise InputError(
-        "no such robot file or folder", file=path, cure=f"library robots: {', '.join(robot_names())}"
+        "no such robot file or folder", file=path, hint=f"library robots: {', '.join(robot_names())}"
     )
 
 
@@ -217,7 +217,7 @@ def _source_path(data: dict[str, Any], key: str, folder: Path, file: Path) -> Pa
         return resolve_uri(str(data[key]), folder)
     except InputError as error:
         hint = known_robot(folder.name).hint if folder.parent == LIBRARY else ""
-        raise InputError(error.reason, file=file, element=key, cure=hint or error.cure) from None
+        raise InputError(error.reason, file=file, element=key, hint=hint or error.hint) from None
 
 
 def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:

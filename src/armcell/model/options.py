@@ -33,7 +33,7 @@ def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, st
         name, given, value = word.partition(separator)
         if not given or not _NAME.fullmatch(name):
             raise InputError(
-                f"{what} {word!r} is not NAME{separator}VALUE", cure=f"{what} NAME{separator}VALUE"
+                f"{what} {word!r} is not NAME{separator}VALUE", hint=f"{what} NAME{separator}VALUE"
             )
         found[name] = value
     return found
@@ -54,7 +54,7 @@ def set_packages(words: Iterable[str]) -> None:
     for name, folder in folders.items():
         if not os.path.isdir(folder):
             raise InputError(
-                f"--package {name}={folder}: no such folder", cure="give the package's own folder"
+                f"--package {name}={folder}: no such folder", hint="give the package's own folder"
             )
         folders[name] = str(Path(folder).resolve())
     _put(PACKAGES, folders)
@@ -83,4 +83,4 @@ def _read(variable: str) -> dict[str, str]:
     try:
         return {str(k): str(v) for k, v in json.loads(text).items()}
     except (ValueError, AttributeError):
-        raise InputError(f"environment variable {variable} is not a JSON object", cure="unset it") from None
+        raise InputError(f"environment variable {variable} is not a JSON object", hint="unset it") from None

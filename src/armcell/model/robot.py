@@ -280,7 +280,7 @@ class RobotModel:
             of = f" of group {arm_group!r}" if arm_group else ""
             raise InputError(
                 f"robot {self.name!r} has {len(fitting)} grippers{of}",
-                cure=f"name one of {sorted(self.grippers)}",
+                hint=f"name one of {sorted(self.grippers)}",
             )
         return fitting[0]
 

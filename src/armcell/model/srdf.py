@@ -37,7 +37,7 @@ def with_srdf_text(model: RobotModel, text: str, path: Path) -> RobotModel:
     """
     root = parse_xml(text, path)
     if root.tag != "robot":
-        raise InputError("root element is not <robot>", file=path, cure="is this an SRDF file?")
+        raise InputError("root element is not <robot>", file=path, hint="is this an SRDF file?")
     groups = _groups(model, root, path)
     return replace(
         model,

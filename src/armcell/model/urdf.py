@@ -77,10 +77,10 @@ class _Reader:
         self.undrawn: list[str] = []  # errors of visual meshes that are missing
         self.lines: dict[str, int | None] = {}  # of the joints
 
-    def fail(self, element: etree._Element, reason: str, cure: str | None = None) -> InputError:
+    def fail(self, element: etree._Element, reason: str, hint: str | None = None) -> InputError:
         name = element.get("name")
         label = f"<{element.tag}{f' name={name!r}' if name else ''}>"
-        return InputError(reason, file=self.file, line=element.sourceline, element=label, cure=cure)
+        return InputError(reason, file=self.file, line=element.sourceline, element=label, hint=hint)
 
     def attribute(self, element: etree._Element, name: str) -> str:
         value = element.get(name)
@@ -115,7 +115,7 @@ class _Reader:
 
     def robot(self, root: etree._Element) -> RobotModel:
         if root.tag != "robot":
-            raise self.fail(root, "root element is not <robot>", cure="is this a URDF file?")
+            raise self.fail(root, "root element is not <robot>", hint="is this a URDF file?")
         materials = {m.get("name"): self.color(m) for m in root.findall("material")}
         links: dict[str, Link] = {}
         for element in root.findall("link"):
@@ -177,7 +177,7 @@ class _Reader:
                     f"link {joint.child!r} is the child of both {parent[joint.child]!r} and {joint.name!r}",
                     file=self.file,
                     line=self.lines.get(joint.name),
-                    cure="a URDF is a tree: cut the loop at one of the joints and couple the passive joints "
+                    hint="a URDF is a tree: cut the loop at one of the joints and couple the passive joints "
                     "to the driven joint with <mimic>; an MJCF file may close the loop",
                 )
             parent[joint.child] = joint.name
@@ -264,7 +264,7 @@ class _Reader:
         try:
             return resolve_uri(self.attribute(geometry, "filename"), self.folder), (sx, sy, sz)
         except InputError as error:
-            raise self.fail(geometry, error.reason, error.cure) from None
+            raise self.fail(geometry, error.reason, error.hint) from None
 
     def shape(self, element: etree._Element) -> Shape:
         geometry = self.geometry(element)
@@ -280,14 +280,14 @@ class _Reader:
             if error.line is not None:
                 raise
             raise self.fail(geometry, str(error)) from None
-        raise self.fail(geometry, "unknown geometry", cure=f"{', '.join(sized)} and mesh exist")
+        raise self.fail(geometry, "unknown geometry", hint=f"{', '.join(sized)} and mesh exist")
 
     def checked_size(self, geometry: etree._Element, mesh: Mesh) -> Mesh:
         """Return a link's mesh after checking that it has the size of a robot's part in meters."""
         size = float(np.ptp(mesh.vertices, axis=0).max())
         if size > LARGEST_LINK:
-            cure = 'if its file is in millimeters, add scale="0.001 0.001 0.001"'
-            raise self.fail(geometry, f"mesh is {size:.4g} m large", cure)
+            hint = 'if its file is in millimeters, add scale="0.001 0.001 0.001"'
+            raise self.fail(geometry, f"mesh is {size:.4g} m large", hint)
         return mesh
 
     def visual(self, element: etree._Element, materials: dict) -> Visual | None:
@@ -317,7 +317,7 @@ class _Reader:
         name, type_ = self.attribute(element, "name"), self.attribute(element, "type")
         if type_ not in JOINT_TYPES:
             raise self.fail(
-                element, f"unknown joint type {type_!r}", cure=f"known: {', '.join(sorted(JOINT_TYPES))}"
+                element, f"unknown joint type {type_!r}", hint=f"known: {', '.join(sorted(JOINT_TYPES))}"
             )
         ends = {}
         for end in ("parent", "child"):
@@ -370,7 +370,7 @@ class _Reader:
                 raise self.fail(
                     element,
                     f"a {type_} joint needs <limit>",
-                    cure="add <limit lower= upper= effort= velocity=>",
+                    hint="add <limit lower= upper= effort= velocity=>",
                 )
             return JointLimits()
         bounded = type_ in ("revolute", "prismatic")

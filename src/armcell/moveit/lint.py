@@ -34,10 +34,10 @@ class Finding:
     line: int
     rule: str
     text: str
-    cure: str
+    hint: str
 
     def describe(self, file: Path | str) -> str:
-        return f"{file}:{self.line}: {self.rule}: {self.text} ({self.cure})"
+        return f"{file}:{self.line}: {self.rule}: {self.text} ({self.hint})"
 
 
 Rule = Callable[["Script"], Iterator[Finding]]
@@ -73,9 +73,9 @@ def lint_text(text: str) -> list[Finding]:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # last two: nested too deeply
         line = getattr(error, "lineno", None) or 1
         old = "print " in text and "print(" not in text
-        cure = "Python 2: run 2to3 over it" if old else "Python 3 does not accept it"
+        hint = "Python 2: run 2to3 over it" if old else "Python 3 does not accept it"
         reason = getattr(error, "msg", str(error)) or "nested too deeply"
-        return [Finding(line, "syntax", reason, cure)]
+        return [Finding(line, "syntax", reason, hint)]
     script = Script(tree)
     found = {finding for each in RULES for finding in each(script)}
     return sorted(found, key=lambda f: (f.line, f.rule, f.text))
@@ -251,10 +251,10 @@ def _imports(node: ast.ImportFrom) -> Iterator[Finding]:
         if name == "*":
             continue
         if kind == "msg" and package in packages and full not in known.definitions:
-            cure = _nearest(name, [n.split("/")[1] for n in known.messages if n.startswith(f"{package}/")])
+            hint = _nearest(name, [n.split("/")[1] for n in known.messages if n.startswith(f"{package}/")])
             if full in known.services:
-                cure = f"it is a service: from {package}.srv import {name}"
-            yield Finding(node.lineno, "no-such-name", f"{package}.msg has no {name}", cure)
+                hint = f"it is a service: from {package}.srv import {name}"
+            yield Finding(node.lineno, "no-such-name", f"{package}.msg has no {name}", hint)
         elif node.module == "moveit_commander" and name in TUTORIAL_CLASSES:
             yield Finding(
                 node.lineno, "no-such-name", f"moveit_commander has no {name}",
@@ -286,11 +286,11 @@ AT_ONCE = {
 
 @rule
 def not_waited_for(script: Script) -> Iterator[Finding]:
-    for name, (text, cure) in AT_ONCE.items():
+    for name, (text, hint) in AT_ONCE.items():
         for call in script.calls_of(name):
             waits = next((k.value for k in call.keywords if k.arg == "wait"), None)
             if isinstance(waits, ast.Constant) and waits.value is False:
-                yield Finding(call.lineno, "two-at-once", text, cure)
+                yield Finding(call.lineno, "two-at-once", text, hint)
 
 
 @rule

@@ -71,7 +71,7 @@ class Session:
 
     def __enter__(self) -> Session:
         if _current:
-            raise InputError("a session is open already", cure="close it first")
+            raise InputError("a session is open already", hint="close it first")
         _current.append(self)
         try:
             if self.graph is not None:  # report a missing master before the cell starts

@@ -57,7 +57,7 @@ class CameraRecord:
         if frame not in self.infos:
             raise InputError(
                 f"has pictures of {frame!r} but no CameraInfo of it", file=self.file,
-                cure="record the camera_info topic too",
+                hint="record the camera_info topic too",
             )  # fmt: skip
         stamp, rgb = self.rgb.get(frame, (0.0, None))
         when, depth = self.depth.get(frame, (stamp, None))
@@ -92,7 +92,7 @@ def load_record(path: str | Path) -> CameraRecord:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", file=file) from None
     except InputError as error:
-        raise InputError(error.reason, file=file, cure=error.cure) from None
+        raise InputError(error.reason, file=file, hint=error.hint) from None
     except (McapError, ValueError, KeyError, EOFError, AssertionError, IndexError) as error:
         raise InputError(f"is no MCAP record of ROS 2 messages, or cut off: {error}", file=file) from None
     except Exception as error:  # damaged chunks raise struct.error and others
@@ -117,7 +117,7 @@ def depth_pixels(m: Any) -> NDArray[np.float32]:
         InputError: the encoding has no depth, or the data do not match the size.
     """
     if m.encoding not in _DEPTHS:
-        raise InputError(f"encoding {m.encoding!r} is not a depth image's", cure=" or ".join(_DEPTHS))
+        raise InputError(f"encoding {m.encoding!r} is not a depth image's", hint=" or ".join(_DEPTHS))
     dtype = np.dtype(_DEPTHS[m.encoding]).newbyteorder(">" if m.is_bigendian else "<")
     return metres(_rows(m, m.width * dtype.itemsize).view(dtype).astype(_DEPTHS[m.encoding]))
 
@@ -134,7 +134,7 @@ def _info(found: CameraRecord, m: Any) -> None:
     d = np.asarray(m.d, float)
     if m.distortion_model not in ("", "plumb_bob") and np.any(d):
         raise InputError(
-            f"distortion model {m.distortion_model!r} is not known", cure="record rectified pictures"
+            f"distortion model {m.distortion_model!r} is not known", hint="record rectified pictures"
         )
     distortion = tuple(float(v) for v in d[:5]) if np.any(d) else ()
     found.infos[m.header.frame_id] = Pinhole(

@@ -59,7 +59,7 @@ def load_camera_info(path: str | Path) -> CameraInfo:
     if model not in MODELS:
         raise InputError(
             f"distortion model {model!r} is not known", file=file, element="distortion_model",
-            cure="calibrate with plumb_bob, or rectify the pictures and leave the distortion out",
+            hint="calibrate with plumb_bob, or rectify the pictures and leave the distortion out",
         )  # fmt: skip
     distortion = ()
     if "distortion_coefficients" in data:
@@ -69,7 +69,7 @@ def load_camera_info(path: str | Path) -> CameraInfo:
         fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
         pinhole = Pinhole(size[0], size[1], fx, fy, cx, cy, distortion)
     except InputError as error:
-        raise InputError(error.reason, file=file, cure=error.cure) from None
+        raise InputError(error.reason, file=file, hint=error.hint) from None
     return CameraInfo(str(data.get("camera_name", file.stem)), pinhole)
 
 

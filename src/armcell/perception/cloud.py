@@ -27,7 +27,7 @@ def organised(depth: ArrayLike, pinhole: Pinhole) -> F64:
     if z.shape != (pinhole.height, pinhole.width):
         raise InputError(
             f"depth of {z.shape[1]} x {z.shape[0]} pixels for a camera of {pinhole.width} x {pinhole.height}",
-            cure="use the camera info of this picture's size",
+            hint="use the camera info of this picture's size",
         )
     return _organised(z, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
 

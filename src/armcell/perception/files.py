@@ -82,7 +82,7 @@ def load_image(
     try:
         image = CameraImage(camera.name, camera.pinhole, T, float(stamp), color, z)
     except InputError as error:
-        raise InputError(error.reason, file=file, cure=error.cure) from None
+        raise InputError(error.reason, file=file, hint=error.hint) from None
     return rectified(image)
 
 
@@ -110,7 +110,7 @@ def load_depth(path: str | Path) -> NDArray[np.float32]:
     if picture.mode not in ("I;16", "I;16B", "I"):
         raise InputError(
             f"is a picture of kind {picture.mode!r}, depth needs 16 bits of millimetres", file=file,
-            cure="write it as mono16, or as .npy of metres",
+            hint="write it as mono16, or as .npy of metres",
         )  # fmt: skip
     return (np.asarray(picture).astype(np.float32) * np.float32(1e-3)).astype(np.float32)
 
@@ -140,7 +140,7 @@ def cloud_image(points: F64, T_world_camera: SE3, name: str = "cloud") -> Camera
     p = T_world_camera.inv().apply(points)
     p = p[np.isfinite(p).all(axis=1) & (p[:, 2] > 1e-3)]
     if len(p) < 10:
-        raise InputError("no points in front of the camera", cure="give the sensor's place and direction")
+        raise InputError("no points in front of the camera", hint="give the sensor's place and direction")
     x, y = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
     spread = np.maximum(high - low, 1e-3)

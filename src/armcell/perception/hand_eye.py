@@ -68,7 +68,7 @@ def calibrate_hand_eye(
         InputError: the lists have different lengths, or the mount is unknown.
     """
     if mount not in (IN_HAND, TO_HAND):
-        raise InputError(f"mount is {mount!r}", cure=f"{IN_HAND!r} or {TO_HAND!r}")
+        raise InputError(f"mount is {mount!r}", hint=f"{IN_HAND!r} or {TO_HAND!r}")
     if len(hands) != len(markers):
         raise InputError(f"{len(hands)} poses of the hand, but {len(markers)} of the marker")
     refused = _refused(hands)

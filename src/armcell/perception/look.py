@@ -71,7 +71,7 @@ class LookSettings:
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} is {getattr(self, name):g}, it must be positive")
         if self.smallest < 10:
-            raise InputError(f"smallest is {self.smallest} px", cure="10 or more: fewer cannot be fitted")
+            raise InputError(f"smallest is {self.smallest} px", hint="10 or more: fewer cannot be fitted")
 
 
 @dataclass(frozen=True)

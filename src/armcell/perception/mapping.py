@@ -35,7 +35,7 @@ class MapSettings:
         if self.every < 1:
             raise InputError(f"every is {self.every}, it must be 1 or more")
         if self.speckle < 1:
-            raise InputError(f"speckle is {self.speckle}, it must be 1 or more", cure="1 keeps every pixel")
+            raise InputError(f"speckle is {self.speckle}, it must be 1 or more", hint="1 keeps every pixel")
         for name in ("robot_padding", "object_padding"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}, it must be a number >= 0")

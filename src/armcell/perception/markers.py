@@ -150,7 +150,7 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
     cv2, dictionary = _dictionary(family)
     count = len(dictionary.bytesList)
     if not 0 <= number < count:
-        raise InputError(f"{family} has no marker {number}", cure=f"0 to {count - 1}")
+        raise InputError(f"{family} has no marker {number}", hint=f"0 to {count - 1}")
     cells = dictionary.markerSize + 2  # including the black border
     inner = np.asarray(cv2.aruco.generateImageMarker(dictionary, number, cells))
     return np.pad(inner, QUIET, constant_values=255)

@@ -114,4 +114,4 @@ def _sensor(entry: Any, file: Path, element: str) -> Sensor3d:
     try:
         return settings_from(Sensor3d, {k: v for k, v in values.items() if k not in ignored}, element)
     except InputError as error:
-        raise InputError(error.reason, file=file, element=element, cure=error.cure) from None
+        raise InputError(error.reason, file=file, element=element, hint=error.hint) from None

@@ -136,7 +136,7 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
             case _:
                 raise InputError(
                     f"a {type(shape).__name__} has no surface that could be looked for",
-                    cure="look for solids or meshes",
+                    hint="look for solids or meshes",
                 )
         vertices.append(T.apply(v))
         faces.append(np.asarray(f) + count)

@@ -68,7 +68,7 @@ def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
     if "validation" not in ours:
         raise InputError(
             "adapter 'validation' is left out, but every motion that is returned is proven",
-            cure="name it as well",
+            hint="name it as well",
         )
     return tuple(ours)
 
@@ -84,7 +84,7 @@ def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Ou
     names = normalize_adapter_names(validated.request.adapters)
     if "chomp_smoothing" in names and validated.request.path_constraints:
         raise InputError(
-            "adapter 'chomp_smoothing' does not keep path constraints", cure="leave out one of the two"
+            "adapter 'chomp_smoothing' does not keep path constraints", hint="leave out one of the two"
         )
     validated = replace(validated, adapters=names)
     for name in names:
@@ -195,5 +195,5 @@ def _check_frames(scene: PlanningScene, constraints: Constraints) -> None:
         if item.frame != WORLD and item.frame not in scene.model.links:
             raise InputError(
                 f"the frame {item.frame!r} of a constraint is an object's",
-                cure="add the adapter resolve_constraint_frames",
+                hint="add the adapter resolve_constraint_frames",
             )

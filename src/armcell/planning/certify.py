@@ -91,7 +91,7 @@ def certify_and_time(
         TorqueLimitError: a joint is too weak to hold still somewhere on the path.
     """
     if torque is not None and jerk_limits:
-        raise InputError("torque limits and jerk limits cannot be kept together", cure="ask for one of them")
+        raise InputError("torque limits and jerk limits cannot be kept together", hint="ask for one of them")
     points = np.asarray(waypoints, dtype=float)
     names = checker.joint_names
     velocity = checker.model.limits(names, "velocity") * velocity_scaling

@@ -33,7 +33,7 @@ class MovedFrame:
         name = name or scene.model.group(group).tip_link
         if name is None:
             raise InputError(
-                f"group {group!r} is not a chain, so it has no tip", cure="name the link to place"
+                f"group {group!r} is not a chain, so it has no tip", hint="name the link to place"
             )
         self.scene, self.name, self.tree = scene, name, kinematic_tree(scene.model)
         self.joint_names = scene.model.group(group).joint_names

@@ -157,7 +157,7 @@ def _check_goal(scene: PlanningScene, request: PlanRequest, goal: Any) -> None:
         if not goal.constraints:
             raise InputError(
                 "a constraint goal asks nothing",
-                cure="give it joints, positions, orientations or visibilities",
+                hint="give it joints, positions, orientations or visibilities",
             )
         check_constraints(scene, request.group, goal.constraints)
     elif isinstance(goal, JointGoal):

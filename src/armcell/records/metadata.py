@@ -105,6 +105,6 @@ def checked_metadata(data: Any, file: Path) -> dict[str, Any]:
         has = data.get("format") if isinstance(data, dict) else "nothing"
         raise InputError(
             f"is a record of format {has}, this armcell reads {FORMAT}", file=file,
-            cure="the ROS messages in it still open in Foxglove",
+            hint="the ROS messages in it still open in Foxglove",
         )  # fmt: skip
     return data

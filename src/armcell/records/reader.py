@@ -115,7 +115,7 @@ def record_file(run: str | Path) -> Path:
             return path / name
     reason = f"has no {MCAP_FILE}" if path.is_dir() else "there is no such run"
     raise InputError(
-        reason, file=path, cure="give a folder that `armcell run` made, such as runs/<time>-<cell>"
+        reason, file=path, hint="give a folder that `armcell run` made, such as runs/<time>-<cell>"
     )
 
 
@@ -131,7 +131,7 @@ def read_record(run: str | Path) -> Record:
     if not reading.states:
         raise InputError(
             "has no state in it" + (f": {cut}" if cut else ""), file=file,
-            cure="a record begins when its run does: run the task again",
+            hint="a record begins when its run does: run the task again",
         )  # fmt: skip
     return Record(
         file, reading.metadata, reading.result, cut, tuple(reading.states), tuple(reading.events),

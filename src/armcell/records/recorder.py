@@ -72,7 +72,7 @@ def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
         root.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"cannot be made: {error.strerror}", file=root, cure="choose another --runs folder"
+            f"cannot be made: {error.strerror}", file=root, hint="choose another --runs folder"
         ) from None
     for count in range(1, 10_000):
         folder = root / (base if count == 1 else f"{base}-{count}")
@@ -131,7 +131,7 @@ class RunRecorder:
         except OSError as error:
             raise InputError(
                 f"no record can be begun: {error.strerror}", file=self.folder,
-                cure="make room, or choose another folder (--runs)",
+                hint="make room, or choose another folder (--runs)",
             ) from None  # fmt: skip
         self._revoke = last_will(self.close)
 

@@ -50,25 +50,25 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
     if not record.metadata:
         raise InputError(
             "does not say what ran", file=record.file,
-            cure="records of `armcell run` do; this one can be looked at: armcell replay without --execute",
+            hint="records of `armcell run` do; this one can be looked at: armcell replay without --execute",
         )  # fmt: skip
     if by := record.metadata.get("by"):
         raise InputError(
             f"was led by {by}, by the clock on the wall: that need not repeat itself", file=record.file,
-            cure="armcell replay shows it; armcell diff compares it with another run",
+            hint="armcell replay shows it; armcell diff compares it with another run",
         )  # fmt: skip
     mode = record.metadata["mode"]
     if mode not in REPEATABLE:
         raise InputError(
             f"is of mode {mode}: only physics repeats itself", file=record.file,
-            cure="armcell replay shows it; armcell diff compares it with another run",
+            hint="armcell replay shows it; armcell diff compares it with another run",
         )  # fmt: skip
     cell = recorded_cell(record.metadata)
     changed = changed_since(record.metadata, cell)
     if changed and not anyway:
         raise InputError(
             f"since this record, what changed is: {', '.join(changed)}", file=record.file,
-            cure="restore it, or compare all the same with --anyway",
+            hint="restore it, or compare all the same with --anyway",
         )  # fmt: skip
     announce_code(cell, origin_of(record.metadata, record.file))
     return cell

@@ -189,7 +189,7 @@ class Bus:
             elif topic.type != type_name:
                 raise InputError(
                     f"topic {name} carries {topic.type}, not {type_name}",
-                    cure="use another topic, or the same type on both sides",
+                    hint="use another topic, or the same type on both sides",
                 )
             member = make(topic)
             self._topics[name] = topic
@@ -233,7 +233,7 @@ class Bus:
         self.schema.service(type_name)
         with self._changed:
             if name in self._services:
-                raise InputError(f"service {name} is already served", cure="close the other one first")
+                raise InputError(f"service {name} is already served", hint="close the other one first")
             service = self._services[name] = Service(self, name, type_name, handler)
             self._has_changed()
         return service

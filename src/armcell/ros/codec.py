@@ -61,7 +61,7 @@ class Codec:
         try:
             return run(message, rosbags_name(name))
         except (struct.error, SerdeError, AttributeError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{name} cannot be encoded: {error}", cure=_culprit(message)) from None
+            raise InputError(f"{name} cannot be encoded: {error}", hint=_culprit(message)) from None
 
     def prepare(self, name: str) -> None:
         """Generate the encoding functions of a message type now instead of at its first message.

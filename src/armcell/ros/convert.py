@@ -57,7 +57,7 @@ def pose_from_message(pose: Any) -> SE3:
     if not (np.isfinite(xyz).all() and np.isfinite(length)):
         raise InputError("a pose has a number that is not finite")
     if abs(length - 1.0) > 0.1:
-        raise InputError(f"quaternion {xyzw.round(4).tolist()} has length {length:.3f}", cure="normalise it")
+        raise InputError(f"quaternion {xyzw.round(4).tolist()} has length {length:.3f}", hint="normalise it")
     return SE3.from_quat_xyzw(xyz, xyzw / length)
 
 
@@ -162,8 +162,8 @@ def trajectory_from_message(message: Any, model: RobotModel, now: JointState) ->
         try:
             model.check_positions(row, names, margin=1e-4)
         except InputError as error:
-            cure = unit_fault(model, names, row) or error.cure
-            raise InputError(f"point {i}: {error.reason}", cure=cure) from None
+            hint = unit_fault(model, names, row) or error.hint
+            raise InputError(f"point {i}: {error.reason}", hint=hint) from None
     if velocities is None:
         accelerations = None  # interpolation cannot use accelerations without velocities
     trajectory = JointTrajectory(names, times, positions, velocities, accelerations)

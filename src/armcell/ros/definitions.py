@@ -115,7 +115,7 @@ def read_folder(folder: Path) -> Interfaces:
         found = True
         name = f"{file.parent.parent.name}/{file.stem}"
         if not (_NAME.match(file.stem) and _NAME.match(file.parent.parent.name)):
-            raise InputError(f"{name!r} is no message name", file=file, cure="use letters, digits and _")
+            raise InputError(f"{name!r} is no message name", file=file, hint="use letters, digits and _")
         if file.stat().st_size > MAX_FILE_BYTES:
             raise InputError(f"is larger than {MAX_FILE_BYTES} bytes", file=file)
         text = file.read_text(encoding="utf-8")
@@ -129,12 +129,12 @@ def read_folder(folder: Path) -> Interfaces:
                 messages.update(parse_action(text, name))
                 actions.append(name)
         except InputError as error:
-            raise InputError(error.reason, file=file, cure=error.cure) from None
+            raise InputError(error.reason, file=file, hint=error.hint) from None
     if not found:
         raise InputError(
             "has no message definitions",
             file=folder,
-            cure="expected <package>/msg/<Name>.msg (or srv/<Name>.srv, action/<Name>.action)",
+            hint="expected <package>/msg/<Name>.msg (or srv/<Name>.srv, action/<Name>.action)",
         )
     return Interfaces(messages, services, actions)
 

@@ -30,7 +30,7 @@ def resolve(name: str, namespace: str = "/") -> str:
     parts = [part for part in full.split("/") if part]
     if not parts or len(full) > MAX_LENGTH or not all(_PART.match(part) for part in parts):
         raise InputError(
-            f"{name[:80]!r} is no topic or service name", cure="letters, digits and _ between slashes"
+            f"{name[:80]!r} is no topic or service name", hint="letters, digits and _ between slashes"
         )
     return "/" + "/".join(parts)
 
@@ -121,7 +121,7 @@ def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameM
     for argument in remap:
         before, sign, after = (part.strip() for part in argument.partition(":="))
         if not (sign and before and after):
-            raise InputError(f"{argument!r} is not a remapping", cure="write FROM:=TO")
+            raise InputError(f"{argument!r} is not a remapping", hint="write FROM:=TO")
         pairs[_own(before, namespace)] = after
     if not namespace.strip("/") and not pairs:
         return None

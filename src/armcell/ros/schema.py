@@ -61,7 +61,7 @@ class Schema:
         for name in self.definitions:
             for inner in nested(self.whole(name)):
                 if inner not in self.definitions:
-                    raise InputError(f"{name} uses {inner}, which is not defined", cure="add its .msg file")
+                    raise InputError(f"{name} uses {inner}, which is not defined", hint="add its .msg file")
         self._classes: dict[str, type] = {}
         self._tidies: dict[str, Tidy] = {}
         self._texts: dict[str, str] = {}

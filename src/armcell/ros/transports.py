@@ -76,7 +76,7 @@ def split_address(address: str, port: int) -> tuple[str, int]:
     """
     host, _, text = address.partition(":")
     if text and not (text.isdigit() and int(text) < 65536):
-        raise InputError(f"address {address!r} has no valid port", cure=f"for example {LOCAL}:{port}")
+        raise InputError(f"address {address!r} has no valid port", hint=f"for example {LOCAL}:{port}")
     return host or LOCAL, int(text) if text else port
 
 

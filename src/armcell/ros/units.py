@@ -45,4 +45,4 @@ def check_near(T: SE3) -> None:
     """
     distance = float(np.linalg.norm(T.translation))
     if distance > FAR:
-        raise InputError(f"it is {distance:.4g} m away", cure="in millimetres? ROS has metres")
+        raise InputError(f"it is {distance:.4g} m away", hint="in millimetres? ROS has metres")

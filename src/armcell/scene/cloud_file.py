@@ -37,7 +37,7 @@ def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud |
         return load_octree(file)
     if radius is None:
         raise InputError(
-            "a point cloud needs a radius", file=file, cure="half the points' spacing or a bit more"
+            "a point cloud needs a radius", file=file, hint="half the points' spacing or a bit more"
         )
     return PointCloud(load_points(file), radius)
 

@@ -60,7 +60,7 @@ class SceneDiff:
                 raise InputError(
                     f"{error.reason}; nothing was changed",
                     element=f"diff/{i} {what}" + (f" {name!r}" if isinstance(name, str) else ""),
-                    cure=error.cure,
+                    hint=error.hint,
                 ) from None
         return scene.with_objects(placed.values()) if placed else scene
 
@@ -322,7 +322,7 @@ def with_octomap(
 
 def _in_world(scene: PlanningScene, name: str) -> CollisionObject:
     if name in scene.attached:
-        raise InputError(f"object {name!r} is attached to the robot", cure="detach it first")
+        raise InputError(f"object {name!r} is attached to the robot", hint="detach it first")
     if name not in scene.objects:
         raise UnknownNameError("object", name, scene.objects)
     return scene.objects[name]

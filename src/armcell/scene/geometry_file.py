@@ -94,7 +94,7 @@ def _shape_lines(name: str, shape: Shape) -> list[str]:
         return ["mesh", *rows, *(" ".join(map(str, face)) for face in shape.faces.tolist())]
     raise InputError(
         f"object {name!r}: a {shape_name(shape)} cannot be written to a .scene file",
-        cure="build it of cylinder and spheres, or save it as YAML",
+        hint="build it of cylinder and spheres, or save it as YAML",
     )
 
 

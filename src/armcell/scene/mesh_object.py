@@ -42,7 +42,7 @@ def mesh_facts(mesh: Mesh) -> MeshFacts:
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     _, count = np.unique(np.sort(solid.edges, axis=1), axis=0, return_counts=True)
     if min(x, y, z) < 1e-9:
-        raise InputError("mesh is flat: it has no volume", file=mesh.file, cure="give it a thickness")
+        raise InputError("mesh is flat: it has no volume", file=mesh.file, hint="give it a thickness")
     hull = float(solid.convex_hull.volume)
     closed = bool(solid.is_watertight and abs(solid.volume) > 0)
     volume = abs(float(solid.volume)) if closed else hull
@@ -65,12 +65,12 @@ def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
     if size > (LARGEST_MOVABLE if movable else LARGEST):
         raise InputError(
             f"mesh is {size:.4g} m large: it is probably in millimetres",
-            file=mesh.file, cure="give 'scale: 0.001'",
+            file=mesh.file, hint="give 'scale: 0.001'",
         )  # fmt: skip
     if size < SMALLEST:
         raise InputError(
             f"mesh is {size * 1000:.2g} mm large: it is probably in kilometres or was scaled twice",
-            file=mesh.file, cure="give 'scale: 1000'",
+            file=mesh.file, hint="give 'scale: 1000'",
         )  # fmt: skip
     if movable and not facts.closed:
         log.warning(

@@ -62,7 +62,7 @@ class Material:
         if self.dynamic_friction is not None and self.dynamic_friction > self.friction:
             raise InputError(
                 f"dynamic friction {self.dynamic_friction:g} is above static friction {self.friction:g}",
-                cure="a contact that slides holds less than one at rest; swap them?",
+                hint="a contact that slides holds less than one at rest; swap them?",
             )
 
     @property
@@ -159,7 +159,7 @@ class CollisionObject:
         if self.movable and any(isinstance(s, Plane) for s, _ in self.shapes):
             raise InputError(f"object {self.name!r}: a plane cannot move")
         if self.movable and self.has_cloud:
-            raise InputError(f"object {self.name!r}: {CLOUDS_STAND}", cure=USE_A_SOLID)
+            raise InputError(f"object {self.name!r}: {CLOUDS_STAND}", hint=USE_A_SOLID)
 
     @staticmethod
     def single(name: str, shape: Shape, pose: SE3 | None = None, **properties) -> CollisionObject:

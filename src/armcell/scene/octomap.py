@@ -103,12 +103,12 @@ class OccupancyMap:
         shape = np.floor(np.maximum(ends.max(axis=0), eye) / size).astype(np.int64) - low + 2
         if np.any(low < -HALF) or np.any(low + shape > HALF):
             raise InputError(
-                f"a point is more than {HALF * size:g} m from the map's origin", cure="use a coarser map"
+                f"a point is more than {HALF * size:g} m from the map's origin", hint="use a coarser map"
             )
         if np.prod(shape.astype(float)) > MAX_CELLS:
             raise InputError(
                 f"the cloud spans {' x '.join(f'{n * size:.0f}' for n in shape)} m, too many voxels",
-                cure="give max_range, or use a coarser map",
+                hint="give max_range, or use a coarser map",
             )
         grid = np.zeros(shape, np.uint8)
         _trace(grid, low, ends, far, eye, size)

@@ -83,7 +83,7 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
     if np.any(first < -HALF) or np.any(first + edge > HALF):
         raise InputError(
             f"the octree reaches farther than {HALF * resolution:g} m from its origin",
-            cure=f"OctoMap has 2^15 voxels of {resolution:g} m to each side: use a coarser one",
+            hint=f"OctoMap has 2^15 voxels of {resolution:g} m to each side: use a coarser one",
         )
     return voxel_codes(first), number
 
@@ -101,7 +101,7 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
     count = np.ceil(low + edges[:, None] - OFF).astype(np.int64) - first
     if np.prod(count, axis=1).sum() > MOST:
         raise InputError(
-            f"cells off OctoMap's grid are more than {MOST} of its voxels", cure="use a coarser octree"
+            f"cells off OctoMap's grid are more than {MOST} of its voxels", hint="use a coarser octree"
         )
     steps = [np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), -1).reshape(-1, 3) for n in count]
     return np.vstack([np.zeros((0, 3), np.int64), *(f + s for f, s in zip(first, steps, strict=True))])

@@ -130,11 +130,11 @@ class PlanningScene:
     def check_new_name(self, name: str) -> None:
         """Raise an InputError if a link, a fixed frame or an attached object has a name."""
         if name in self.model.links or name == WORLD:
-            raise InputError(f"object {name!r} has the name of a link", cure="give it another name")
+            raise InputError(f"object {name!r} has the name of a link", hint="give it another name")
         if name in self.fixed_frames:
-            raise InputError(f"object {name!r} has the name of a fixed frame", cure="rename one of them")
+            raise InputError(f"object {name!r} has the name of a fixed frame", hint="rename one of them")
         if name in self.attached:
-            raise InputError(f"object {name!r} is attached to the robot", cure="detach it first")
+            raise InputError(f"object {name!r} is attached to the robot", hint="detach it first")
 
     def with_object_pose(self, name: str, T_world_object: SE3) -> PlanningScene:
         if name not in self.objects:
@@ -172,7 +172,7 @@ class PlanningScene:
             self.model.link(touch)
         item = self.objects[name]
         if item.has_cloud:
-            raise InputError(f"object {name!r}: {CLOUDS_STAND}", cure=USE_A_SOLID)
+            raise InputError(f"object {name!r}: {CLOUDS_STAND}", hint=USE_A_SOLID)
         T_link_object = self.frame_pose(link).inv() @ item.T_world_object
         body = AttachedBody(item, link, T_link_object, touches)
         rest = {k: v for k, v in self.objects.items() if k != name}
@@ -281,7 +281,7 @@ class PlanningScene:
             UnknownNameError: `parent` does not exist.
         """
         if not name or name in (WORLD, *self.model.links, *self.objects, *self.attached):
-            raise InputError(f"fixed frame {name!r} has the name of a link or object", cure="rename it")
+            raise InputError(f"fixed frame {name!r} has the name of a link or object", hint="rename it")
         T = self.frame_pose(parent) @ T_parent_frame
         return replace(self, fixed_frames={**self.fixed_frames, name: T})
 

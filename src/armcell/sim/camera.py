@@ -104,14 +104,14 @@ class Camera:
             if self.pinhole.distortion:
                 raise InputError(
                     f"camera {self.name!r} has distortion: simulated pictures are rectified",
-                    cure="leave the distortion out",
+                    hint="leave the distortion out",
                 )
             for name in ("width", "height", "fovy_deg"):
                 object.__setattr__(self, name, getattr(self.pinhole, name))
         try:
             object.__setattr__(self, "model", self.pinhole or self._centred())
         except InputError as error:
-            raise InputError(f"camera {self.name!r}: {error.reason}", cure=error.cure) from None
+            raise InputError(f"camera {self.name!r}: {error.reason}", hint=error.hint) from None
         if (self.link is None) != (self.T_link_camera is None):
             raise InputError(f"camera {self.name!r}: link and T_link_camera belong together")
         if not (np.isfinite(self.rate) and self.rate > 0):

@@ -68,7 +68,7 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
     except InputError as error:
         if error.file is not None:
             raise
-        raise InputError(error.reason, file=file, element=error.element, cure=error.cure) from None
+        raise InputError(error.reason, file=file, element=error.element, hint=error.hint) from None
     return data
 
 
@@ -99,7 +99,7 @@ def with_gains_file(physics: Mapping[str, Any], model: RobotModel, folder: Path)
     if not isinstance(gains, str):
         raise InputError(
             f"gains is {gains!r}, a name or a file is needed",
-            cure=f"one of {', '.join(gains_names())}, or a file such as controllers.yaml",
+            hint=f"one of {', '.join(gains_names())}, or a file such as controllers.yaml",
         )
     base = gain_values(gains, model, folder)
     if isinstance(own := values.get("joint_gains"), Mapping):

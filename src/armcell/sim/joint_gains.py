@@ -111,7 +111,7 @@ def gains_of(entry: Any, what: str) -> JointGains:
         raise UnknownNameError("gain", error.name, error.known, element=what) from None
     except InputError as error:
         text = error.reason if error.reason.startswith(what) else f"{what}: {error.reason}"
-        raise InputError(text, cure=error.cure) from None
+        raise InputError(text, hint=error.hint) from None
 
 
 class Drive(NamedTuple):

@@ -125,7 +125,7 @@ class _DrawnScene:
     def gl(self, camera: Camera, rgb: bool, depth: bool) -> Drawing:
         model, backend = self.built.mj, gl_backend()
         if backend is None:
-            raise InputError("OpenGL does not work here", cure="leave gl to its default, or cast rays")
+            raise InputError("OpenGL does not work here", hint="leave gl to its default, or cast rays")
         # MuJoCo's camera looks along its -z axis with y up
         T = camera.T_world_camera @ SE3(SO3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
         model.cam_pos[self._camera], model.cam_quat[self._camera] = T.translation, T.quat_wxyz

@@ -159,7 +159,7 @@ class _Reader:
         if old.rank == rank and old.gains != new.gains:
             raise InputError(
                 f"joint {joint!r} has other gains here than in {old.place}", file=self.file,
-                element=new.place, cure="keep those of the controller that you start",
+                element=new.place, hint="keep those of the controller that you start",
             )  # fmt: skip
         if rank > old.rank:
             self.entries[joint] = new
@@ -181,7 +181,7 @@ class _Reader:
             element = f"{place}/{joint}"
             raise UnknownNameError("gain", error.name, GAINS, file=self.file, element=element) from None
         except InputError as error:
-            raise InputError(error.reason, file=self.file, element=place, cure=error.cure) from None
+            raise InputError(error.reason, file=self.file, element=place, hint=error.hint) from None
         if made.i > 0 and max(made.i_clamp, made.i_clamp_min, made.i_clamp_max) == 0:
             self.note(
                 f"{place}/{joint}: i = {made.i:g} does nothing without i_clamp: ros_control clamps the "
@@ -220,7 +220,7 @@ def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[Gain
         notes = f": {'; '.join(reader.notes)}" if reader.notes else ""
         raise InputError(
             f"has no PID gains of an arm joint{notes}", file=file,
-            cure="give 'gains: {JOINT: {p: 80, i: 0.5, d: 1.5}}' beside a controller's 'joints'",
+            hint="give 'gains: {JOINT: {p: 80, i: 0.5, d: 1.5}}' beside a controller's 'joints'",
         )  # fmt: skip
     missing = [joint for joint in arm_joints(model) if joint not in reader.entries]
     if missing:

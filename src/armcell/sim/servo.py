@@ -70,7 +70,7 @@ class ArmServo:
         """
         if not self.computed:
             raise InputError(
-                "the physics' arm control does not accept torques", cure='set arm_control: "torque"'
+                "the physics' arm control does not accept torques", hint='set arm_control: "torque"'
             )
         self._torque[controls[0]] = torque
 

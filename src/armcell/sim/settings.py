@@ -95,7 +95,7 @@ class PhysicsSettings:
             if value not in known:
                 raise UnknownNameError(kind, value, known)
         if self.object_condim not in (3, 4, 6):
-            raise InputError(f"object_condim is {self.object_condim}", cure="use 3, 4 or 6")
+            raise InputError(f"object_condim is {self.object_condim}", hint="use 3, 4 or 6")
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, str) or field.name in ("gravity", "joint_gains"):
@@ -128,5 +128,5 @@ class PhysicsSettings:
                 raise InputError(
                     f"joint_gains/{joint} has i or ff_velocity_scale, which arm_control "
                     f"{self.arm_control!r} does not have",
-                    cure="set arm_control: torque",
+                    hint="set arm_control: torque",
                 )

@@ -59,7 +59,7 @@ def without_measured(
         if body is None and name not in objects:
             raise InputError(
                 f"object {name!r} is held by {now.attached[name].link}: it cannot be taken out of the scene",
-                cure="let go of it first",
+                hint="let go of it first",
             )
         if body is now.attached[name]:
             objects[name] = base.objects[name]

@@ -129,7 +129,7 @@ def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[
     velocity = (T.translation - before.translation) / max(now - began, 1e-6)
     velocity[2] = 0.0  # a belt is level; a residual falling speed would be extrapolated for seconds
     if np.linalg.norm(velocity) < s.slowest:
-        raise InputError(f"{item!r} does not move", cure="pick it as any other object")
+        raise InputError(f"{item!r} does not move", hint="pick it as any other object")
     return velocity, now, T
 
 

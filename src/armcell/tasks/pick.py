@@ -141,7 +141,7 @@ def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
     """
     for held in ctx.holding.values():
         if held.gripper.name == gripper.name:
-            raise InputError(f"gripper {gripper.name!r} already holds {held.object}", cure="place it first")
+            raise InputError(f"gripper {gripper.name!r} already holds {held.object}", hint="place it first")
 
 
 def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
@@ -152,7 +152,7 @@ def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
     """
     check_hand_is_free(ctx, gripper)
     if not ctx.scene().object(item).movable:
-        raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+        raise InputError(f"object {item!r} is fixed", hint="give it 'movable: true'")
 
 
 # --- an object at rest ---

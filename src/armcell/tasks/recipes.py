@@ -70,7 +70,7 @@ def place(
         InputError: the object is not held, it does not fit on the support, or it is the support itself.
     """
     if item not in ctx.holding:
-        raise InputError(f"the robot does not hold {item!r}", cure="pick it first")
+        raise InputError(f"the robot does not hold {item!r}", hint="pick it first")
     require(item != on, f"{item!r} cannot be put on itself")
     ctx.scene().object(on)  # raises an error with the existing names
     s, gripper, outcome = ctx.settings, ctx.holding[item].gripper, DONE

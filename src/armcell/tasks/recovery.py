@@ -21,7 +21,7 @@ from armcell.tasks.stages import ChoosePlacement
 
 GIVEN_UP = "given up"
 NO_WAY = (ErrorCode.PLANNING_FAILED, ErrorCode.TIMED_OUT)
-CURE = "another place or support for it, a wider gripper, or another arm: `hand_over`"
+HINT = "another place or support for it, a wider gripper, or another arm: `hand_over`"
 AGAIN = 2  # factor on the planned intermediate placements, because objects may settle differently
 
 Look = Callable[[], Outcome]
@@ -137,7 +137,7 @@ def _once(
             break
         laid = place_intermediate(ctx, item, gripper, on, at, up, s.intermediate_placements)
         if laid.code in NO_WAY:
-            text = f"{outcome.message}; {laid.message} ({CURE})"
+            text = f"{outcome.message}; {laid.message} ({HINT})"
             outcome = replace(
                 outcome, message=text, evidence={**outcome.evidence, "intermediate_placement": laid.evidence}
             )

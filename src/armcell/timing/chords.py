@@ -69,7 +69,7 @@ def _check_smooth(trajectory: JointTrajectory) -> None:
         return
     if v is None or max(np.abs(v[0]).max(initial=0.0), np.abs(v[-1]).max(initial=0.0)) > 1e-6:
         raise InputError(
-            "the trajectory does not begin and end at rest with velocities given", cure="time it with armcell"
+            "the trajectory does not begin and end at rest with velocities given", hint="time it with armcell"
         )
 
 

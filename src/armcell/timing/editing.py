@@ -59,7 +59,7 @@ def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajector
     now = trajectory.duration
     if not np.isfinite(duration) or duration > MAX_DURATION or duration < now * (1.0 - 1e-12):
         raise InputError(
-            f"duration is {duration:g} s, the motion needs {now:g} s", cure="motions are only slowed"
+            f"duration is {duration:g} s, the motion needs {now:g} s", hint="motions are only slowed"
         )
     if len(trajectory.times) == 1 and duration > 0.0:
         twice = np.repeat(trajectory.positions, 2, axis=0)

@@ -193,7 +193,7 @@ def jerk_limited(
     if np.isfinite(path.radius).any():
         raise InputError(
             "the path's corners are arcs, on whose ends the jerk has no bound",
-            cure="make it with BlendedPath(..., smooth=True)",
+            hint="make it with BlendedPath(..., smooth=True)",
         )
     phase = phases(path.kind, path.x, path.y, path.lengths, path.rests, velocity, acceleration, jerk)
     begins = np.concatenate([[0.0], np.cumsum(phase[:, 5])])

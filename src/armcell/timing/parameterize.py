@@ -201,6 +201,6 @@ def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -
     if not good.all():
         raise InputError(
             f"joint {joint_names[int(np.argmin(good))]!r} has no {kind} limit",
-            cure="give one in the robot's joint_limits.yaml",
+            hint="give one in the robot's joint_limits.yaml",
         )
     return limits

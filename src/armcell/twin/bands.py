@@ -197,7 +197,7 @@ class TwinBands:
             if data["format"] != FORMAT:
                 raise InputError(
                     f"is of format {data['format']}, this armcell reads {FORMAT}", file=file,
-                    cure="learn them anew: armcell twin CELL",
+                    hint="learn them anew: armcell twin CELL",
                 )  # fmt: skip
             arms = {name: _arm_of(entry) for name, entry in data["arms"].items()}
             return TwinBands(arms, dict(data["identity"]))
@@ -205,7 +205,7 @@ class TwinBands:
             raise
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
-                f"holds no twin's bands ({type(error).__name__})", file=file, cure="armcell twin CELL"
+                f"holds no twin's bands ({type(error).__name__})", file=file, hint="armcell twin CELL"
             ) from None
 
 
@@ -225,7 +225,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
     rows = [(twin, list(columns), seen) for twin, columns, looks in motions for seen in looks]
     if len(rows) < LEAST_SAMPLES:
         raise InputError(
-            f"only {len(rows)} looks at a moving arm, {LEAST_SAMPLES} are needed", cure="more --motions"
+            f"only {len(rows)} looks at a moving arm, {LEAST_SAMPLES} are needed", hint="more --motions"
         )
     predicted = [twin.at(seen.clock) for twin, _, seen in rows]
     error = np.array([seen.q - p[0][c] for (_, c, seen), p in zip(rows, predicted)])

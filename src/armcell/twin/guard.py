@@ -80,7 +80,7 @@ class TwinGuard:
             if then not in (None, now):
                 raise InputError(
                     f"{arm}: the twin's bands were learned on calibration {then}, this robot has {now}",
-                    cure="learn them anew, which begins with a slow loop: armcell twin CELL",
+                    hint="learn them anew, which begins with a slow loop: armcell twin CELL",
                 )
 
     def rehearse(
@@ -214,13 +214,13 @@ class Watched:
             self._slow(arm, text, seen.clock)
         if not self._stopped and (count >= STOP_AFTER or (count >= SLOW_AFTER and ratio > FAR)):
             self._stopped = True
-            cures = {
+            hints = {
                 "load": "tell its payload, or what it holds; or is something pressing on it?",
                 "current": "a payload that was not told? a touch?",
                 "timing": "look at the network",
             }
-            cure = cures.get(kind, "is it blocked, displaced, badly calibrated?")
-            self._trip(Fault(arm.name, "twin deviation", f"{text} at {seen.clock:.2f} s", cure))
+            hint = hints.get(kind, "is it blocked, displaced, badly calibrated?")
+            self._trip(Fault(arm.name, "twin deviation", f"{text} at {seen.clock:.2f} s", hint))
             self._as_before()  # safe: the arms stay stopped until the operator clears the fault
 
     def _worst_of(

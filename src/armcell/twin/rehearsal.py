@@ -118,7 +118,7 @@ class Stage:
             now = world.joint_state()
             if now.velocities is None or now.efforts is None:
                 raise InputError(
-                    "the twin's world tells no speeds and efforts", cure="rehearse in a SimWorld"
+                    "the twin's world tells no speeds and efforts", hint="rehearse in a SimWorld"
                 )
             times.append(world.time - began)
             rows.append((now.positions[columns], now.velocities[columns], now.efforts[columns]))

@@ -79,7 +79,7 @@ class PageGuard:
         for name in names:
             plain = name.lower().strip("[]")
             if _name_of(name.lower()) != plain:
-                raise InputError(f"{name!r} is not a host name", cure="e.g. cell.example.org, without a port")
+                raise InputError(f"{name!r} is not a host name", hint="e.g. cell.example.org, without a port")
             self._names.add(plain)
         self._clients: set[Any] = set()
         self._told: set[tuple[str, str]] = set()

@@ -49,7 +49,7 @@ class Jobs:
         if self.busy == "explaining":  # its answer is no longer needed
             self._abandon()
         if self.busy:
-            raise InputError(f"the session is {self.busy}", cure="stop it, or wait for its end")
+            raise InputError(f"the session is {self.busy}", hint="stop it, or wait for its end")
         job = Job(kind)
         job.thread = threading.Thread(target=self._run, args=(job, work), name=f"armcell-{kind}", daemon=True)
         self.current = job

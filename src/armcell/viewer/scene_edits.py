@@ -35,9 +35,9 @@ def with_new(
         InputError: the kind is unknown, a size is invalid, or the name is in use.
     """
     if kind not in KINDS:
-        raise InputError(f"{kind!r} is no shape", cure=f"choose one of {', '.join(KINDS)}")
+        raise InputError(f"{kind!r} is no shape", hint=f"choose one of {', '.join(KINDS)}")
     if name in scene.frame_names:
-        raise InputError(f"something is called {name!r} already", cure="give another name")
+        raise InputError(f"something is called {name!r} already", hint="give another name")
     if not name.strip():
         raise InputError("an object needs a name")
     shape = make_shape(kind, size[: len(KINDS[kind])])
@@ -53,7 +53,7 @@ def with_attached(scene: PlanningScene, name: str, link: str | None) -> Planning
         InputError: there is no link or no such object, or the object is a point cloud.
     """
     if link is None:
-        raise InputError("the group has no tip to attach to", cure="choose a group that is a chain")
+        raise InputError("the group has no tip to attach to", hint="choose a group that is a chain")
     return attached_by_contact(scene, name, link)
 
 
@@ -85,7 +85,7 @@ def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
     """
     path = _checked(file, folder)
     if path.exists() and path not in ours:
-        raise InputError("is there already and was not written here", file=path, cure="choose another name")
+        raise InputError("is there already and was not written here", file=path, hint="choose another name")
     objects = [scene.object(name) for name in (*scene.objects, *scene.attached)]
     left_out: list[str] = []
     if path.suffix == ".scene":
@@ -106,7 +106,7 @@ def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
     """
     path = _checked(file, folder)
     if not path.exists():
-        raise InputError("no such file", file=path, cure=f"files are looked for in {folder}")
+        raise InputError("no such file", file=path, hint=f"files are looked for in {folder}")
     for item in load_scene_file(path) if path.suffix == ".scene" else load_objects(path):
         scene = scene.with_object(item)
     return scene
@@ -114,7 +114,7 @@ def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
 
 def _checked(file: str, folder: Path) -> Path:
     if Path(file).name != file or file.startswith("."):
-        raise InputError(f"{file!r} is not a plain file name", cure=f"files are kept in {folder}")
+        raise InputError(f"{file!r} is not a plain file name", hint=f"files are kept in {folder}")
     if Path(file).suffix not in SUFFIXES:
-        raise InputError(f"{file!r} has no known suffix", cure=f"use one of {', '.join(SUFFIXES)}")
+        raise InputError(f"{file!r} has no known suffix", hint=f"use one of {', '.join(SUFFIXES)}")
     return folder / file

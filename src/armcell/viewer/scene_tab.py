@@ -100,7 +100,7 @@ class SceneTab:
 
     def _named(self) -> str:
         if self.chosen.value == NONE:
-            raise InputError("no object is chosen", cure="choose one, or add one")
+            raise InputError("no object is chosen", hint="choose one, or add one")
         return self.chosen.value
 
     def _attach(self) -> None:
@@ -115,7 +115,7 @@ class SceneTab:
     def _remove(self) -> None:
         name = self._named()
         if name in self._session.scene.attached:
-            raise InputError(f"{name} is held by the robot", cure="detach it first")
+            raise InputError(f"{name} is held by the robot", hint="detach it first")
         self._session.change_scene(lambda now: now.without_object(name), f"removed {name}")
 
     def _save(self) -> None:

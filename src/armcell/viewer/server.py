@@ -102,11 +102,11 @@ def _free_port(host: str, port: int) -> int:
     Raises:
         InputError: the host is not an address of this machine, or none of `PORTS_TRIED` ports is free.
     """
-    cure = "give an address of this machine and a port between 0 and 65535"
+    hint = "give an address of this machine and a port between 0 and 65535"
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
     except (OSError, OverflowError) as error:
-        raise InputError(f"the viewer cannot listen on {host!r}, port {port}: {error}", cure=cure) from None
+        raise InputError(f"the viewer cannot listen on {host!r}, port {port}: {error}", hint=hint) from None
     problem: object = "no such port"
     for candidate in range(port, min(port + PORTS_TRIED, 65536)):
         with contextlib.closing(socket.socket(family, socket.SOCK_STREAM)) as probe:
@@ -116,7 +116,7 @@ def _free_port(host: str, port: int) -> int:
                 return candidate
             except (OSError, OverflowError) as error:
                 problem = error
-    raise InputError(f"the viewer cannot listen on {host!r}, port {port}: {problem}", cure=cure)
+    raise InputError(f"the viewer cannot listen on {host!r}, port {port}: {problem}", hint=hint)
 
 
 # --- patches of viser, which has no hooks for the guard and for its console output ---

@@ -237,7 +237,7 @@ class PlanningSession:
         if s.motion != FREE and goal.T_world_tip is None:
             raise InputError(
                 f"group {self.group!r} is not a chain, so no tip keeps to a line or stays upright",
-                cure=f"choose the motion {FREE!r}",
+                hint=f"choose the motion {FREE!r}",
             )
         if s.motion == LINE:
             assert goal.T_world_tip is not None
@@ -260,7 +260,7 @@ class PlanningSession:
         """
         with self._lock:
             if self.busy == "executing":
-                raise InputError("the robot moves", cure="wait for its end, or stop it")
+                raise InputError("the robot moves", hint="wait for its end, or stop it")
             self.scene = change(self.scene)
             self._edits += 1
             goal = self.goal
@@ -372,7 +372,7 @@ class PlanningSession:
         """
         trajectory = self.result.trajectory if self.result is not None else None
         if trajectory is None:
-            raise InputError("there is no motion to look at", cure="plan first")
+            raise InputError("there is no motion to look at", hint="plan first")
         at = JointState(trajectory.joint_names, trajectory.sample(t)[0])
         return JointState(self.scene.model.joint_names, self.start_positions).updated(at).positions
 
@@ -434,7 +434,7 @@ class PlanningSession:
             if live.driver.name == "sim" and self.scene.attached:
                 raise InputError(
                     f"physics does not hold what was attached by hand ({', '.join(self.scene.attached)})",
-                    cure="detach it, or use the fake driver (--mode fake)",
+                    hint="detach it, or use the fake driver (--mode fake)",
                 )
             self._live, self._live_with = live.__enter__(), self._edits
         self._live.ctx.cancel = job.cancel
@@ -479,7 +479,7 @@ def _first_group(scene: PlanningScene) -> str:
     names += [g.name for g in model.groups.values() if g.joint_names]
     if not names:
         raise InputError(
-            f"robot {model.name!r} has no planning group with joints", cure="run armcell setup on its URDF"
+            f"robot {model.name!r} has no planning group with joints", hint="run armcell setup on its URDF"
         )
     return names[0]
 

@@ -54,7 +54,7 @@ class PlanSettings:
         if self.attempts < 1:
             raise InputError(f"attempts is {self.attempts}, it must be at least 1")
         if self.motion not in MOTIONS:
-            raise InputError(f"motion is {self.motion!r}", cure=f"choose one of {', '.join(MOTIONS)}")
+            raise InputError(f"motion is {self.motion!r}", hint=f"choose one of {', '.join(MOTIONS)}")
 
     def as_in(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
         """Return the settings with the values of a planning request."""
@@ -156,7 +156,7 @@ def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator)
         q = rng.uniform(lower, upper)
         if checker.is_free(q):
             return q
-    raise InputError(f"none of {TRIES} random states of group {group!r} is free", cure="clear the scene")
+    raise InputError(f"none of {TRIES} random states of group {group!r} is free", hint="clear the scene")
 
 
 def keep_upright(scene: PlanningScene, group: str) -> Constraints:

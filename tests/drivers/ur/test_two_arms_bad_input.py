@@ -1,4 +1,4 @@
-"""Two real arms: what is refused with cause and cure before anything moves; and their bring-up."""
+"""Two real arms: what is refused with cause and hint before anything moves; and their bring-up."""
 
 import json
 
@@ -21,7 +21,7 @@ def test_a_simulated_clock_is_refused():
     options = DriverOptions(time_scale=0.5, extra={"real": {"arms": arms}})
     with pytest.raises(InputError, match="a real robot has its own clock") as caught:
         drivers["real"](PlanningScene.of(pair()), options)
-    assert "slider" in (caught.value.cure or "")
+    assert "slider" in (caught.value.hint or "")
 
 
 @pytest.mark.slow

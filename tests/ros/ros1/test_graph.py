@@ -97,7 +97,7 @@ def test_services_of_other_nodes_are_called_by_name(joined):
 
     def handler(request):
         if not request.data:
-            raise InputError("no", cure="say yes")
+            raise InputError("no", hint="say yes")
         return S.new("std_srvs/SetBoolResponse", True, "done")
 
     a.bus.serve("/switch", "std_srvs/SetBool", handler)

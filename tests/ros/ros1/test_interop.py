@@ -76,7 +76,7 @@ def test_rospy_talks_with_us(debian, joined):
 
     def answer(request):
         if not request.data:
-            raise InputError("not that way", cure="say true")
+            raise InputError("not that way", hint="say true")
         return S.new("std_srvs/SetBoolResponse", True, "from armcell")
 
     bus.advertise("/latched", STRING, latch=True).publish(S.new(STRING, "kept"))

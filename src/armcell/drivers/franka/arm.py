@@ -52,7 +52,7 @@ def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
         raise InputError(
             f"the motion takes joint {i + 1} to {q[k, i]:.4f} rad, {limits.model}'s limits are "
             f"{limits.lower[i]:.4f} to {limits.upper[i]:.4f}",
-            cure="set these limits in the robot model, so that planning keeps them",
+            hint="set these limits in the robot model, so that planning keeps them",
         )
     low, high = (np.array(rows) for rows in zip(*(limits.velocity_range(x) for x in q), strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -62,7 +62,7 @@ def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
     if not np.isfinite(fast):
         raise InputError(
             "the motion moves at a joint limit, where Franka allows no speed",
-            cure="leave a margin to the joint limits",
+            hint="leave a margin to the joint limits",
         )
     return max(1.0, fast, float(np.sqrt(hard)))
 
@@ -109,7 +109,7 @@ class FrankaArm(RealArm):
         if status != 0:
             raise InputError(
                 f"arm {self.name!r}: the robot rejects the {what}", element=f"real/arms/{self.name}",
-                cure="see Franka's limits for this parameter",
+                hint="see Franka's limits for this parameter",
             )  # fmt: skip
 
     def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
@@ -130,7 +130,7 @@ class FrankaArm(RealArm):
         if not history:
             raise InputError(
                 f"arm {self.name!r}: {self.settings.host} has sent no state",
-                cure="connect the cell first: with cell.connect('real') as live: ...",
+                hint="connect the cell first: with cell.connect('real') as live: ...",
             )
         return history[-1][1]
 
@@ -232,14 +232,14 @@ class FrankaArm(RealArm):
             if (found.model, found.calibration) != (self.identity.model, self.identity.calibration):
                 raise InputError(
                     f"arm {self.name!r}: another robot than before answers at {self.settings.host}",
-                    cure="check cables and addresses, then start armcell again",
+                    hint="check cables and addresses, then start armcell again",
                 )
             mode, q = RobotMode(found.state.mode), found.state["q"]
         else:
             mode, q = RobotMode(self.state.mode), self.state["q"]
         if mode not in (RobotMode.IDLE, RobotMode.MOVE, RobotMode.REFLEX):
             cause, hint = HINTS[mode]
-            raise InputError(f"arm {self.name!r}: {cause}", cure=hint)
+            raise InputError(f"arm {self.name!r}: {cause}", hint=hint)
         check_position(self.name, self.settings.model, q)
 
     def restart(self) -> None:
@@ -251,7 +251,7 @@ class FrankaArm(RealArm):
             if status is not RecoveryStatus.SUCCESS:
                 raise InputError(
                     f"arm {self.name!r}: the robot rejects the recovery: {status.name.lower()}",
-                    cure="clear the error in Desk",
+                    hint="clear the error in Desk",
                 )
             self._wait_until(lambda: self.state.mode == RobotMode.IDLE, "idle after the recovery")
         self._configure()
@@ -268,7 +268,7 @@ class FrankaArm(RealArm):
         end = time.monotonic() + HALTED_WITHIN
         while not holds():
             if time.monotonic() > end or self._link.error is not None:
-                raise InputError(f"arm {self.name!r} is not {what}", cure="look at Desk")
+                raise InputError(f"arm {self.name!r} is not {what}", hint="look at Desk")
             time.sleep(0.005)
 
     # --- motion ---

@@ -43,7 +43,7 @@ class FrankaHand:
         except (OSError, ArmcellError, WireError) as error:
             raise InputError(
                 f"no Franka Hand answers at {host}:{wire.PORT}: {error}",
-                cure="mount the hand and select it in Desk, or remove 'gripper' from the cell file",
+                hint="mount the hand and select it in Desk, or remove 'gripper' from the cell file",
             ) from None
         self._open = True
         self._threads = [
@@ -92,7 +92,7 @@ class FrankaHand:
         if self._max_width <= 0.0:
             raise InputError(
                 f"the hand at {self._host} is not homed, so it rejects motions",
-                cure="home it in Desk, or set 'gripper: {kind: hand, homing: true}': the fingers move then",
+                hint="home it in Desk, or set 'gripper: {kind: hand, homing: true}': the fingers move then",
             )
 
     # --- threads ---
@@ -149,7 +149,7 @@ class FrankaHand:
         while identifier not in self._results and time.monotonic() < end:
             time.sleep(0.01)
         if self._results.pop(identifier, Status.FAIL) != Status.SUCCESS:
-            raise InputError(f"the hand at {self._host} cannot be homed", cure="free its fingers; see Desk")
+            raise InputError(f"the hand at {self._host} cannot be homed", hint="free its fingers; see Desk")
         time.sleep(0.05)  # the next state has the measured width
 
     def drive(self, width: float, force: float) -> None:

@@ -73,12 +73,12 @@ def identify(host: str) -> FrankaIdentity:
     try:
         client = FciClient(host)
     except FciError as error:
-        raise InputError(str(error), cure=_hint(host, error.kind)) from None
+        raise InputError(str(error), hint=_hint(host, error.kind)) from None
     try:
         state = read_state(client.first_state())
         description = client.ask(Command.GET_ROBOT_MODEL)[1:].decode("utf-8", "replace")
     except (FciError, WireError, ValueError) as error:
-        raise InputError(f"{host}: {error}", cure=_hint(host, "protocol")) from None
+        raise InputError(f"{host}: {error}", hint=_hint(host, "protocol")) from None
     finally:
         client.close()
     named = re.search(r'<robot[^>]*\sname="([^"]*)"', description)
@@ -114,12 +114,12 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
     if arm.serial is not None:
         raise InputError(
             f"arm {name!r}: a Franka robot reports no serial number", element=f"real/arms/{name}/serial",
-            cure="identify it by 'calibration', the checksum of its description",
+            hint="identify it by 'calibration', the checksum of its description",
         )  # fmt: skip
     if found.model != arm.model:
         raise InputError(
             f"arm {name!r}: the robot at {arm.host} is a {found.model}, the cell file says {arm.model}",
-            cure=f"set 'model: {found.model}', or correct the address",
+            hint=f"set 'model: {found.model}', or correct the address",
         )
     check_numbers(name, arm, found)
 
@@ -134,7 +134,7 @@ def check_load(name: str, arm: FrankaArmSettings) -> None:
     if carried > MAX_LOAD:
         raise InputError(
             f"payload and hand weigh {carried:.2f} kg, the arm carries {MAX_LOAD:g} kg",
-            element=f"real/arms/{name}/payload", cure="choose a lighter object or tool",
+            element=f"real/arms/{name}/payload", hint="choose a lighter object or tool",
         )  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def check_ready(name: str, found: FrankaIdentity) -> None:
         cause, hint = HINTS[mode]
         errors = ", ".join(found.state.errors)
         raise InputError(
-            f"arm {name!r} at {found.host}: {cause}{f' ({errors})' if errors else ''}", cure=hint
+            f"arm {name!r} at {found.host}: {cause}{f' ({errors})' if errors else ''}", hint=hint
         )
     if found.model in ("fr3", "panda"):
         check_position(name, found.model, found.state["q"])
@@ -168,5 +168,5 @@ def check_position(name: str, model: str, q: Array) -> None:
         raise InputError(
             f"arm {name!r}: joint {i + 1} is at {q[i]:.4f} rad, outside its limits "
             f"{limits.lower[i]:.4f} to {limits.upper[i]:.4f}",
-            cure="guide the arm back by hand (enabling button), or move the joint in Desk",
+            hint="guide the arm back by hand (enabling button), or move the joint in Desk",
         )

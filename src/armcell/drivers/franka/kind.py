@@ -59,7 +59,7 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
     def calibrated(self, model: RobotModel, group: str, found: FrankaIdentity) -> RobotModel:
         raise InputError(
             f"arm {group!r}: a Franka robot reports no factory calibration of its geometry",
-            cure="set 'real: {calibration: compare}'",
+            hint="set 'real: {calibration: compare}'",
         )
 
     def make_arm(

@@ -75,7 +75,7 @@ class WorkerLink:
             reason = self.error or f"no state arrived within {START_TIME:g} s"
             self.close()
             raise InputError(
-                f"arm {self._name!r}: {reason}", cure="activate FCI in Desk and end other clients"
+                f"arm {self._name!r}: {reason}", hint="activate FCI in Desk and end other clients"
             )
 
     def close(self) -> None:
@@ -159,7 +159,7 @@ class WorkerLink:
             if number in self._answers:
                 return self._answers.pop(number)
         raise InputError(
-            f"arm {self._name!r}: {self.error or 'the robot does not answer'}", cure="look at Desk"
+            f"arm {self._name!r}: {self.error or 'the robot does not answer'}", hint="look at Desk"
         )
 
     # --- orders ---

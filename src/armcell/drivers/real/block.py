@@ -24,7 +24,7 @@ def real_settings(values: dict[str, Any], model: RobotModel) -> RealSettings:
     if not values:
         raise InputError(
             "the cell has no real arms",
-            cure="add to the cell file 'real: {arms: {GROUP: {host: ADDRESS, model: UR10}}}'; "
+            hint="add to the cell file 'real: {arms: {GROUP: {host: ADDRESS, model: UR10}}}'; "
             f"groups with six joints: {', '.join(_groups(model, 6)) or 'none'}",
         )
     arms, default = values.get("arms"), values.get("kind", DEFAULT_KIND)

@@ -56,7 +56,7 @@ class RealDriver(Driver):
         if options.time_scale not in (None, 1.0):
             raise InputError(
                 f"time scale {options.time_scale:g}: a real robot has its own clock",
-                cure="leave out the time scale; use the speed slider",
+                hint="leave out the time scale; use the speed slider",
             )
         self._scene, self._model = scene, scene.model
         self._tree = kinematic_tree(scene.model)
@@ -148,7 +148,7 @@ class RealDriver(Driver):
         if self._supervisor is None:
             raise InputError(
                 "the real arms are not connected",
-                cure="use the cell within its block: with cell.connect('real') as live: ...",
+                hint="use the cell within its block: with cell.connect('real') as live: ...",
             )
         return self._supervisor
 
@@ -265,7 +265,7 @@ class RealDriver(Driver):
         """
         supervisor, fault = self._connected(), self.fault()
         if fault is not None:
-            raise InputError(f"no motion after a stop: {fault}", cure="see why, then call resume()")
+            raise InputError(f"no motion after a stop: {fault}", hint="see why, then call resume()")
         arms = self._arms_of(trajectory.joint_names)
         if len(arms) == 1:
             return self._guarded(supervisor, arms[0].follow(trajectory), trajectory, arms)
@@ -298,7 +298,7 @@ class RealDriver(Driver):
             odd = sorted(names ^ covered)
             raise InputError(
                 f"a motion of real arms needs all joints of each, and no others: {', '.join(odd)}",
-                cure=f"arms in the cell file's 'real': {', '.join(self.arms)}",
+                hint=f"arms in the cell file's 'real': {', '.join(self.arms)}",
             )
         return arms
 
@@ -345,7 +345,7 @@ class RealDriver(Driver):
                     arm.restart()
             except InputError as error:
                 self._halt()
-                raise cannot_resume(error.reason, error.cure) from None
+                raise cannot_resume(error.reason, error.hint) from None
             try:
                 supervisor.clear()
             except InputError:
@@ -361,7 +361,7 @@ class RealDriver(Driver):
         end = time.monotonic() + GRIPPER_SILENCE
         while (died := self._died()) is not None:
             if died.kind != GRIPPER_LOST or time.monotonic() > end:
-                raise InputError(f"{died.arm}: {died.text}", cure=died.cure)
+                raise InputError(f"{died.arm}: {died.text}", hint=died.hint)
             time.sleep(0.05)  # the gripper's thread is reconnecting
 
     def _halt(self) -> None:
@@ -379,7 +379,7 @@ class RealDriver(Driver):
         if gripper not in self._grippers:
             raise InputError(
                 f"gripper {gripper!r} has no connection",
-                cure=self._gripper_hint(gripper),
+                hint=self._gripper_hint(gripper),
             )
         if not (np.isfinite(width) and np.isfinite(force)):
             raise InputError(f"gripper target {width} m, {force} N")
@@ -434,7 +434,7 @@ class RealDriver(Driver):
         if group not in self.arms:
             raise InputError(
                 f"gripper {gripper!r} is on {group!r}, which is no real arm",
-                cure=f"arms in the cell file's 'real': {', '.join(self.arms)}",
+                hint=f"arms in the cell file's 'real': {', '.join(self.arms)}",
             )
         return self.arms[group]
 

@@ -50,7 +50,7 @@ def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
         if want is not None and want != have:
             raise InputError(
                 f"arm {name!r}: the robot at {arm.host} has {what} {have}, the cell file says {want}",
-                cure="the address leads to another robot: check cables and addresses (are the arms swapped?)",
+                hint="the address leads to another robot: check cables and addresses (are the arms swapped?)",
             )
 
 
@@ -69,5 +69,5 @@ def check_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotId
                 raise InputError(
                     f"the arms are swapped: {wanted[arm].host}, the address of {arm!r}, is answered by "
                     f"{other!r} (serial {identity.serial})",
-                    cure=f"exchange the addresses of {arm!r} and {other!r} in the cell file, or the cables",
+                    hint=f"exchange the addresses of {arm!r} and {other!r} in the cell file, or the cables",
                 )

@@ -165,5 +165,5 @@ def check_distinct(arms: Mapping[str, ArmSettings], what: str, key: str) -> None
         if other != name:
             raise InputError(
                 f"arms {other!r} and {name!r} have the same {what} {getattr(arm, key)}",
-                element="real/arms", cure=f"every arm needs its own {what}",
+                element="real/arms", hint=f"every arm needs its own {what}",
             )  # fmt: skip

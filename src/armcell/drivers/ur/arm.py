@@ -165,7 +165,7 @@ class UrArm(RealArm):
     def _not_connected(self) -> InputError:
         return InputError(
             f"arm {self.name!r}: {self.settings.host} has told no state: it is not connected",
-            cure="connect the cell first: with cell.connect('real') as live: ...",
+            hint="connect the cell first: with cell.connect('real') as live: ...",
         )
 
     @property
@@ -267,8 +267,8 @@ class UrArm(RealArm):
             self._broken_at = now
         return now - self._broken_at > NEXT_STATE
 
-    def _found(self, kind: str, text: str, cure: str) -> Fault:
-        return Fault(self.name, kind, text, cure)
+    def _found(self, kind: str, text: str, hint: str) -> Fault:
+        return Fault(self.name, kind, text, hint)
 
     # --- motion ---
     def follow(self, trajectory: JointTrajectory) -> Following:
@@ -389,19 +389,19 @@ class UrArm(RealArm):
             self._halting.join(HALTED_WITHIN)  # otherwise the halt could end the new program
         fault = self.fault() if self._rtde.error is None else None
         if fault is not None and fault.kind not in MENDED_BY_RESUME:
-            raise InputError(f"arm {fault.arm!r}: {fault.text}", cure=fault.cure)
+            raise InputError(f"arm {fault.arm!r}: {fault.text}", hint=fault.hint)
         try:
             found = identify(self.settings.host)
         except ArmcellError as error:
             raise InputError(
                 f"arm {self.name!r}: the link to {self.settings.host} is lost: {error}",
-                cure="check the cable and that the robot is on",
+                hint="check the cable and that the robot is on",
             ) from None
         if (found.serial, found.calibration) != (self.identity.serial, self.identity.calibration):
             raise InputError(
                 f"arm {self.name!r}: another robot than before answers at {self.settings.host} "
                 f"(serial {found.serial}, before {self.identity.serial})",
-                cure="check cables and addresses, then start armcell anew",
+                hint="check cables and addresses, then start armcell anew",
             )
         check_ready(self.name, found)
 

@@ -47,7 +47,7 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
     if len(before) != 6 or not chained:
         raise InputError(
             f"group {group!r} is not six joints one behind the other: its calibration cannot be applied",
-            cure="leave out 'calibration: apply'",
+            hint="leave out 'calibration: apply'",
         )
     C = _frames(model, group, nominal)
     joints = dict(model.joints)
@@ -71,7 +71,7 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
             raise InputError(
                 f"{names[i + 1]} would be {moved * 1000:.0f} mm from where a {group!r} of this type has it: "
                 "no calibration is that large",
-                cure="is it the right robot, and its type ('model') right in the cell file?",
+                hint="is it the right robot, and its type ('model') right in the cell file?",
             )
         joints[names[i + 1]] = replace(before[i + 1], T_parent_joint=origin)
     D = C[5].inv() @ Z[5].inv() @ _behind_joint(own, 5) @ _behind_joint(nominal, 5).inv() @ C[5]
@@ -105,7 +105,7 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
             raise InputError(
                 f"{name} is not where this type of UR has it (its axis is off by {off:.3f}): "
                 "calibration cannot be applied",
-                cure="name the cell's robot and the arm's 'model' alike, or leave out 'calibration: apply'",
+                hint="name the cell's robot and the arm's 'model' alike, or leave out 'calibration: apply'",
             )
         found.append(C)
         T_base_dh = T_base_dh @ _behind_joint(nominal, i)

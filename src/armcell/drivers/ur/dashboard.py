@@ -28,7 +28,7 @@ class DashboardClient:
         except OSError as error:
             raise InputError(
                 f"no robot answers at {self.host}:{self._port} ({error.strerror or error})",
-                cure="check the address on the pendant (Settings, System, Network), the cable, and that this "
+                hint="check the address on the pendant (Settings, System, Network), the cable, and that this "
                 f"computer is in the same subnet: ping {self.host}",
             ) from None
         self._file = self._socket.makefile("rwb")
@@ -40,7 +40,7 @@ class DashboardClient:
             self.__exit__()
             raise InputError(
                 f"{self.host}:{self._port} is not a Universal Robots dashboard (it says {greeting[:60]!r})",
-                cure="check the address",
+                hint="check the address",
             )
         return self
 

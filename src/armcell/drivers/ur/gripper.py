@@ -32,7 +32,7 @@ class SocketGripper:
         except (OSError, ArmcellError, ValueError) as error:
             raise InputError(
                 f"no gripper at {host}:{port}: {error}",
-                cure="install the gripper's URCap, or choose 'gripper: {kind: tool_io}', or leave it out",
+                hint="install the gripper's URCap, or choose 'gripper: {kind: tool_io}', or leave it out",
             ) from None
         self._open, self._told = True, time.monotonic()
         self._thread = threading.Thread(target=self._watch, name=f"gripper {host}", daemon=True)

@@ -63,7 +63,7 @@ def identify(host: str) -> Identity:
         raise InputError(
             f"the robot at {host} has the geometry of none of {', '.join(MODELS)} "
             f"(the nearest, {model.name}, is {distance * 1000:.0f} mm off)",
-            cure="armcell drives these models only",
+            hint="armcell drives these models only",
         )
     return Identity(host, model, version, serial, geometry, remote, mode, safety)
 
@@ -90,7 +90,7 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
     except (OSError, ValueError, struct.error) as error:
         raise InputError(
             f"{host}:{PRIMARY_PORT} does not tell its geometry: {error}",
-            cure="enable the primary client interface on the pendant (Settings, Security, Services)",
+            hint="enable the primary client interface on the pendant (Settings, Security, Services)",
         ) from None
     raise InputError(f"{host}:{PRIMARY_PORT} did not tell its geometry within {timeout:g} s")
 
@@ -105,7 +105,7 @@ def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
         raise InputError(
             f"arm {arm!r}: the robot at {wanted.host} is a {found.model.name}, "
             f"the cell file says {wanted.model}",
-            cure="correct 'model' (and the robot model of the cell), or the address",
+            hint="correct 'model' (and the robot model of the cell), or the address",
         )
     check_numbers(arm, wanted, found)
 
@@ -117,7 +117,7 @@ def check_ready(arm: str, found: Identity) -> None:
         InputError: the robot cannot be driven now; the message states the remedy.
     """
     if found.safety not in ("NORMAL", "REDUCED"):
-        cure = {
+        hint = {
             "PROTECTIVE_STOP": "look why, free the arm, then unlock it on the pendant or with "
             f"'armcell ur-dashboard {found.host} \"unlock protective stop\"'",
             "SAFEGUARD_STOP": "close the fence, reset the safeguard",
@@ -125,14 +125,14 @@ def check_ready(arm: str, found: Identity) -> None:
             "SYSTEM_EMERGENCY_STOP": "release the emergency stop button, then power on",
         }.get(found.safety, "see the pendant")
         text = found.safety.lower().replace("_", " ")
-        raise InputError(f"arm {arm!r}: the robot at {found.host} stands in {text}", cure=cure)
+        raise InputError(f"arm {arm!r}: the robot at {found.host} stands in {text}", hint=hint)
     if found.remote is False:
         raise InputError(
             f"arm {arm!r}: the robot at {found.host} is in local control",
-            cure="on the pendant, top right: choose Remote Control (enable it first: Settings, System)",
+            hint="on the pendant, top right: choose Remote Control (enable it first: Settings, System)",
         )
     if found.robot_mode != "RUNNING":
         raise InputError(
             f"arm {arm!r}: the robot at {found.host} is not running (mode {found.robot_mode})",
-            cure="switch it on and release the brakes: on the pendant, or by 'armcell bringup'",
+            hint="switch it on and release the brakes: on the pendant, or by 'armcell bringup'",
         )

@@ -99,14 +99,14 @@ class UrKind(RobotKind[UrArmSettings, Identity]):
                     dashboard.ask("brake release")
                     released = True
                 _interrupts.sleep(0.2)
-        raise InputError(f"{arm.host} is not running after {POWER_TIME:g} s", cure="look at the pendant")
+        raise InputError(f"{arm.host} is not running after {POWER_TIME:g} s", hint="look at the pendant")
 
     def measured_positions(self, arm: UrArmSettings) -> Array:
         client = RtdeClient(arm.host, 125.0)
         client.connect()
         try:
             if client.latest is None:
-                raise InputError(f"{arm.host} sends no state", cure="look at the pendant")
+                raise InputError(f"{arm.host} sends no state", hint="look at the pendant")
             return np.array(client.latest.actual_q)
         finally:
             client.close()

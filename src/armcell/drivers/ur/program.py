@@ -96,7 +96,7 @@ class ProgramLink:
             self._server.close()
             raise InputError(
                 f"arm {arm!r}: port {port} for the robot's connection is not free ({error.strerror})",
-                cure="another arm or another armcell uses it: give each arm its own 'port' in the cell file",
+                hint="another arm or another armcell uses it: give each arm its own 'port' in the cell file",
             ) from None
         self._server.listen(4)
         self._reverse: socket.socket | None = None
@@ -126,7 +126,7 @@ class ProgramLink:
         except OSError as error:
             raise InputError(
                 f"arm {self._arm!r}: the program could not be sent to {self._robot}:{SCRIPT_PORT} ({error})",
-                cure="check the address; e-Series: remote control must be on",
+                hint="check the address; e-Series: remote control must be on",
             ) from None
         if set(found) != {1, 2}:
             for link in found.values():
@@ -134,7 +134,7 @@ class ProgramLink:
             raise InputError(
                 f"arm {self._arm!r}: the program on {self._robot} did not connect back to {host}:{port} "
                 f"within {timeout:g} s",
-                cure=f"let port {port} through this computer's firewall; give 'own_host', the address the "
+                hint=f"let port {port} through this computer's firewall; give 'own_host', the address the "
                 "robot can reach; look at the pendant's log",
             )
         self._reverse, self._points = found[1], found[2]

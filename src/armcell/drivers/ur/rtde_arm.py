@@ -54,5 +54,5 @@ class UrRtdeArm(UrArm):
         except OSError as error:
             raise InputError(
                 f"arm {self.name!r}: the link to {self.settings.host} is lost: no output is set ({error})",
-                cure="check the cable and that the robot is on, then call resume()",
+                hint="check the cable and that the robot is on, then call resume()",
             ) from None

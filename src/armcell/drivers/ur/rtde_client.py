@@ -107,7 +107,7 @@ class RtdeClient:
         except (OSError, struct.error, rtde.RtdeError) as error:
             raise InputError(
                 f"no RTDE at {self.host}:{self._port}: {error}",
-                cure="check the address; on the pendant: Settings, Security, Services: enable RTDE",
+                hint="check the address; on the pendant: Settings, Security, Services: enable RTDE",
             ) from None
         self._socket.settimeout(1.0)
         self._open = True
@@ -118,7 +118,7 @@ class RtdeClient:
         while self.latest is None and self.error is None and time.monotonic() < end:
             _interrupts.sleep(0.005)
         if self.latest is None:
-            raise InputError(f"{self.host} sends no RTDE data ({self.error or 'silence'})", cure="restart it")
+            raise InputError(f"{self.host} sends no RTDE data ({self.error or 'silence'})", hint="restart it")
 
     def _negotiate(self) -> None:
         if self._ask(rtde.VERSION, struct.pack(">H", 2)) != b"\x01":

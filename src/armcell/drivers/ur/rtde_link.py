@@ -36,7 +36,7 @@ def require_ur_rtde() -> None:
         raise InputError(
             "'backend: ur_rtde' needs the library ur_rtde, which is not installed",
             element="real/backend",
-            cure="pip install 'armcell[ur-rtde]' (it has wheels up to Python 3.12), or leave out 'backend'",
+            hint="pip install 'armcell[ur-rtde]' (it has wheels up to Python 3.12), or leave out 'backend'",
         )
 
 
@@ -92,7 +92,7 @@ class RtdeLink:
                 raise InputError(
                     f"arm {self._arm!r}: ur_rtde does not get hold of {self._robot} "
                     f"({said[-1] if said else 'it says nothing'})",
-                    cure="look at the pendant; e-Series: remote control must be on",
+                    hint="look at the pendant; e-Series: remote control must be on",
                 )
         threading.Thread(target=self._drain, args=(self._process.stderr,), daemon=True).start()
         return self._session

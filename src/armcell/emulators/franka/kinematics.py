@@ -32,7 +32,7 @@ def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
     if len(joints) != JOINTS or not chained:
         raise InputError(
             f"group {group!r} has the joints {', '.join(names)}; a Franka arm has a chain of seven",
-            cure="use a cell with a Panda or an FR3",
+            hint="use a cell with a Panda or an FR3",
         )
     return names
 

@@ -39,7 +39,7 @@ class RemoteHost:
         """
         address, _, port = text.partition(":")
         if not address or (port and not (port.isdigit() and 0 < int(port) < 65536)):
-            raise InputError(f"{text!r} is no address of a script sender", cure="such as 127.0.0.1:50002")
+            raise InputError(f"{text!r} is no address of a script sender", hint="such as 127.0.0.1:50002")
         return RemoteHost(address, int(port) if port else SCRIPT_SENDER)
 
 

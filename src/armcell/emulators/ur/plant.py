@@ -195,7 +195,7 @@ class WorldPlant:
         state = self.world.joint_state()
         columns = self._columns
         if state.velocities is None or state.efforts is None:
-            raise InputError("the shared world tells no speeds and efforts", cure="share a SimWorld")
+            raise InputError("the shared world tells no speeds and efforts", hint="share a SimWorld")
         return state.positions[columns], state.velocities[columns], state.efforts[columns]
 
     def _rest(self) -> None:

@@ -36,7 +36,7 @@ def ik_solver(
         if not kind.solves(model, group, tip_link):
             raise InputError(
                 f"IK solver {named!r} cannot solve group {group!r} of {model.name!r}",
-                cure="name another one under 'ik_solvers' in robot.yaml, or none",
+                hint="name another one under 'ik_solvers' in robot.yaml, or none",
             )
         return kind(model, group, tip_link, settings)
     kind = next(k for k in (AnalyticIK, NumericIK) if k.solves(model, group, tip_link))

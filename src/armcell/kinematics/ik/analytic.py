@@ -43,7 +43,7 @@ class AnalyticIK(IKSolver):
         if geometry is None:
             raise InputError(
                 f"group {self.group.name!r} of {self.model.name!r} is not built like a UR arm",
-                cure="use ik_solver, which takes the solver that fits",
+                hint="use ik_solver, which takes the solver that fits",
             )
         return replace(prepared, geometry=geometry)
 

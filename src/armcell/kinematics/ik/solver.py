@@ -257,7 +257,7 @@ class IKSolver(ABC):
         if positions.shape != (self.model.dof,):
             raise InputError(
                 f"the reference has shape {positions.shape}, {self.model.name!r} needs ({self.model.dof},)",
-                cure="give positions of all joints of the robot, in the model's order",
+                hint="give positions of all joints of the robot, in the model's order",
             )
         if not np.isfinite(positions.sum()):
             bad = [n for n, v in zip(self.model.joint_names, positions, strict=True) if not np.isfinite(v)]
@@ -341,7 +341,7 @@ def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
     """
     tip = tip_link or model.group(group).tip_link
     if tip is None:
-        raise InputError(f"group {group!r} is not a chain, so it has no tip", cure="name the link to place")
+        raise InputError(f"group {group!r} is not a chain, so it has no tip", hint="name the link to place")
     model.link(tip)
     return tip
 

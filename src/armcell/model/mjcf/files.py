@@ -71,7 +71,7 @@ def read_mjcf(file: Path) -> MjcfText:
     if root.tag != "mujoco":
         raise InputError(
             f"root element is <{root.tag}>, not <mujoco>", file=file, line=root.sourceline,
-            cure="is this an MJCF file?",
+            hint="is this an MJCF file?",
         )  # fmt: skip
     _Expansion(file.resolve().parent).children(root, file, 0)
     _without_textures(root)
@@ -114,7 +114,7 @@ class _Expansion:
         choices = (self.folder / name, file.resolve().parent / name)
         path = next((p for p in choices if os.path.isfile(p)), None)
         if path is None:
-            raise InputError(f"included file {choices[0]} not found", **where, cure="check the path")
+            raise InputError(f"included file {choices[0]} not found", **where, hint="check the path")
         text = read_text(path, MAX_TEXT_BYTES - self.size)
         self.size += len(text)
         root = parse_xml(text, path)
@@ -161,7 +161,7 @@ def _with_full_paths(root: etree._Element, folder: Path) -> None:
             label = f"<{tag} file={name!r}>"
             where = {"file": _file_of(element, root), "line": _line_of(element), "element": label}
             if not os.path.isfile(path):
-                raise InputError(f"file {path} not found", **where, cure="check meshdir and the path")
+                raise InputError(f"file {path} not found", **where, hint="check meshdir and the path")
             if path.stat().st_size > MAX_MESH_BYTES:
                 raise InputError(f"file {path} is larger than {MAX_MESH_BYTES} bytes", **where)
             if tag == "mesh" and element.get("name") is None:

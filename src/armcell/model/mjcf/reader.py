@@ -56,7 +56,7 @@ def load_mjcf(path: Path) -> RobotModel:
     except InputError as error:
         if error.file is not None:
             raise
-        raise InputError(error.reason, file=path, cure=error.cure) from None
+        raise InputError(error.reason, file=path, hint=error.hint) from None
 
 
 class _Reader:
@@ -70,7 +70,7 @@ class _Reader:
         m = self.m
         if not len(m.jnt_type):
             raise InputError(
-                "has no joint that moves", file=self.file, cure="give a model with hinges or slides"
+                "has no joint that moves", file=self.file, hint="give a model with hinges or slides"
             )
         links: dict[str, Link] = {}
         joints: dict[str, Joint] = {}

@@ -85,7 +85,7 @@ def robot_spec(text: str) -> RobotSpec:
         if int(geom.type) in _ENDLESS:
             spec.delete(geom)
     if not list(spec.worldbody.bodies):
-        raise InputError("has no <body>", cure="is this a robot, or only a scene?")
+        raise InputError("has no <body>", hint="is this a robot, or only a scene?")
     _add_names(spec)
     spec.compiler.discardvisual = spec.compiler.fusestatic = False
     model = spec.compile()
@@ -143,7 +143,7 @@ def _add_names(spec: Any) -> None:
             raise InputError(
                 f"joint {joint.name or joint.parent.name!r} is a ball joint; armcell's joints have one "
                 "degree of freedom",
-                cure="replace it by three hinges",
+                hint="replace it by three hinges",
             )
         if not joint.name:
             joint.name = _unused(f"{joint.parent.name}_joint", joints)

@@ -90,7 +90,7 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
     if not model.joint_names:
         raise InputError(
             f"robot {model.name!r} has no joint that moves",
-            cure="give a URDF with revolute or prismatic joints",
+            hint="give a URDF with revolute or prismatic joints",
         )
     return {"groups": {"gripper": _hand(model, "gripper", set(model.links))}}
 

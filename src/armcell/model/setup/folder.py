@@ -24,10 +24,10 @@ def check_folder(folder: Path, force: bool = False) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError("is a file, a folder is needed", file=folder)
     if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise InputError("folder is there and not empty", file=folder, cure="name another, or add --force")
+        raise InputError("folder is there and not empty", file=folder, hint="name another, or add --force")
     parent = folder.resolve().parent
     if not parent.is_dir():
-        raise InputError("folder does not exist", file=parent, cure=f"mkdir -p {parent}")
+        raise InputError("folder does not exist", file=parent, hint=f"mkdir -p {parent}")
     try:
         tempfile.TemporaryDirectory(dir=parent).cleanup()
     except OSError as error:

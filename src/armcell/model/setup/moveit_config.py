@@ -108,7 +108,7 @@ class MoveItConfig:
                 the message names the file and key.
         """
         if not isinstance(xacro_args, Mapping | None):
-            raise InputError(f"xacro_args is {xacro_args!r}, a mapping is needed", cure="{name: value}")
+            raise InputError(f"xacro_args is {xacro_args!r}, a mapping is needed", hint="{name: value}")
         reader = _Reader(Path(folder), allow_env, xacro_args)
         return reader.read(None if urdf is None else Path(urdf))
 
@@ -260,9 +260,9 @@ class _Reader:
 
     def read(self, urdf: Path | None) -> MoveItConfig:
         if not os.path.isdir(self.folder):
-            raise InputError("no such folder", file=self.folder, cure="give a MoveIt configuration package")
+            raise InputError("no such folder", file=self.folder, hint="give a MoveIt configuration package")
         if not self.config.is_dir():
-            raise InputError("has no folder config/", file=self.folder, cure="is this a MoveIt package?")
+            raise InputError("has no folder config/", file=self.folder, hint="is this a MoveIt package?")
         setup = self.setup()
         urdf_file = urdf or self.urdf(setup)
         urdf_text = self.text(urdf_file, {**self.own_xacro_args(setup), **self.xacro_args})
@@ -280,7 +280,7 @@ class _Reader:
             if file is None:
                 if needed:
                     missing = self.config / choices[0]
-                    raise InputError("file not found", file=missing, cure="MoveIt's packages have one")
+                    raise InputError("file not found", file=missing, hint="MoveIt's packages have one")
                 continue
             files[key] = read_yaml(file)
             names[key] = file.name
@@ -311,8 +311,8 @@ class _Reader:
                     try:
                         return resolve_uri(f"package://{package}/{path}", self.folder)
                     except InputError as error:
-                        raise InputError(error.reason, file=file, element="urdf", cure=error.cure) from None
-                raise InputError("file not found", file=inside, cure=f"named by {SETUP_FILE}")
+                        raise InputError(error.reason, file=file, element="urdf", hint=error.hint) from None
+                raise InputError("file not found", file=inside, hint=f"named by {SETUP_FILE}")
         found = [
             f
             for p in ("*.urdf", "*.urdf.xacro")
@@ -323,7 +323,7 @@ class _Reader:
             raise InputError(
                 f"no *.urdf or *.urdf.xacro in config/ or urdf/, and no {SETUP_FILE} that names one",
                 file=self.folder,
-                cure="give the URDF beside the folder",
+                hint="give the URDF beside the folder",
             )
         return sorted(found)[0]
 
@@ -332,12 +332,12 @@ class _Reader:
         if isinstance(entry, dict) and isinstance(entry.get("relative_path"), str):
             file = self.folder / entry["relative_path"]
             if not file.is_file():
-                raise InputError("file not found", file=file, cure=f"named by {SETUP_FILE}")
+                raise InputError("file not found", file=file, hint=f"named by {SETUP_FILE}")
             return file
         found = sorted(self.config.glob("*.srdf")) or sorted(self.config.glob("*.srdf.xacro"))
         if not found:
             raise InputError(
-                "no *.srdf in it", file=self.config, cure="make one with armcell setup ROBOT.urdf -o FOLDER"
+                "no *.srdf in it", file=self.config, hint="make one with armcell setup ROBOT.urdf -o FOLDER"
             )
         return found[0]
 

@@ -43,7 +43,7 @@ def parse_srdf(text: str, file: Path) -> Element:
     """
     root = parse_xml(text, file)
     if root.tag != "robot":
-        raise InputError("root element is not <robot>", file=file, cure="is this an SRDF file?")
+        raise InputError("root element is not <robot>", file=file, hint="is this an SRDF file?")
     return _value(root)
 
 

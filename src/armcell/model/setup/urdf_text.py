@@ -50,7 +50,7 @@ def merged_urdf(
         raise InputError(
             f"{len(parts)} robots, but the prefixes {', '.join(repr(p.prefix) for p in parts)} are not all "
             "different",
-            cure="give each robot its own: --prefix left_ --prefix right_",
+            hint="give each robot its own: --prefix left_ --prefix right_",
         )
     roots = [_read(part.file, allow_env) for part in parts]
     own = "_and_".join(dict.fromkeys(root.get("name") or part.file.stem for root, part in zip(roots, parts)))
@@ -68,7 +68,7 @@ def merged_urdf(
             raise InputError(
                 f"{part.file.name} brings {sorted(taken)[0]!r}, which is there already",
                 file=part.file,
-                cure="give each robot its own --prefix",
+                hint="give each robot its own --prefix",
             )
         whole.extend([deepcopy(child) for child in root])
         if placed:
@@ -85,7 +85,7 @@ def xml_text(root: etree._Element) -> str:
 def _read(file: Path, allow_env: bool | None) -> etree._Element:
     root = parse_xml(urdf_text(file, allow_env), file)
     if root.tag != "robot":
-        raise InputError("root element is not <robot>", file=file, cure="is this a URDF file?")
+        raise InputError("root element is not <robot>", file=file, hint="is this a URDF file?")
     return root
 
 

@@ -22,9 +22,9 @@ CHARACTERS = 64  # number of characters that count as one item
 class XacroError(Exception):
     """An error in a xacro file, or a xacro feature that armcell refuses for safety."""
 
-    def __init__(self, reason: str, cure: str | None = None):
+    def __init__(self, reason: str, hint: str | None = None):
         super().__init__(reason)
-        self.reason, self.cure = reason, cure
+        self.reason, self.hint = reason, hint
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,9 +80,9 @@ def expand_xacro(
     except MissingFile as error:
         values = ", ".join(f"{k}={v!r}" for k, v in work.substitution.values.items())
         cause = f"; the path may depend on arguments: {values} (--xacro-arg NAME:=VALUE)" if values else ""
-        raise work.failed(error.reason, f"{error.cure}{cause}") from None
+        raise work.failed(error.reason, f"{error.hint}{cause}") from None
     except XacroError as error:
-        raise work.failed(error.reason, error.cure) from None
+        raise work.failed(error.reason, error.hint) from None
     except RecursionError:
         raise work.failed("it is nested too deeply") from None
     if unknown := sorted(set(given) - work.substitution.declared):
@@ -139,7 +139,7 @@ class _Expansion:
             self._attributes(root, out, scope)
         return etree.tostring(out, encoding="unicode")
 
-    def failed(self, reason: str, cure: str | None = None) -> InputError:
+    def failed(self, reason: str, hint: str | None = None) -> InputError:
         """Return the `InputError` to raise, with the xacro file, line and element being expanded."""
         file, line, label = self.file, None, None
         if self.here is not None:
@@ -149,7 +149,7 @@ class _Expansion:
         if file != self.file:
             reason = f"{reason} (part of {self.file})"
         reason = f"xacro cannot expand it: {_one_line(reason)}"
-        return InputError(reason, file=file, line=line, element=label, cure=cure and _one_line(cure))
+        return InputError(reason, file=file, line=line, element=label, hint=hint and _one_line(hint))
 
     def _substitute(self, inside: str, scope: Scope) -> str:
         return self.substitution.resolve(inside, self.reading[-1].parent)

@@ -82,7 +82,7 @@ def evaluate(text: str, names: Names, budget: Budget) -> Any:
     try:
         return _Evaluator(budget).value(tree.body, names)
     except XacroError as error:
-        raise XacroError(f"{error.reason} in {_shown(text)}", error.cure) from None
+        raise XacroError(f"{error.reason} in {_shown(text)}", error.hint) from None
     except RecursionError:
         raise XacroError(f"{_shown(text)} is nested too deeply") from None
     except KeyError as error:

@@ -68,7 +68,7 @@ class RobotFiles:
         try:
             found = find_package(package, self.main.parent)
         except InputError as error:
-            raise XacroError(error.reason, error.cure) from None
+            raise XacroError(error.reason, error.hint) from None
         self.roots += [root for root in found.roots if root not in self.roots]
         return found.folder
 

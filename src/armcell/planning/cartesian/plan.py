@@ -56,7 +56,7 @@ def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
         if count > MOST_STEPS:
             raise InputError(
                 f"max_step of {request.max_step:g} m divides a line of {meters:.3g} m into {count} steps",
-                cure=f"at most {MOST_STEPS} are allowed; 0.005 m is usual",
+                hint=f"at most {MOST_STEPS} are allowed; 0.005 m is usual",
             )
         legs.append(at.interpolated(waypoint, ((k + 1) / count for k in range(count))))
         at = waypoint

@@ -51,7 +51,7 @@ def check_constraints(scene: PlanningScene, group: str, constraints: Constraints
         scene.frame_pose(item.frame)
     for position in constraints.positions:
         if not position.region:
-            raise InputError("a position constraint has no region", cure="give it a shape and its pose")
+            raise InputError("a position constraint has no region", hint="give it a shape and its pose")
         if np.shape(position.point) != (3,) or not np.all(np.isfinite(position.point)):
             raise InputError(f"a position constraint's point is {position.point!r}, three numbers are needed")
         for shape, _ in position.region:
@@ -60,7 +60,7 @@ def check_constraints(scene: PlanningScene, group: str, constraints: Constraints
         if np.shape(orientation.tolerance) != (3,):
             raise InputError(
                 f"an orientation constraint's tolerance is {orientation.tolerance!r}",
-                cure="give three angles, about x, y and z",
+                hint="give three angles, about x, y and z",
             )
         _tolerances("an orientation", orientation.tolerance)
         if orientation.parameterization not in PARAMETERIZATIONS:

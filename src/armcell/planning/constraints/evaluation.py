@@ -102,10 +102,10 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
     if not (np.isfinite(c.target_radius) and c.target_radius > 0):
         raise InputError(f"a target's radius is {c.target_radius:g} m, it must be positive")
     if c.cone_sides != int(c.cone_sides) or c.cone_sides < 3:
-        raise InputError(f"a cone of {c.cone_sides} sides", cure="give at least 3")
+        raise InputError(f"a cone of {c.cone_sides} sides", hint="give at least 3")
     for what, angle in (("view", c.max_view_angle), ("range", c.max_range_angle)):
         if angle is not None and not 0 < angle <= np.pi:
-            raise InputError(f"max_{what}_angle is {angle:g} rad", cure="give an angle in (0, pi], or None")
+            raise InputError(f"max_{what}_angle is {angle:g} rad", hint="give an angle in (0, pi], or None")
 
 
 def _angle(a: Array, b: Array) -> float:

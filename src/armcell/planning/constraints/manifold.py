@@ -96,7 +96,7 @@ class ConstraintManifold:
         if 3 * (len(turns) + len(points)) > layout.MAX_ROWS:
             raise InputError(
                 f"{len(turns) + len(points)} orientation and position constraints at once",
-                cure=f"at most {layout.MAX_ROWS // 3} can be planned with",
+                hint=f"at most {layout.MAX_ROWS // 3} can be planned with",
             )
         ints = self._ints
         ints[layout.DOF], ints[layout.LINKS] = self.dof, len(self._link_rows)
@@ -132,7 +132,7 @@ class ConstraintManifold:
             if name is None:
                 raise InputError(
                     f"group {self._group!r} is not a chain, so it has no tip",
-                    cure="name the link that is constrained",
+                    hint="name the link that is constrained",
                 )
         if name in scene.attached:
             body = scene.attached[name]
@@ -173,7 +173,7 @@ class ConstraintManifold:
             if any(tree.kind[j] != FIXED and int(tree.column[j]) in columns for j in tree.path_to(link)):
                 raise InputError(
                     f"the path constraint is given in frame {name!r}, which group {self._group!r} moves",
-                    cure="give it in a frame that does not move with the group, such as 'world'",
+                    hint="give it in a frame that does not move with the group, such as 'world'",
                 )
         return scene.frame_pose(name)
 
@@ -191,7 +191,7 @@ class ConstraintManifold:
         if (tolerance < LEAST[0]).any():
             raise InputError(
                 f"{what} has a tolerance of {tolerance.min():g} rad",
-                cure=f"give at least {LEAST[0]:g}: a timed motion cannot be proven to keep to less",
+                hint=f"give at least {LEAST[0]:g}: a timed motion cannot be proven to keep to less",
             )
         free = tolerance >= np.pi
         back = np.minimum(SHARE * tolerance, MOST[0])
@@ -222,7 +222,7 @@ class ConstraintManifold:
         link, T = self._resolve(constraint.link)
         what = f"the position constraint of {constraint.link or link}"
         if not constraint.region:
-            raise InputError(f"{what} has an empty region", cure="give it at least one shape")
+            raise InputError(f"{what} has an empty region", hint="give it at least one shape")
         number, point = self._link(link), T.apply(np.asarray(constraint.point, dtype=float))
         frame, first = self._frame(constraint.frame), len(shapes)
         reach = reach_of(self._tables[number], point, self._scene, self.joint_names)
@@ -231,7 +231,7 @@ class ConstraintManifold:
             if kind != layout.HALF_SPACE and size[size > 0].min() < LEAST[1]:
                 raise InputError(
                     f"{what} has a region only {size[size > 0].min():g} m to each side",
-                    cure=f"give at least {LEAST[1]:g}: a timed motion cannot be proven to keep to less",
+                    hint=f"give at least {LEAST[1]:g}: a timed motion cannot be proven to keep to less",
                 )
             self._least += size[size > 0].tolist()
             back = np.minimum(SHARE * size, MOST[1]) if kind != layout.HALF_SPACE else np.full(3, -MOST[1])
@@ -313,14 +313,14 @@ def _corridors(names: tuple[str, ...], constraints: Constraints, scene: Planning
             scene.model.joint(joint.joint)
             raise InputError(
                 f"a path constraint names joint {joint.joint!r}, which the group does not move",
-                cure=f"its joints are {', '.join(names)}",
+                hint=f"its joints are {', '.join(names)}",
             )
         numbers = (joint.position, joint.tolerance_above, joint.tolerance_below)
         if not np.isfinite(joint.position) or np.isnan(numbers).any() or min(numbers[1:]) < 0:
             raise InputError(
                 f"the constraint of joint {joint.joint!r} has position {joint.position:g} and tolerances "
                 f"{joint.tolerance_above:g} and {joint.tolerance_below:g}",
-                cure="the position must be finite and the tolerances not negative",
+                hint="the position must be finite and the tolerances not negative",
             )
         i = names.index(joint.joint)
         lower[i] = max(lower[i], joint.position - joint.tolerance_below)
@@ -343,7 +343,7 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
             return layout.HALF_SPACE, np.zeros(3)
     raise InputError(
         f"{what} has a {type(shape).__name__} in its region",
-        cure="regions are made of boxes, spheres, cylinders, capsules and half spaces (Plane)",
+        hint="regions are made of boxes, spheres, cylinders, capsules and half spaces (Plane)",
     )
 
 

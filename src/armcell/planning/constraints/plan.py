@@ -121,7 +121,7 @@ def check_planner(validated: ValidatedRequest) -> None:
     if pipeline_id != "native" or validated.planner_id != PLANNER:
         raise InputError(
             f"planner {validated.planner_id!r} of pipeline {pipeline_id!r} cannot keep to path constraints",
-            cure=f"pipeline_id='native' with planner_id={PLANNER!r} can",
+            hint=f"pipeline_id='native' with planner_id={PLANNER!r} can",
         )
 
 

@@ -53,11 +53,11 @@ def goal_of(model: RobotModel, group: str, target: Target) -> Goal:
     except (TypeError, ValueError):
         raise InputError(
             f"a {type(target).__name__} is not a valid target",
-            cure="give a named state, a pose (SE3), joint values or a goal",
+            hint="give a named state, a pose (SE3), joint values or a goal",
         ) from None
     if values.shape != (len(names),):
         raise InputError(
             f"{values.shape} joint values given, group {group!r} has {len(names)} joints",
-            cure=f"its order is {', '.join(names)}; to give some of them, give them by name",
+            hint=f"its order is {', '.join(names)}; to give some of them, give them by name",
         )
     return JointGoal(JointState(names, values))

@@ -171,5 +171,5 @@ def _both(scene: PlanningScene, arms: Arms) -> str:
             return group.name
     raise InputError(
         f"no planning group has the joints of {arms.groups[0]!r} and {arms.groups[1]!r}",
-        cure="add one under 'groups' in robot.yaml",
+        hint="add one under 'groups' in robot.yaml",
     )

@@ -124,23 +124,23 @@ def auxiliary_point(validated: ValidatedRequest) -> tuple[str, Array, str | None
     constraints, given = validated.request.path_constraints, validated.choice.settings.auxiliary
     if not constraints:
         if given is None:
-            raise InputError("CIRC has no auxiliary point", cure=_CURE)
+            raise InputError("CIRC has no auxiliary point", hint=_CURE)
         return given[0], np.array(given[1]), None
     if given is not None:
-        raise InputError(f"CIRC is given {given[0]} as a parameter and path constraints", cure=_CURE)
+        raise InputError(f"CIRC is given {given[0]} as a parameter and path constraints", hint=_CURE)
     if constraints.name not in AUXILIARY:
         raise InputError(
             f"the path constraints of CIRC are named {constraints.name!r}, not 'interim' or 'center'",
-            cure=_CURE,
+            hint=_CURE,
         )
     if len(constraints.positions) != 1 or constraints.orientations or constraints.joints:
-        raise InputError(f"the {constraints.name} point of CIRC is not one position constraint", cure=_CURE)
+        raise InputError(f"the {constraints.name} point of CIRC is not one position constraint", hint=_CURE)
     return constraints.name, *_place(validated, constraints.positions[0])
 
 
 def _place(validated: ValidatedRequest, constraint: Any) -> tuple[Array, str | None]:
     if len(constraint.region) != 1:
-        raise InputError("the region of CIRC's auxiliary point is not one shape", cure=_CURE)
+        raise InputError("the region of CIRC's auxiliary point is not one shape", hint=_CURE)
     if constraint.link is not None:
         MovedFrame(validated.scene, validated.request.group, constraint.link)  # an unknown link raises
     pose = validated.scene.transform(WORLD, constraint.frame) @ constraint.region[0][1]

@@ -136,8 +136,8 @@ def arc_around(start: SE3, goal: SE3, center: Array) -> Arc | Outcome:
     return Arc(start, goal, center, normal / size, float(np.arctan2(size, u @ v)))
 
 
-def _no_arc(why: str, cure: str) -> Outcome:
-    return Outcome(ErrorCode.INVALID_MOTION_PLAN, f"CIRC: {why} ({cure})")
+def _no_arc(why: str, hint: str) -> Outcome:
+    return Outcome(ErrorCode.INVALID_MOTION_PLAN, f"CIRC: {why} ({hint})")
 
 
 class Curve(Protocol):

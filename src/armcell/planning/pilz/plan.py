@@ -28,13 +28,13 @@ def validate_pilz_request(validated: ValidatedRequest) -> None:
     request = validated.request
     if request.torque_limits or request.jerk_limits:
         asked = "torque_limits" if request.torque_limits else "jerk_limits"
-        raise InputError(f"pipeline 'pilz' does not keep {asked}", cure="pipeline_id='native' does")
+        raise InputError(f"pipeline 'pilz' does not keep {asked}", hint="pipeline_id='native' does")
     if validated.planner_id == "CIRC":
         auxiliary_point(validated)
     elif request.path_constraints:
         raise InputError(
             f"{validated.planner_id} takes no path constraints",
-            cure="pipeline_id='native' with planner_id='RRTConnect' keeps them",
+            hint="pipeline_id='native' with planner_id='RRTConnect' keeps them",
         )
 
 

@@ -209,7 +209,7 @@ def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
         if request.start is not None and request.group in seen:
             raise InputError(
                 f"{name} has a start state, but begins where the one before of {request.group!r} ends",
-                cure="only the first request of a group may have one",
+                hint="only the first request of a group may have one",
             )
         seen.add(request.group)
     if items[-1][1] != 0:
@@ -219,7 +219,7 @@ def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
             raise InputError(
                 f"request {number + 1} has blend radius {radius:g} m, but the next one moves "
                 f"group {b.group!r} instead of {a.group!r}",
-                cure="give radius 0 where the group changes",
+                hint="give radius 0 where the group changes",
             )
         if radius > 0:
             _placed(scene, a)  # raises if the group has no tip
@@ -239,7 +239,7 @@ def _check_kept(request: PlanRequest, name: str) -> None:
     }
     for what, asked in kept.items():
         if asked:
-            raise InputError(f"{name} has {what}, which a blend does not keep", cure="give blend radius 0")
+            raise InputError(f"{name} has {what}, which a blend does not keep", hint="give blend radius 0")
 
 
 def _placed(scene: PlanningScene, request: PlanRequest) -> MovedFrame:

@@ -59,7 +59,7 @@ def settings_from_request(
     if planner_configs and FILE_KEY not in planner_configs:
         raise InputError(
             f"planner_configs of pipeline 'pilz' has no {FILE_KEY!r}",
-            cure="give what pilz_cartesian_limits.yaml has, or the limits as parameters",
+            hint="give what pilz_cartesian_limits.yaml has, or the limits as parameters",
         )
     in_file = planner_configs.get(FILE_KEY, {})
     if not isinstance(in_file, Mapping):
@@ -79,7 +79,7 @@ def settings_from_request(
     points = {name: given.pop(name) for name in AUXILIARY if given.get(name) is not None}
     values = {k: _positive(planner_id, k, v) for k, v in given.items() if k not in AUXILIARY}
     if len(points) > 1:
-        raise InputError("CIRC is given an interim point and a center", cure="give one of them")
+        raise InputError("CIRC is given an interim point and a center", hint="give one of them")
     smoothing = values.pop("smoothing", PilzSettings.smoothing)
     auxiliary = next(((name, _point(name, point)) for name, point in points.items()), None)
     settings = PilzSettings(CartesianLimits(**values), smoothing, auxiliary)

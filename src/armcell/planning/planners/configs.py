@@ -101,7 +101,7 @@ def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]
     config = _mapping(configs[wanted], f"ompl_planning: planner_configs: {wanted}")
     if not isinstance(config.get("type"), str):
         raise InputError(
-            f"ompl_planning: planner_configs: {wanted} has no type", cure="write type: geometric::RRTConnect"
+            f"ompl_planning: planner_configs: {wanted} has no type", hint="write type: geometric::RRTConnect"
         )
     return config, group
 
@@ -139,5 +139,5 @@ def _projection(text: Any) -> tuple[str, ...]:
     if not text:
         return ()
     if not isinstance(text, str) or not (text.startswith("joints(") and text.endswith(")")):
-        raise InputError(f"projection_evaluator is {text!r}", cure="write joints(first_joint,second_joint)")
+        raise InputError(f"projection_evaluator is {text!r}", hint="write joints(first_joint,second_joint)")
     return tuple(name.strip() for name in text[len("joints(") : -1].split(","))

@@ -33,7 +33,7 @@ class UnknownParameterError(UnknownNameError):
         InputError.__init__(
             self,
             f"unknown {self.kind} {str(name)!r}; it has: {has}",
-            cure=f"did you mean {near[0]!r}?" if near else None,
+            hint=f"did you mean {near[0]!r}?" if near else None,
         )
 
 
@@ -160,16 +160,16 @@ class UnknownPlannerError(UnknownNameError):
         spelled = {planner.casefold(): planner for planner in every}
         near = [spelled[k] for k in difflib.get_close_matches(name.casefold(), spelled, n=3, cutoff=0.6)]
         if having:
-            cure = f"pipeline {having[0]!r} has it: set the pipeline to {having[0]!r}, or name none"
+            hint = f"pipeline {having[0]!r} has it: set the pipeline to {having[0]!r}, or name none"
         elif name in SIMILAR_PLANNERS:
-            cure = f"OMPL's {name} is not offered; nearest in kind: {', '.join(SIMILAR_PLANNERS[name])}"
+            hint = f"OMPL's {name} is not offered; nearest in kind: {', '.join(SIMILAR_PLANNERS[name])}"
         else:
-            cure = f"did you mean {' or '.join(map(repr, near))}?" if near else None
+            hint = f"did you mean {' or '.join(map(repr, near))}?" if near else None
         if pipeline_id:
             has = ", ".join(self.known)
         else:
             has = "; ".join(f"{p}: {', '.join(table)}" for p, table in pipelines.items())
-        InputError.__init__(self, f"unknown {self.kind} {name!r}; known: {has}", cure=cure)
+        InputError.__init__(self, f"unknown {self.kind} {name!r}; known: {has}", hint=hint)
 
 
 def _name_in(pipeline_id: str, name: str) -> str | None:

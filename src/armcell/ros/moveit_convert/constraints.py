@@ -68,14 +68,14 @@ def _position(c: Any) -> PositionConstraint:
 def _orientation(c: Any) -> OrientationConstraint:
     if int(c.parameterization) not in PARAMETERIZATIONS:
         raise InputError(
-            f"orientation parameterization {c.parameterization}", cure="0 Euler, 1 rotation vector"
+            f"orientation parameterization {c.parameterization}", hint="0 Euler, 1 rotation vector"
         )
     q = c.orientation
     length = float(np.linalg.norm([q.x, q.y, q.z, q.w]))
     if not np.isfinite(length) or length < 1e-6:
         raise InputError(
             f"an orientation constraint leaves open: {', '.join(_unset(c))}",
-            cure="orientation.w = 1.0 is no rotation; link_name is usually the group's tip",
+            hint="orientation.w = 1.0 is no rotation; link_name is usually the group's tip",
         )
     rotation = SE3.from_quat_xyzw((0, 0, 0), np.array([q.x, q.y, q.z, q.w]) / length).rotation
     tolerance = (c.absolute_x_axis_tolerance, c.absolute_y_axis_tolerance, c.absolute_z_axis_tolerance)
@@ -98,7 +98,7 @@ def _unset(c: Any) -> list[str]:
 def _visibility(c: Any) -> VisibilityConstraint:
     axis = VIEW_AXES.get(int(c.sensor_view_direction), "")
     if axis not in ("z", "x"):
-        raise InputError("a sensor that looks along its y axis is not known", cure="SENSOR_Z or SENSOR_X")
+        raise InputError("a sensor that looks along its y axis is not known", hint="SENSOR_Z or SENSOR_X")
     return VisibilityConstraint(
         sensor=frame_of(c.sensor_pose.header),
         T_frame_target=pose_from_message(c.target_pose.pose),
@@ -124,7 +124,7 @@ def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
     wanted = constraints_from_message(message)
     if not wanted:
         raise InputError(
-            "the goal has no constraints", cure="set a joint, pose, position or orientation target"
+            "the goal has no constraints", hint="set a joint, pose, position or orientation target"
         )
     kinds = [len(x) for x in (wanted.joints, wanted.positions, wanted.orientations, wanted.visibilities)]
     if kinds[1:] == [0, 0, 0]:

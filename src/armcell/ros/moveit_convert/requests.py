@@ -51,10 +51,10 @@ def plan_request_from_message(
         InputError: a joint or frame is unknown, or a constraint is invalid.
     """
     if message.trajectory_constraints.constraints:
-        raise InputError("trajectory constraints are not planned for", cure="use path constraints")
+        raise InputError("trajectory constraints are not planned for", hint="use path constraints")
     goals = tuple(goal_from_message(c, scene) for c in message.goal_constraints)
     if not goals:
-        raise InputError("the request has no goal", cure="set a target first")
+        raise InputError("the request has no goal", hint="set a target first")
     return PlanRequest(
         message.group_name,
         goals,
@@ -108,7 +108,7 @@ def cartesian_request_from_message(message: Any, scene: PlanningScene) -> Cartes
     if not len(message.waypoints):
         raise InputError("no waypoints")
     if not message.max_step > 0:
-        raise InputError(f"the step is {message.max_step:g} m", cure="give one above 0, such as 0.01")
+        raise InputError(f"the step is {message.max_step:g} m", hint="give one above 0, such as 0.01")
     start = robot_state_from_message(message.start_state, scene)
     placed = scene if start is None else scene.with_state(start)
     T = placed.frame_pose(frame_of(message.header))

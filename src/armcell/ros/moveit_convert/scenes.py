@@ -99,7 +99,7 @@ def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | No
             return [RemoveObject(name)]
         logger.info("object %r is not in the world: nothing to remove", name)
         return []
-    raise InputError(f"object {name!r}: operation {operation}", cure="0 add, 1 remove, 2 append, 3 move")
+    raise InputError(f"object {name!r}: operation {operation}", hint="0 add, 1 remove, 2 append, 3 move")
 
 
 def _known(scene: PlanningScene, name: str) -> Any:
@@ -146,7 +146,7 @@ def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | 
         if name and not wanted:
             logger.info("object %r is not attached: nothing to detach", name)
         return [DetachObject(n) for n in wanted]
-    raise InputError(f"attached object {name!r}: operation {operation}", cure="0 add, 1 remove")
+    raise InputError(f"attached object {name!r}: operation {operation}", hint="0 add, 1 remove")
 
 
 def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:

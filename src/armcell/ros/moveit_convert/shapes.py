@@ -48,7 +48,7 @@ def primitive_shape(message: Any) -> Shape:
     known = {primitive.type: name for name, (_, primitive) in _primitives().items()} | {PRISM: "prism"}
     if number not in known:
         names = ", ".join(f"{number} {name}" for number, name in sorted(known.items()))
-        raise InputError(f"solid primitive of type {number}", cure=names)
+        raise InputError(f"solid primitive of type {number}", hint=names)
     kind, primitive = _primitives().get(known[number], (None, SolidPrimitive(PRISM, ("height",))))
     if len(sizes) < len(primitive.dimensions):
         need = len(primitive.dimensions)
@@ -70,7 +70,7 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
             positive.
     """
     if len(base) < 3 or not np.all(np.isfinite(base)) or not (np.isfinite(height) and height > 0):
-        raise InputError(f"a prism has {len(base)} corners and height {height:g} m", cure="3 corners or more")
+        raise InputError(f"a prism has {len(base)} corners and height {height:g} m", hint="3 corners or more")
     if _area(base) < 0:
         base = base[::-1]
     n, half = len(base), np.full((len(base), 1), height / 2)

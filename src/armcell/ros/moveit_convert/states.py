@@ -49,7 +49,7 @@ def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState |
             `joint_state_from_message`).
     """
     if message.multi_dof_joint_state.joint_names:
-        raise InputError("multi-DOF joints are not planned for", cure="leave multi_dof_joint_state empty")
+        raise InputError("multi-DOF joints are not planned for", hint="leave multi_dof_joint_state empty")
     return joint_state_from_message(message.joint_state, scene.model)
 
 

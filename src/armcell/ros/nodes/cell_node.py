@@ -293,7 +293,7 @@ class CellNode:
         Result = self.bus.schema.message(f"{ACTION}Result")
         try:
             if len(goal.message.multi_dof_trajectory.points):
-                raise InputError("multi-DOF trajectories are not executed", cure="send joint positions")
+                raise InputError("multi-DOF trajectories are not executed", hint="send joint positions")
             work = self.play(goal.message.trajectory, _tolerances(goal.message))
         except InputError as error:
             code = INVALID_JOINTS if "unknown joint" in str(error) else INVALID_GOAL

@@ -127,7 +127,7 @@ class Conductor(DriverProxy):
         with self._lock:
             require(not (self._closed or self._ending), "the cell is closed")
             if len(self._waiting) + len(self._running) >= MAX_WORKS:
-                raise InputError(f"{MAX_WORKS} motions wait already", cure="wait for one to end")
+                raise InputError(f"{MAX_WORKS} motions wait already", hint="wait for one to end")
             for other in (*self._waiting, *self._running):
                 if other.gives_way and other.joints & work.joints:
                     other.stop(f"preempted by a newer motion ({work.name})")

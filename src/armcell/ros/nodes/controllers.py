@@ -66,7 +66,7 @@ def chosen(
         of = f"of {', '.join(names)} " if names else ""
         raise InputError(
             f"no controller {of}moves {', '.join(sorted(left))}",
-            cure="controllers: " + "; ".join(f"{n}: {', '.join(j)}" for n, j in controllers.items()),
+            hint="controllers: " + "; ".join(f"{n}: {', '.join(j)}" for n, j in controllers.items()),
         )
     return found
 
@@ -330,7 +330,7 @@ def _find(client: ActionClient, controller: Controller) -> None:
 def _absent(controller: Controller, what: str) -> InputError:
     return InputError(
         f"controller {controller.name}: {what}",
-        cure="is the robot's program running, and is that its name there? (cell file: controllers)",
+        hint="is the robot's program running, and is that its name there? (cell file: controllers)",
     )
 
 

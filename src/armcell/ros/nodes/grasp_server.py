@@ -123,7 +123,7 @@ class GraspServer:
             return movable[name]
         if len(movable) != 1:
             raise InputError(
-                f"{len(movable)} objects can be moved", cure=f"name one on {REQUESTS}: {', '.join(movable)}"
+                f"{len(movable)} objects can be moved", hint=f"name one on {REQUESTS}: {', '.join(movable)}"
             )
         return next(iter(movable.values()))
 

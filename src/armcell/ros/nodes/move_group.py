@@ -252,7 +252,7 @@ class MoveGroupNode:
             link, stamped = asked.ik_link_name, asked.pose_stamped
             if asked.pose_stamped_vector:
                 if len(asked.pose_stamped_vector) > 1:
-                    raise InputError("poses of several links at once", cure="ask for each arm's group")
+                    raise InputError("poses of several links at once", hint="ask for each arm's group")
                 link, stamped = (list(asked.ik_link_names) or [""])[0], asked.pose_stamped_vector[0]
             T = scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
             result = solve_ik(scene, asked.group_name, T, link or None, bool(asked.avoid_collisions))

@@ -219,7 +219,7 @@ class PickPlaceNode:
         down = GripperTranslation((0.0, 0.0, -self.settings.lower_distance))
         if not asked.place_locations:
             if not asked.support_surface_name:
-                raise InputError("no place is given", cure="give locations, or name the support surface")
+                raise InputError("no place is given", hint="give locations, or name the support surface")
             support = scene.object(asked.support_surface_name)
             found: Sequence[Placement] = place_candidates(scene.object(item), support, None)
             return [ExplicitPlacement(p.name, p.T_world_object, self._down_to(p)) for p in found]
@@ -440,7 +440,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
     raise InputError(
         f"the grasps of {item.name} are poses of {best}, but the tip of group {gripper.arm_group!r} is "
         f"{tip}, {away:.0f} mm away: as poses of {tip} they leave the fingers beside {item.name}",
-        cure=f"give grasp_pose for {tip}: multiply it on the right by the transform from {best} to {tip}",
+        hint=f"give grasp_pose for {tip}: multiply it on the right by the transform from {best} to {tip}",
     )
 
 

@@ -129,7 +129,7 @@ class RemoteCell:
                 velocities = np.array([float(by_name[n]) for n in state.joint_names])
             state = JointState(state.joint_names, state.positions, velocities)
             if fault := unit_fault(self.model, state.joint_names, state.positions.tolist()):
-                raise InputError("positions far outside the limits", cure=fault)
+                raise InputError("positions far outside the limits", hint=fault)
         except InputError as error:
             self._refused = f"; the last one was refused: {error}"
             self._complain(f"/joint_states: {error}")
@@ -216,12 +216,12 @@ class RemoteCell:
         if state is None:
             raise InputError(
                 f"no /joint_states yet{self._refused}",
-                cure="is the simulator running, connected, and publishing them?",
+                hint="is the simulator running, connected, and publishing them?",
             )
         if time.monotonic() - at > STALE:
             raise InputError(
                 f"no /joint_states for {time.monotonic() - at:.1f} s{self._refused}",
-                cure="the simulator stands or is gone",
+                hint="the simulator stands or is gone",
             )
         return state
 
@@ -406,7 +406,7 @@ class RemoteCell:
             i = int(np.argmax(errors))
             raise InputError(
                 f"{trajectory.joint_names[i]} is {errors[i]:.3f} from the trajectory's start",
-                cure="plan again from its state",
+                hint="plan again from its state",
             )
 
     def _follow(self, trajectory: JointTrajectory, cancel: threading.Event) -> ExecutionResult:

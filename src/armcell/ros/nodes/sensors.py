@@ -161,7 +161,7 @@ class SensorNode:
         if stamp < states[0][0] - BEFORE_FIRST:
             text = f"its stamp is {states[-1][0] - stamp:.1f} s old; the robot's state is known for "
             text += f"{states[-1][0] - states[0][0]:.1f} s"
-            raise InputError(text, cure="reduce the delay, or synchronize the clocks")
+            raise InputError(text, hint="reduce the delay, or synchronize the clocks")
         _, state = min(states, key=lambda known: abs(known[0] - stamp))
         return scene.with_positions(scene.state.updated(state).positions)
 
@@ -181,5 +181,5 @@ class SensorNode:
             T = step @ T
         raise InputError(
             f"frame {frame!r} is not connected with the robot",
-            cure=f"publish a transform from a frame of the robot to {frame!r} on /tf_static",
+            hint=f"publish a transform from a frame of the robot to {frame!r} on /tf_static",
         )

@@ -33,7 +33,7 @@ def check_rate(driver: Driver, rate: float) -> None:
         raise InputError(
             f"the rate of the states is {rate:g} Hz, but this cell is measured every "
             f"{driver.period * 1e3:g} ms",
-            cure=f"--rate {highest:g} or less",
+            hint=f"--rate {highest:g} or less",
         )
 
 

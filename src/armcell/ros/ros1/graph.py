@@ -165,7 +165,7 @@ class Ros1Graph:
                 if s.own_master is False or not here:
                     where = "" if here else " on that machine"
                     raise InputError(
-                        f"no ROS master: {error}", cure=f"start roscore{where}; is ROS_MASTER_URI right?"
+                        f"no ROS master: {error}", hint=f"start roscore{where}; is ROS_MASTER_URI right?"
                     ) from None
         master = Ros1Master(s)
         master.reserve()

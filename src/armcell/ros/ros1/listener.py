@@ -54,7 +54,7 @@ class Listener:
             taken, reason = error.errno == errno.EADDRINUSE, str(error.strerror).split(" (")[0]
             raise InputError(
                 f"cannot listen on {self.address[0]}:{self.address[1]} ({reason})",
-                cure="another program has the port" if taken else "is it an address of this machine?",
+                hint="another program has the port" if taken else "is it an address of this machine?",
             ) from None
         self.address = self._socket.getsockname()[:2]
 

@@ -81,7 +81,7 @@ class Ros1Node:
         except RpcError as error:
             raise InputError(
                 f"no ROS master: {error}",
-                cure="start one (roscore), set ROS_MASTER_URI, or let armcell start its own (--own-master)",
+                hint="start one (roscore), set ROS_MASTER_URI, or let armcell start its own (--own-master)",
             ) from None
         if self.settings.is_local and not is_this_machine(self.settings.master_address[0]):
             logger.warning(

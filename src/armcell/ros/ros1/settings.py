@@ -42,7 +42,7 @@ class Ros1Settings:
 
     def __post_init__(self) -> None:
         if not _NODE.match(self.name):
-            raise InputError(f"{self.name!r} is no node name", cure="letters, digits and _, a letter first")
+            raise InputError(f"{self.name!r} is no node name", hint="letters, digits and _, a letter first")
         host_and_port(self.master)
 
     @property
@@ -77,7 +77,7 @@ def from_environment(
     host = host or env.get("ROS_HOSTNAME", "") or env.get("ROS_IP", "")
     if "://" in host:
         raise InputError(
-            f"ROS_HOSTNAME or ROS_IP is {host!r}", cure="the bare name or address of this machine"
+            f"ROS_HOSTNAME or ROS_IP is {host!r}", hint="the bare name or address of this machine"
         )
     if bind is None:
         bind = "127.0.0.1" if not host or is_loopback(host) else "0.0.0.0"
@@ -106,7 +106,7 @@ def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str,
     for argument in arguments:
         before, colon, after = argument.partition(":=")
         if not (colon and before and (after or before.startswith("_"))):
-            raise InputError(f"{argument!r} is no remapping", cure="write from:=to, as for a ROS program")
+            raise InputError(f"{argument!r} is no remapping", hint="write from:=to, as for a ROS program")
         (special if before.startswith("_") else remap)[before.strip()] = after.strip()
     return remap, special
 
@@ -131,7 +131,7 @@ def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
             return parts.hostname, PORT if parts.port is None else parts.port
     except ValueError:
         pass
-    raise InputError(f"{uri[:100]!r} is no address", cure=f"write {scheme}://HOST:PORT")
+    raise InputError(f"{uri[:100]!r} is no address", hint=f"write {scheme}://HOST:PORT")
 
 
 def is_loopback(host: str) -> bool:

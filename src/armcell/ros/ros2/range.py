@@ -54,7 +54,7 @@ class Reach:
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= MAX_DOMAIN:
-            raise InputError(f"domain {self.domain} does not exist", cure=f"0 to {MAX_DOMAIN}")
+            raise InputError(f"domain {self.domain} does not exist", hint=f"0 to {MAX_DOMAIN}")
         if self.range not in RANGES:
             raise UnknownNameError("discovery range", self.range, RANGES)
 
@@ -116,12 +116,12 @@ def from_environment(
     if domain is None:
         text = environ.get("ROS_DOMAIN_ID") or "0"
         if not text.isdigit():
-            raise InputError(f"ROS_DOMAIN_ID is {text!r}", cure=f"a number, 0 to {MAX_DOMAIN}")
+            raise InputError(f"ROS_DOMAIN_ID is {text!r}", hint=f"a number, 0 to {MAX_DOMAIN}")
         domain = int(text)
     range_ = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or ("SUBNET" if network else "LOCALHOST")
     if environ.get("ROS_LOCALHOST_ONLY") == "1":
         range_ = "LOCALHOST"
     peers = [p.strip() for p in environ.get("ROS_STATIC_PEERS", "").split(";") if p.strip()]
     if bad := [p for p in peers if not all(c.isalnum() or c in ".:-_" for c in p)]:
-        raise InputError(f"ROS_STATIC_PEERS has {bad[0]!r}", cure="addresses with ';' between them")
+        raise InputError(f"ROS_STATIC_PEERS has {bad[0]!r}", hint="addresses with ';' between them")
     return Reach(domain, range_, tuple(peers), environ.get("CYCLONEDDS_URI", ""))

@@ -97,7 +97,7 @@ class RosTcpServer:
             reason = str(error.strerror).split(" (while")[0]  # Python appends the address; we state it below
             raise InputError(
                 f"cannot listen on {self.address[0]}:{self.address[1]} ({reason})",
-                cure="another program has the port? choose one with --port",
+                hint="another program has the port? choose one with --port",
             ) from None
         self.address = self._socket.getsockname()[:2]
 

@@ -37,7 +37,7 @@ def package_source() -> Path:
     """
     folder = Path(__file__).parent / "package"
     if not (folder / "package.json").is_file():
-        raise InputError("is missing, armcell is not installed whole", file=folder, cure="install it again")
+        raise InputError("is missing, armcell is not installed whole", file=folder, hint="install it again")
     return folder
 
 

@@ -37,7 +37,7 @@ def label(element: Element) -> str:
 
 def fail(element: Element, reason: str, hint: str | None = None) -> InputError:
     return InputError(
-        reason, file=file_of(element), line=element.sourceline, element=label(element), cure=hint
+        reason, file=file_of(element), line=element.sourceline, element=label(element), hint=hint
     )
 
 

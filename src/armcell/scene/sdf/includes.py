@@ -74,7 +74,7 @@ class Library:
             try:
                 return resolve_uri(uri, base)
             except InputError as error:
-                raise fail(asked_by, error.reason, error.cure) from None
+                raise fail(asked_by, error.reason, error.hint) from None
         raise fail(
             asked_by,
             f"{uri} not found in {', '.join(map(str, self.folders)) or 'a search path'} or above {base}",

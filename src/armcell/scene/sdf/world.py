@@ -77,7 +77,7 @@ def load_sdf(file: str | Path, folders: Sequence[Path] = (), skip: Collection[st
         _Flat(tree, model, T, saved).add_objects(objects)
     if unused := sorted(tree.skip - tree.used):
         known = ", ".join(m.name for m in models[:20]) or "none"
-        raise InputError(f"no model {unused[0]!r} to skip", file=file, cure=f"models: {known}")
+        raise InputError(f"no model {unused[0]!r} to skip", file=file, hint=f"models: {known}")
     notes = sorted(
         dict.fromkeys(tree.notes), key=lambda note: (note.file != Path(file), str(note.file), note.line)
     )
@@ -235,7 +235,7 @@ class _Flat:
         try:
             return CollisionObject(name, tuple(shapes), T_world_object, color, not fixed, mass, material)
         except InputError as error:
-            raise fail(first.element, error.reason, error.cure) from None
+            raise fail(first.element, error.reason, error.hint) from None
 
     def _fits(self, body: _Body, solid: Solid, fixed: bool) -> bool:
         """Return whether an SDF mesh has a plausible size for an object; record a note if not."""
@@ -243,7 +243,7 @@ class _Flat:
             try:
                 check_mesh(solid.shape, not fixed)
             except InputError as error:
-                hint = "give the mesh another <scale>" if "scale" in (error.cure or "") else error.cure
+                hint = "give the mesh another <scale>" if "scale" in (error.hint or "") else error.hint
                 self.tree.notes.append(skipped(body.element, f"{error.file}: {error.reason} ({hint})"))
                 return False
         return True

@@ -143,7 +143,7 @@ class Carrying:
 
     def _known(self) -> PairHold:
         if self._held is None:
-            raise InputError(f"{self.item!r} is not in both hands", cure="grasp it first")
+            raise InputError(f"{self.item!r} is not in both hands", hint="grasp it first")
         return self._held
 
     def squeeze(self) -> Array:

@@ -239,7 +239,7 @@ class MotionCoordinator:
         for name, queue in self.zones.items():
             if queue and queue[0] == ctx.group:
                 raise InputError(
-                    f"{ctx.group} holds zone {name!r} and asks for {zone!r}", cure="leave it first"
+                    f"{ctx.group} holds zone {name!r} and asks for {zone!r}", hint="leave it first"
                 )
         queue = self.zones.setdefault(zone, [])
         queue.append(ctx.group)

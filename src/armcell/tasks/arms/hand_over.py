@@ -35,10 +35,10 @@ def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] 
         InputError: no hand holds the object, or the receiver already holds one.
     """
     if item not in ctx.holding:
-        raise InputError(f"no hand holds {item!r}", cure="pick it first")
+        raise InputError(f"no hand holds {item!r}", hint="pick it first")
     giver, s = ctx.holding[item].gripper, ctx.settings
     if giver.name == receiver.name:
-        raise InputError(f"{receiver.name!r} holds {item!r} already", cure="name the other arm")
+        raise InputError(f"{receiver.name!r} holds {item!r} already", hint="name the other arm")
     check_hand_is_free(ctx, receiver)
     scene = ctx.scene()
     poses = tuple(at) or _half_way(scene, item, giver, receiver)

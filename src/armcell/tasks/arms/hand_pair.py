@@ -76,10 +76,10 @@ class HandPair:
         for end in ends.values():
             if end not in found.subframes:
                 raise InputError(
-                    f"object {item!r} has no subframe {end!r}", cure=f"{sorted(found.subframes)}"
+                    f"object {item!r} has no subframe {end!r}", hint=f"{sorted(found.subframes)}"
                 )
         if not found.movable:
-            raise InputError(f"object {item!r} is fixed", cure="give it 'movable: true'")
+            raise InputError(f"object {item!r} is fixed", hint="give it 'movable: true'")
         self.ctx, self.both, self.item, self.ends, self.settings = ctx, both, item, dict(ends), settings
         self.groups: tuple[str, str] = tuple(ends)  # type: ignore[assignment]
         self.first, self.second = self.groups

@@ -53,7 +53,7 @@ def orders(
     named = [item for stream in streams.values() for item in stream]
     twice = sorted({item for item in named if named.count(item) > 1})
     if twice:
-        raise InputError(f"{', '.join(twice)} given twice", cure="name each object once, for one arm")
+        raise InputError(f"{', '.join(twice)} given twice", hint="name each object once, for one arm")
     first, second = (
         TourEstimator(scene, group, {item: to(item) for item in stream}, settings, cycle_times)
         for group, stream in streams.items()

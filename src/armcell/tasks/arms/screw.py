@@ -51,7 +51,7 @@ def screw(
         InputError: the object is not held, the last joint's range is too small, or a number is not positive.
     """
     if item not in ctx.holding:
-        raise InputError(f"the robot does not hold {item!r}", cure="grasp it first")
+        raise InputError(f"the robot does not hold {item!r}", hint="grasp it first")
     for what, value in (("turns", turns), ("force", force)):
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{what} is {value:g}, it must be positive")
@@ -63,7 +63,7 @@ def screw(
     if not last.lower <= trajectory.positions[-1, -1] <= last.upper:
         raise InputError(
             f"{names[-1]} at {np.rad2deg(q[-1]):.0f} degrees has no room for {turns:g} turns",
-            cure="grasp it turned back, or turn less at a time",
+            hint="grasp it turned back, or turn less at a time",
         )
     others = [n for n in scene.objects if scene.is_allowed(item, n)]
     planned_in = scene.with_allowed(item, others) if others else scene

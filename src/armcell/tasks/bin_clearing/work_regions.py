@@ -56,7 +56,7 @@ def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRe
     frame, size_x, size_y = support_surface(item)
     R = np.abs(frame.rotation.matrix[:2, :2])
     if not np.allclose(R, np.eye(2), atol=1e-3) and not np.allclose(R, np.eye(2)[::-1], atol=1e-3):
-        raise InputError(f"object {name!r} stands askew", cure="turn it square to the world's axes")
+        raise InputError(f"object {name!r} stands askew", hint="turn it square to the world's axes")
     half = R @ np.array([size_x, size_y]) / 2
     thinnest = [2 * min(s.half_extents[:2]) for s, _ in item.shapes if isinstance(s, Box)]
     wall = min(thinnest) if len(item.shapes) > 1 else 0.0

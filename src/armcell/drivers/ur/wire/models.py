@@ -52,13 +52,13 @@ class UrModel:
         """
         parts = text.split(".")
         if not all(p.isdigit() for p in parts) or not 2 <= len(parts) <= 3:
-            raise InputError(f"invalid software version {text!r}", cure="such as 3.4 or 5.11.1")
+            raise InputError(f"invalid software version {text!r}", hint="such as 3.4 or 5.11.1")
         major, minor, bugfix = (*map(int, parts), 0)[:3]
         newest = UrModel.version.fget(replace(self, software=None))  # type: ignore[attr-defined]
         oldest = (5, 0) if self.e_series else (3, 2)
         if not oldest <= (major, minor) <= newest[:2]:
             last, first = (".".join(map(str, v[:2])) for v in (newest, oldest))
-            raise InputError(f"a {self.name} with software {text} is not emulated", cure=f"{first} to {last}")
+            raise InputError(f"a {self.name} with software {text} is not emulated", hint=f"{first} to {last}")
         return replace(self, software=(major, minor, bugfix))
 
     @property

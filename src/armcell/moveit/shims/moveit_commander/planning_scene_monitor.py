@@ -17,7 +17,7 @@ from armcell.ros.nodes import ServedCell
 
 NAME = "PlanningSceneMonitor"
 FIRST_IMAGE = 30.0  # [s, wall clock] for the first images, as the rendering process must start
-CURE = "describe a depth camera under `cameras:` of the cell file"
+HINT = "describe a depth camera under `cameras:` of the cell file"
 
 
 class PlanningSceneMonitor:
@@ -41,7 +41,7 @@ class PlanningSceneMonitor:
             return
         cameras = [name for name in served.live.cameras if name != "overview"] or list(served.live.cameras)
         if not cameras:
-            self._session.say("WARN", f"startWorldGeometryMonitor: the cell has no camera; {CURE}")
+            self._session.say("WARN", f"startWorldGeometryMonitor: the cell has no camera; {HINT}")
         for camera in cameras if not self._watches else ():
             try:
                 self._watches.append(self._session.own(served.call(partial(served.live.watch, camera))))
