@@ -49,7 +49,7 @@ with ExitStack() as stack:
         clearance = "" if r.clearance_m is None else f"{r.clearance_m * 1000:6.1f} mm"
         slip = "" if r.slip_m is None else f"{r.slip_m * 1000:.3f} mm"
         print(f"{r.name:19s} {r.planner:14s} {r.motion_time_s:6.2f} s {clearance:>11s} {slip:>10s}")
-    print("contacts nobody asked for:", len(live.driver.unwanted_contacts()))
+    print("unwanted contacts:", len(live.driver.unwanted_contacts()))
 
     # A failure is an outcome, too: with its reason, and the arm has not moved.
     beyond = live.arm.move_to(SE3.from_xyz(1.5, 0.0, 0.3))

@@ -71,7 +71,8 @@ for wrong in ({"planner_id": "ESTkConfigDefault"}, {"parameters": {"goal_bais": 
     except InputError as error:
         print(error)
 
-# A start slightly out of limits is moved in, and one in contact is repaired if that is asked for: both told.
+# A start slightly outside the limits is moved inside; one in contact is repaired if the request allows it.
+# The result reports both.
 start = JointState(("panda_joint7",), [robot.joint("panda_joint7").limits.upper + 0.02])
 result = plan(scene, PlanRequest("arm", (JointGoal(JointState(("panda_joint7",), [1.0])),), start=start))
 tell("start out of limits", result)

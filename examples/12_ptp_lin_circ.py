@@ -1,4 +1,4 @@
-"""Motions that are told, not searched: PTP, LIN and CIRC, and a sequence of them without stops.
+"""Analytic motions: PTP, LIN and CIRC, and a sequence of them without stops.
 
 python examples/12_ptp_lin_circ.py
 """
@@ -15,7 +15,7 @@ scene = PlanningScene.of(robot)
 here = scene.frame_pose("panda_hand_tcp")
 
 
-def told(planner, goal, speed=0.3, **options):
+def analytic(planner, goal, speed=0.3, **options):
     """Speed and acceleration are shares: of the joints' limits for PTP, of the tip's for LIN and CIRC."""
     goal = PoseGoal(goal) if isinstance(goal, SE3) else goal
     return PlanRequest("arm", (goal,), pipeline_id="pilz", planner_id=planner, velocity_scaling=speed,
@@ -29,9 +29,9 @@ def path_of(result):
     return times, np.array([scene.with_state(s).frame_pose("panda_hand_tcp").translation for s in states])
 
 
-# PTP: all joints start, cruise, brake and end together. Nobody says where the tip goes.
+# PTP: all joints start, cruise, brake and end together. The path of the tip is not specified.
 left, low = here.shifted(y=0.2), here.shifted(y=0.2, z=-0.2)
-result = plan(scene, told("PTP", left))
+result = plan(scene, analytic("PTP", left))
 share = (result.trajectory.positions - result.trajectory.positions[0]) / np.ptp(
     result.trajectory.positions, axis=0
 )
@@ -39,7 +39,7 @@ print(f"PTP: {result.code.name}, {result.trajectory.duration:.2f} s; "
       f"the joints are apart by at most {np.ptp(np.abs(share), axis=1).max():.1e} of their ways")  # fmt: skip
 
 # LIN: the tip keeps a line, with a trapezoid for its speed.
-result = plan(scene, told("LIN", left))
+result = plan(scene, analytic("LIN", left))
 times, points = path_of(result)
 off = np.abs(points[:, [0, 2]] - here.translation[[0, 2]]).max()
 speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.01
@@ -50,7 +50,7 @@ print(
 # CIRC: through an interim point, or around a center (the shorter arc).
 center = here.shifted(y=0.1).translation
 for name, point in (("interim", here.shifted(y=0.1, z=-0.1)), ("center", here.shifted(y=0.1, z=0.02))):
-    result = plan(scene, told("CIRC", left, parameters={name: tuple(point.translation)}))
+    result = plan(scene, analytic("CIRC", left, parameters={name: tuple(point.translation)}))
     points = path_of(result)[1]
     radii = np.linalg.norm(points - (center if name == "interim" else point.translation), axis=1)
     print(f"CIRC by {name}: {result.code.name}, radius {radii.min() * 1e3:.2f} to "
@@ -58,10 +58,10 @@ for name, point in (("interim", here.shifted(y=0.1, z=-0.1)), ("center", here.sh
 
 # A sequence: after each motion a blend radius, inside of which it goes over into the next.
 items = (
-    told("LIN", left),
-    told("LIN", low),
-    told("LIN", here.shifted(z=-0.2)),
-    told("PTP", NamedGoal("home")),
+    analytic("LIN", left),
+    analytic("LIN", low),
+    analytic("LIN", here.shifted(z=-0.2)),
+    analytic("PTP", NamedGoal("home")),
 )
 for radius in (0.0, 0.06):
     radii = (radius, radius, radius, 0.0)
@@ -70,9 +70,9 @@ for radius in (0.0, 0.06):
     print(f"sequence, radius {radius * 1e3:.0f} mm: {result.code.name}, {result.trajectory.duration:.2f} s, "
           f"passes the first corner at {near * 1e3:.1f} mm")  # fmt: skip
 
-# What cannot be is told, with what would help.
-result = plan(scene, told("LIN", here.shifted(0.05, 0.2, -0.15), speed=1.0))
+# An impossible motion is rejected, with a hint.
+result = plan(scene, analytic("LIN", here.shifted(0.05, 0.2, -0.15), speed=1.0))
 print(result.explain().text())
 post = CollisionObject.single("post", Box(0.05, 0.05, 0.5), left)
-result = plan(scene.with_object(post), told("LIN", here.shifted(y=0.4)))
+result = plan(scene.with_object(post), analytic("LIN", here.shifted(y=0.4)))
 print(result.explain().text())

@@ -1,4 +1,4 @@
-"""Two arms, each with a program of its own, in one work space: nobody waits longer than needed.
+"""Two arms, each with its own program, in one work space: no arm waits longer than needed.
 
 python examples/20_two_arms_at_work.py
 """

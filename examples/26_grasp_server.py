@@ -20,7 +20,7 @@ served = ServedCell(cell.connect("sim", seed=2, time_scale=4.0), Bus())
 bus = Bus()
 bridge = Bridge(subscribe={"/object_pose": POSE, "/grasp_status": TEXT}, use={"/grasp": TRIGGER})
 poses = bus.subscribe("/object_pose", POSE, queue_size=1)
-told = bus.subscribe("/grasp_status", TEXT, queue_size=50)
+status = bus.subscribe("/grasp_status", TEXT, queue_size=50)
 
 with (
     served,
@@ -36,7 +36,7 @@ with (
     after = poses.get(timeout=10).pose.position
     print(f"grasped: {answer.success}, {answer.message}")
     print(f"lifted by {(after.z - before.z) * 1000:.0f} mm")
-    while (message := told.get(timeout=0.2)) is not None:
+    while (message := status.get(timeout=0.2)) is not None:
         print(f"status: {message.data}")
     print(f"in the hand, by the planning scene: {', '.join(served.cell.scene().attached)}")
 print(f"unwanted contacts: {len(served.live.driver.unwanted_contacts())}")

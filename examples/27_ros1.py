@@ -60,10 +60,10 @@ def operator(master: str) -> None:
         # As actionlib does it; a SimpleActionClient of rospy's would be served alike.
         with ActionClient(bus, "/arm_controller/follow_joint_trajectory", ACTION) as client:
             client.wait_for_server(10)
-            told = []
-            sent = client.send(new(f"{ACTION}Goal", trajectory=trajectory), told.append)
+            feedback = []
+            sent = client.send(new(f"{ACTION}Goal", trajectory=trajectory), feedback.append)
             sent.wait(30)
-            print(f"operator: {sent.state.name} after {len(told)} words of feedback")
+            print(f"operator: {sent.state.name} after {len(feedback)} feedback messages")
 
         states.get(timeout=1)  # the one that waited may be from before the end
         moved = states.get(timeout=10).position[0] - here[0]

@@ -56,10 +56,10 @@ def program() -> None:
             )
             point.time_from_start = bus.schema.message("builtin_interfaces/Duration").from_sec(seconds)
             goal.trajectory.points.append(point)
-        told = []
-        sent = arm.send(goal, told.append)
+        feedback = []
+        sent = arm.send(goal, feedback.append)
         sent.wait(timeout=30)
-        print(f"{sent.state.name}: error code {sent.result.error_code}, {len(told)} times told how it goes")
+        print(f"{sent.state.name}: error code {sent.result.error_code}, {len(feedback)} feedback messages")
 
         states.get(timeout=1)  # the one that waited may be from before the end
         turned = positions(states.get(timeout=10), joints) - start

@@ -50,7 +50,7 @@ def main() -> None:
         gate.issue(cell, store.folder, gate.gate_file(cell))
         asked(file)
 
-        file.write_text(CELL.replace("0.06", "0.07"))  # the lamp was measured anew
+        file.write_text(CELL.replace("0.06", "0.07"))  # the lamp was measured again
         asked(file)
 
 

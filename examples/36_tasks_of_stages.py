@@ -72,9 +72,9 @@ with cell.connect(seed=1) as live:
     parts = [picking("cube", hand), placing("cube", "table", hand, at=(0.0, -0.2)),
              picking("cube", hand), placing("cube", "tray", hand)]  # fmt: skip
     outcome = perform_pipelined(live.ctx, parts)
-    told = outcome.evidence
+    evidence = outcome.evidence
     print(
         outcome.code.name,
-        f"{len(told['performed'])} parts, {told['ahead']} by plans made ahead",
-        told["again"],
+        f"{len(evidence['performed'])} parts, {evidence['ahead']} by plans made ahead",
+        evidence["again"],
     )

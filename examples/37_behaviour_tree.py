@@ -40,7 +40,7 @@ with armcell.load("panda_pick").connect(seed=2) as live:
     )
     root = py_trees.composites.Sequence("guarded", memory=False, children=[safe, work])
 
-    # 3. Run it while somebody makes the hand drop what it carries.
+    # 3. Run it while the hand is made to drop its object.
     ctx.observers.append(Clumsy(live, hand))
     outcome = trees.run(root)
     print(outcome.code.name, "after", outcome.evidence["ticks"], "ticks")

@@ -12,7 +12,7 @@ cell = armcell.load("panda_pick")
 pose = SE3.from_xyz_rpy((0.50, -0.22, 0.019), (0.0, 0.0, 0.4))
 brick = CollisionObject.single("brick", Box(0.10, 0.05, 0.04), pose, movable=True, mass=0.2)
 scene = cell.scene().without_object("cube").with_object(brick)
-over = {"on": "tray", "up": (0.0, 0.0, -1.0)}  # what is down now shall be up
+over = {"on": "tray", "up": (0.0, 0.0, -1.0)}  # turn the object upside down
 
 with cell.connect(scene=scene) as live:
     # 1. With one grasp it is refused, and nothing moves:

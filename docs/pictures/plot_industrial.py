@@ -22,7 +22,7 @@ scene = PlanningScene.of(armcell.load_robot("panda"))
 here = scene.frame_pose(TIP)
 
 
-def told(planner: str, goal, **options) -> PlanRequest:
+def analytic(planner: str, goal, **options) -> PlanRequest:
     return PlanRequest("arm", (PoseGoal(goal),), pipeline_id="pilz", planner_id=planner, velocity_scaling=0.3,
                        acceleration_scaling=0.2, **options)  # fmt: skip
 
@@ -40,14 +40,14 @@ def speed_of(points: np.ndarray) -> np.ndarray:
 left = here.shifted(y=0.25)
 interim = tuple(here.shifted(y=0.1, z=-0.1).translation)
 single = {
-    "PTP": plan(scene, told("PTP", left)),
-    "LIN": plan(scene, told("LIN", left)),
-    "CIRC": plan(scene, told("CIRC", left, parameters={"interim": interim})),
+    "PTP": plan(scene, analytic("PTP", left)),
+    "LIN": plan(scene, analytic("LIN", left)),
+    "CIRC": plan(scene, analytic("CIRC", left, parameters={"interim": interim})),
 }
 corner, low = here.shifted(y=0.25), here.shifted(y=0.25, z=-0.2)
 sequences = {
     f"radius {radius * 1000:.0f} mm": plan_sequence(
-        scene, SequenceRequest(((told("LIN", corner), radius), (told("LIN", low), 0.0)))
+        scene, SequenceRequest(((analytic("LIN", corner), radius), (analytic("LIN", low), 0.0)))
     )
     for radius in (0.0, 0.05, 0.1)
 }

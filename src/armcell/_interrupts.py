@@ -54,7 +54,7 @@ class _State:
         self.again = False  # the watcher asks the handler to raise again
         self.sent = 0  # signals of the watcher's own that are on their way to `_count`
         self.swallowed = False  # Python said so
-        self.limit: float | None = None  # [s, monotonic] of an end that somebody has taken on
+        self.limit: float | None = None  # [s, monotonic] of an end that a program took over
         self.held, self.due = 0, False  # depth of `deferred`; an exception waits for its end
         self.owner: Callable[[], object] | None = None
         self.wills: list[_Will] = []
@@ -156,13 +156,13 @@ def take_time(seconds: float = WITH_ARMS) -> None:
 
 
 @contextlib.contextmanager
-def owned(told: Callable[[], object]) -> Iterator[None]:
+def owned(on_signal: Callable[[], object]) -> Iterator[None]:
     """A user's script runs inside. It may catch the exception: then it gets `SCRIPT` seconds to end.
 
     Args:
-        told: called when a signal comes, in another thread; quickly.
+        on_signal: called when a signal comes, in another thread; quickly.
     """
-    _state.owner = told
+    _state.owner = on_signal
     try:
         yield
     finally:

@@ -11,7 +11,7 @@ from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
 from armcell.campaigns import CampaignSpec, Store, gate
 from armcell.campaigns.spec import checked_cell
-from armcell.campaigns.trial import Trial, told
+from armcell.campaigns.trial import Trial, row_of
 from armcell.cell import content_hashes, load, with_values
 from armcell.cli.gating import gate_of, gate_words
 from armcell.core import InputError
@@ -52,7 +52,7 @@ def campaign(cell, root, good, bad=0, values=None, near=0, drawn=None) -> Path:
             "success": k < good, "error_code": 1 if k < good else -4, "message": "", "failed_at": None,
             "randomized": loaded.draw(k), "unwanted_contacts": [], "total_planning_time_s": 0.0, **nothing,
         }  # fmt: skip
-        row = told(Trial(k, k, drawn(k) if drawn else {}, near_failure=k >= good + bad), result)
+        row = row_of(Trial(k, k, drawn(k) if drawn else {}, near_failure=k >= good + bad), result)
         store.append({**row, "wall_s": 1.0, "cpu_s": 1.0})
     store.close()
     return store.folder

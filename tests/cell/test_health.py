@@ -86,7 +86,7 @@ def test_a_part_that_dies_is_restarted_or_stops_the_cell(tmp_path):
         outcome = live.arm.move_to("home")
         assert not outcome.ok and "signs of life" in outcome.message
         np.testing.assert_allclose(live.driver.arms["arm"].q, rest, atol=1e-4)
-        with pytest.raises(InputError, match="start armcell anew"):
+        with pytest.raises(InputError, match="start armcell again"):
             live.driver.resume()
         robot.kill()
         time.sleep(0.5)

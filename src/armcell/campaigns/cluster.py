@@ -259,6 +259,6 @@ def _how(text: str) -> str:
     for line in lines:
         for cause in ("Worker exit detail: ", "its node has died", "killed by"):
             if cause in line:
-                told = line.partition("Worker exit detail: ")[2] or line
-                return f"so: {told.partition('. ')[0]}"
+                cause_text = line.partition("Worker exit detail: ")[2] or line
+                return f"so: {cause_text.partition('. ')[0]}"
     return f"so: {lines[-1] if lines else 'Ray does not say why'}"

@@ -64,7 +64,7 @@ def issue(
     changed = changed_parts(then, now)
     if changed:
         raise InputError(
-            f"is not of this cell as it is now; what differs is: {', '.join(changed)}", file=folder,
+            f"belongs to another state of this cell; differences: {', '.join(changed)}", file=folder,
             hint=f"armcell gate {cell.file}",
         )  # fmt: skip
     rows, _ = rows_of(folder / TRIALS)
@@ -199,7 +199,7 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
     changed = changed_parts(then, content_hashes(cell), record["versions"])
     if changed:
         raise InputError(
-            f"is not valid for the cell as it is now; since then, what changed is: {', '.join(changed)}",
+            f"is not valid for this state of the cell; changed since: {', '.join(changed)}",
             file=place, hint=hint,
         )  # fmt: skip
     if low < LEAST or least < LEAST:

@@ -30,7 +30,7 @@ ROW = {
     **dict.fromkeys(("slip_m", "placement_error_m", "min_clearance_m", "task_time_s"), _MEASURED),
     **dict.fromkeys(("planning_s", "wall_s", "cpu_s"), _MEASURED),
 }  # fmt: skip
-"""Keys of a trial's row (see `trial.told`) and the types of their values."""
+"""Keys of a trial's row (see `trial.row_of`) and the types of their values."""
 
 
 class Store:

@@ -42,7 +42,7 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
     try:
         varied = with_values(cell, trial.values)
         with varied.connect("sim", trial.seed) as live:
-            row = told(trial, run_task(varied, live, trial.seed, "sim"))
+            row = row_of(trial, run_task(varied, live, trial.seed, "sim"))
         live.release()  # the next trial reuses the memory
     except InputError as error:  # the values give an invalid cell
         row = failed(trial, "INVALID_CELL", str(error))
@@ -53,7 +53,7 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
     return {**row, "wall_s": time.monotonic() - began, "cpu_s": time.process_time() - cpu}
 
 
-def told(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
+def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
     """Return the row of a trial from the run's result."""
     failed_at = result["failed_at"] or {"stage": "", "pair": ""}
     return _row(

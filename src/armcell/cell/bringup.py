@@ -138,16 +138,16 @@ class BringUp:
     def _identity(self) -> str:
         arms = self.settings.arms
         self._found = identify_all(self.settings)
-        told = []
+        results = []
         for name, found in self._found.items():
             kind_of(arms[name]).check_identity(name, arms[name], found)
-            told.append(f"{name} is a {found}")
+            results.append(f"{name} is a {found}")
         unnamed = [n for n in arms if arms[n].serial is None]
         if unnamed:
-            told.append(
+            results.append(
                 f"write 'serial' of {', '.join(unnamed)} into the cell file, so that arms cannot be swapped"
             )
-        return "; ".join(told)
+        return "; ".join(results)
 
     def _power(self, name: str) -> str:
         arm = self.settings.arms[name]

@@ -270,8 +270,8 @@ class Cell:
         if blind or moved:
             # hide the true poses: use the world origin as a placeholder
             known = {n: scene.object(n).at(SE3.identity()) for n in (*blind, *moved)}
-            told = {n: scene.object(n).T_world_object for n in moved}
-            seen = Seen(known, look.surface if look is not None else None, told=told)
+            initial = {n: scene.object(n).T_world_object for n in moved}
+            seen = Seen(known, look.surface if look is not None else None, initial=initial)
             driver = PerceivingDriver(driver, scene.model, seen)
         live = LiveCell(
             self.name, scene, driver, settings or self.settings, observers, seed or 0, self.cameras,

@@ -150,14 +150,14 @@ def check_planner(live: LiveCell) -> str:
     This finds start states from which the planner cannot start. They are only reported: a task may begin with
     steps that need no planner.
     """
-    name, told = live.ctx.settings.planner_id, []
+    name, faults = live.ctx.settings.planner_id, []
     scene = live.scene()
     for group in live.arms:
         here = JointGoal(scene.state.reindexed(scene.model.group(group).joint_names))
         result = plan(scene, PlanRequest(group, (here,), planner_id=name))
         if not result.ok:
-            told.append(f"{group} cannot begin here: {result.message}")
-    return "; ".join([name, *told])
+            faults.append(f"{group} cannot begin here: {result.message}")
+    return "; ".join([name, *faults])
 
 
 def check_task(cell: Cell) -> str:

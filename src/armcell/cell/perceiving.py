@@ -28,25 +28,25 @@ class Seen:
         known: the objects to detect, with their shapes, by name.
         surface: the object that supports them.
         poses: the last detected poses T_world_object, by name.
-        told: initial poses T_world_object that the planner uses before the first detection.
+        initial: initial poses T_world_object that the planner uses before the first detection.
     """
 
     known: dict[str, CollisionObject]
     surface: str | None = None
     poses: dict[str, SE3] = field(default_factory=dict)  # T_world_object
-    told: Mapping[str, SE3] = field(default_factory=dict)  # T_world_object
+    initial: Mapping[str, SE3] = field(default_factory=dict)  # T_world_object
 
     def __post_init__(self) -> None:
-        self.poses.update(self.told)
+        self.poses.update(self.initial)
 
     def forget(self) -> None:
         self.poses.clear()
-        self.poses.update(self.told)
+        self.poses.update(self.initial)
 
     @property
     def unknown(self) -> dict[str, CollisionObject]:
         """The objects without an initial pose, at their last detected poses."""
-        names = (n for n in self.known if n not in self.told)
+        names = (n for n in self.known if n not in self.initial)
         return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
     def taken_from(self, scene: PlanningScene) -> PlanningScene:

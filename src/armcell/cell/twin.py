@@ -56,7 +56,7 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
         if changed:
             raise InputError(
                 f"since the twin's bands were learned, what changed is: {', '.join(changed)}", file=file,
-                hint=f"learn them anew, which begins with a slow loop: armcell twin {cell.file}",
+                hint=f"learn them again, which begins with a slow loop: armcell twin {cell.file}",
             )  # fmt: skip
     elif watch:
         logger.info("%s; hint: armcell twin %s", UNWATCHED, cell.file)

@@ -26,7 +26,7 @@ def bringup(
     """
     check_writable(record)
     if not yes and not sys.stdin.isatty():
-        raise InputError("bring-up asks before each step, and nobody is here to answer",
+        raise InputError("bring-up asks before each step, but standard input is not a terminal",
                          hint="run it in a terminal (or --yes against emulators)")  # fmt: skip
     from armcell.cell.bringup import BringUp
     from armcell.cell.health import first_layers

@@ -80,11 +80,11 @@ def machine() -> Iterator[Line]:
 def packages() -> Iterator[Line]:
     have = {name: _version(name) for name in NEEDED}
     missing = [name for name, found in have.items() if found is None]
-    told = ", ".join(f"{name} {found}" for name, found in have.items() if found)
+    versions = ", ".join(f"{name} {found}" for name, found in have.items() if found)
     if missing:
         yield Line(NO, "packages", f"missing: {', '.join(missing)} (pip install {' '.join(missing)})")
     else:
-        yield Line(OK, "packages", told)
+        yield Line(OK, "packages", versions)
     for extra, names in EXTRAS.items():
         absent = [name for name in names if _version(name) is None]
         if absent:
@@ -110,7 +110,7 @@ def cache() -> Iterator[Line]:
         size = sum(f.stat().st_size for f in root.rglob("*") if f.is_file())
         yield Line(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
     else:
-        hint = "kernels compile anew in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
+        hint = "kernels compile again in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
         yield Line(NO, "cache folder", f"{root} is not writable: {hint}")
     kept = len(list(folder.rglob("*.nbi")))
     if kept:

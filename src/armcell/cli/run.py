@@ -104,7 +104,7 @@ def run(
         [],
         "--frames",
         metavar="CAMERA[=HZ]",
-        help="Put a simulated camera's pictures into the record, 5 a second unless told; may be repeated.",
+        help="Put a simulated camera's pictures into the record, 5 per second by default; may be repeated.",
     ),
 ) -> int:
     """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.

@@ -55,11 +55,11 @@ def hz(
 ) -> None:  # fmt: skip
     """Print the rate of a topic once per second. Ctrl-C ends it."""
     arrivals: list[float] = []
-    told = time.monotonic()
+    reported_at = time.monotonic()
     for n, _ in enumerate(_messages(topic, type_name, connect, ros1, queue_size=10_000)):
         arrivals = [*arrivals[-1000:], time.monotonic()]
-        if len(arrivals) > 1 and (arrivals[-1] - told >= 1.0 or n + 1 == count):
-            told = arrivals[-1]
+        if len(arrivals) > 1 and (arrivals[-1] - reported_at >= 1.0 or n + 1 == count):
+            reported_at = arrivals[-1]
             gaps = np.diff(arrivals)
             console.print(
                 f"{1 / gaps.mean():.2f} Hz  gaps {gaps.min() * 1000:.1f} to {gaps.max() * 1000:.1f} ms  "

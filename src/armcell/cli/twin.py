@@ -41,14 +41,14 @@ def twin(
     bands = learn_bands(loaded, motions, seed, console.print)
     bands.save(target)
     for name, arm in bands.arms.items():
-        told = np.isfinite(arm.current).all()
+        measured = np.isfinite(arm.current).all()
         console.print(
             f"{name}: position {np.rad2deg(arm.position.max()):.2f} deg, "
             f"velocity {arm.velocity.max():.2f} rad/s, "
             + (
                 f"current {arm.current.max():.2f} A, load {arm.load:.1f} kg, "
-                if told
-                else "no current told, "
+                if measured
+                else "no current measured, "
             )
             + f"round trip {arm.trip * 1000:.0f} ms; {arm.lag * 1000:.0f} ms behind; {arm.samples} looks",
             soft_wrap=True,

@@ -115,7 +115,7 @@ def _refused(hands: Sequence[SE3]) -> str:
     spread = np.linalg.eigvalsh(axes.T @ axes / len(axes))
     if spread[1] < LEAST_SPREAD:
         return (
-            "the hand was turned about one axis only, so that the camera's place along it cannot be told "
+            "the hand was turned about one axis only, so the camera's position along it cannot be determined "
             "(turn it about another axis as well: tilt it forward and to the side)"
         )
     return ""

@@ -231,10 +231,10 @@ class _Reading:
         parts, self._parts = self._parts, {}
         poses, self._poses = self._poses, {}
         if "/joint_states" in parts:
-            told, grippers = (parts.get(topic) for topic in _JOINTS[1:])
+            goals, grippers = (parts.get(topic) for topic in _JOINTS[1:])
             touching = parts.get("/contacts", ())
             joints: RecordedJoints = parts["/joint_states"]
-            self.states.append(RecordedState(parts["at"], joints, told, grippers, poses, touching))
+            self.states.append(RecordedState(parts["at"], joints, goals, grippers, poses, touching))
 
     def _decoded(self, record: records.Message, channel: records.Channel) -> Any:
         return typestore().deserialize_cdr(record.data, self._kinds[channel.schema_id])

@@ -213,7 +213,7 @@ class _Hands:
         if held:
             width = gripper.width(scene.state[gripper.joint_name])
             T_object_tcp = T.inv() @ scene.frame_pose(gripper.tcp_link)
-            self._as_held = Grasp("as it is held", T_object_tcp, width, width, 0.0)
+            self._as_held = Grasp("current grasp", T_object_tcp, width, width, 0.0)
 
     def grasps(self, pose: RestingPose) -> list[Grasp]:
         """Return grasp candidates for the object at a resting pose."""

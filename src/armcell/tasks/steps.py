@@ -34,7 +34,7 @@ class Motion:
         """Duration [s]."""
         return self.trajectory.duration
 
-    def told(self) -> dict[str, Any]:
+    def announced(self) -> dict[str, Any]:
         """Return the planning metadata that a record stores."""
         return {
             "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
@@ -50,7 +50,7 @@ class Motion:
         if isinstance(trajectory, Outcome):
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
-        ctx.announce(trajectory, self.name, **self.told())
+        ctx.announce(trajectory, self.name, **self.announced())
         watch = _Watch(ctx, trajectory, self.planned_in)
         result = execute(ctx.driver, watch, ctx.settings.execution, ctx.progress)
         ctx.rested()

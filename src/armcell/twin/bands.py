@@ -197,7 +197,7 @@ class TwinBands:
             if data["format"] != FORMAT:
                 raise InputError(
                     f"is of format {data['format']}, this armcell reads {FORMAT}", file=file,
-                    hint="learn them anew: armcell twin CELL",
+                    hint="learn them again: armcell twin CELL",
                 )  # fmt: skip
             arms = {name: _arm_of(entry) for name, entry in data["arms"].items()}
             return TwinBands(arms, dict(data["identity"]))
@@ -251,8 +251,8 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
     counts = [sum(s.clock >= SETTLED for s in looks) for *_, looks in motions]
     smooth = _largest_mean(left, counts)
     most = np.abs(current).max(axis=0)
-    told = bool(most.max() > 1e-6)
-    spread = np.maximum(np.sqrt(np.mean(left**2, axis=0)), LEAST_SPREAD * most.max() if told else 1.0)
+    known = bool(most.max() > 1e-6)
+    spread = np.maximum(np.sqrt(np.mean(left**2, axis=0)), LEAST_SPREAD * most.max() if known else 1.0)
     load = _largest_load(left, gain * kilo, spread, counts)
     trips = np.array([seen.trip for *_, seen in rows])
     trip = float(np.nanmax(trips)) if not np.isnan(trips).all() else 0.0
@@ -265,9 +265,9 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
         friction,
         viscous,
         offset,
-        np.maximum(WIDER_CURRENT * smooth, LEAST_SHARE * most.max()) if told else np.full(len(most), np.inf),
+        np.maximum(WIDER_CURRENT * smooth, LEAST_SHARE * most.max()) if known else np.full(len(most), np.inf),
         spread,
-        max(WIDER_LOAD * load, LEAST_LOAD) if told else np.inf,
+        max(WIDER_LOAD * load, LEAST_LOAD) if known else np.inf,
         trip + LATER,
         len(rows),
     )

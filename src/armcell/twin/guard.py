@@ -80,7 +80,7 @@ class TwinGuard:
             if then not in (None, now):
                 raise InputError(
                     f"{arm}: the twin's bands were learned on calibration {then}, this robot has {now}",
-                    hint="learn them anew, which begins with a slow loop: armcell twin CELL",
+                    hint="learn them again, which begins with a slow loop: armcell twin CELL",
                 )
 
     def rehearse(
@@ -216,7 +216,7 @@ class Watched:
             self._stopped = True
             hints = {
                 "load": "tell its payload, or what it holds; or is something pressing on it?",
-                "current": "a payload that was not told? a touch?",
+                "current": "an undeclared payload? a touch?",
                 "timing": "look at the network",
             }
             hint = hints.get(kind, "is it blocked, displaced, badly calibrated?")

@@ -87,7 +87,7 @@ def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> P
         raise
     if not all(endpoint.is_local for endpoint in endpoints):
         logger.warning(
-            "the page is plain HTTP on %s: whoever can read this network's traffic can read its token; "
+            "the page is plain HTTP on %s: anyone who can read this network's traffic can read its token; "
             "use it in a trusted network, through SSH (ssh -L) or behind a proxy with TLS",
             ", ".join(str(endpoint) for endpoint in endpoints),
         )

@@ -184,4 +184,4 @@ def test_a_client_that_sends_its_program_itself(robot):
 
 def test_nobody_sends_a_program(robot):
     answers = dashboard(robot.unserved, "load external_control.urp", "play", "armcell messages")
-    assert answers[1] == "Failed to execute: play" and "nobody at 127.0.0.1:1" in answers[2]
+    assert answers[1] == "Failed to execute: play" and "no host at 127.0.0.1:1" in answers[2]

@@ -185,10 +185,15 @@ class RealDriver(Driver):
         """Return a fault if a thread of this driver has ended or a gripper no longer answers."""
         arm = next(iter(self.arms), "")
         if not self._heartbeat.beats:
-            return Fault(arm, "heart stopped", "the driver's signs of life ended", "start armcell anew")
+            return Fault(
+                arm,
+                "watchdog thread stopped",
+                "the driver's watchdog thread has ended",
+                "start armcell again",
+            )
         for name, gripper in self._grippers.items():
             if gripper.silent > GRIPPER_SILENCE:
-                text = f"gripper {name!r} has told nothing for {gripper.silent:.1f} s"
+                text = f"gripper {name!r} has sent nothing for {gripper.silent:.1f} s"
                 group = self._model.gripper(name).arm_group
                 return Fault(group, GRIPPER_LOST, text, gripper.hint)
         return None

@@ -164,7 +164,7 @@ class UrArm(RealArm):
 
     def _not_connected(self) -> InputError:
         return InputError(
-            f"arm {self.name!r}: {self.settings.host} has told no state: it is not connected",
+            f"arm {self.name!r}: {self.settings.host} has sent no state: it is not connected",
             hint="connect the cell first: with cell.connect('real') as live: ...",
         )
 
@@ -401,7 +401,7 @@ class UrArm(RealArm):
             raise InputError(
                 f"arm {self.name!r}: another robot than before answers at {self.settings.host} "
                 f"(serial {found.serial}, before {self.identity.serial})",
-                hint="check cables and addresses, then start armcell anew",
+                hint="check cables and addresses, then start armcell again",
             )
         check_ready(self.name, found)
 

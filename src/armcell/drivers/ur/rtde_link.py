@@ -106,11 +106,15 @@ class RtdeLink:
         try:
             with link.makefile("rb") as lines:
                 for line in lines:
-                    told = json.loads(line)
-                    if "ready" in told:
+                    message = json.loads(line)
+                    if "ready" in message:
                         self._ready.set()
-                    elif told["number"] == self._number:
-                        self.clock, self.playing, self.result = told["clock"], told["number"], told["result"]
+                    elif message["number"] == self._number:
+                        self.clock, self.playing, self.result = (
+                            message["clock"],
+                            message["number"],
+                            message["result"],
+                        )
         except (OSError, ValueError):
             pass
         if link is self._socket:

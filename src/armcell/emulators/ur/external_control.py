@@ -76,7 +76,7 @@ class ExternalControl:
         link = self._network.connect(self._remote.address, self._remote.port)
         if link is None:
             self._robot.popup(
-                f"External Control: nobody at {self._remote.address}:{self._remote.port} sends a program"
+                f"External Control: no host at {self._remote.address}:{self._remote.port} sends a program"
             )
             return False
         link.send(b"request_program\n")

@@ -58,8 +58,8 @@ class SimpleActionClient:
         active_cb: Callable[[], None] | None = None, feedback_cb: Callable[[Any], None] | None = None,
     ) -> None:  # fmt: skip
         local = self._session.messages.local
-        told = None if feedback_cb is None else (lambda message: feedback_cb(local(message)))
-        sent = self._sent = self._client.send(local(goal), told)
+        on_feedback = None if feedback_cb is None else (lambda message: feedback_cb(local(message)))
+        sent = self._sent = self._client.send(local(goal), on_feedback)
         if done_cb is not None or active_cb is not None:
             threading.Thread(target=self._watch, args=(sent, done_cb, active_cb), daemon=True).start()
 

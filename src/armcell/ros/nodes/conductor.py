@@ -181,7 +181,7 @@ class Conductor(DriverProxy):
             try:
                 function()
             except Exception:
-                logger.exception("an event could not be told")
+                logger.exception("an event could not be delivered")
 
         with self._lock:
             if not self._closed:

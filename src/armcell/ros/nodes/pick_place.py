@@ -297,7 +297,9 @@ class PickPlaceNode:
                     case Motion():
                         message = trajectory_message(bus.schema, self._node.header(), step.trajectory)
                         points = len(step.trajectory.times)
-                        cell.tell("plan", step.name, points=points, duration_s=step.duration, **step.told())
+                        cell.tell(
+                            "plan", step.name, points=points, duration_s=step.duration, **step.announced()
+                        )
                         work = cell.play(message, planned_in=step.planned_in)
                         outcome = waited(work, goal.cancel)
                     case Grip():

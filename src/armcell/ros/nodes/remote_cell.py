@@ -419,8 +419,8 @@ class RemoteCell:
                 return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
             with self._lock:
                 said = list(self._said)
-            if (told := _told(said, begun=not self._announces)) is not None:
-                return told
+            if (result := _result_of(said, begun=not self._announces)) is not None:
+                return result
             if not said:  # the simulator reports no status: check the joint states
                 state = self.joints().reindexed(names)
                 error = float(np.max(np.abs(state.positions - end)))
@@ -504,7 +504,7 @@ class RemoteCell:
         self.stop_joints(())
 
 
-def _told(said: list[str], begun: bool) -> ExecutionResult | None:
+def _result_of(said: list[str], begun: bool) -> ExecutionResult | None:
     """Return the result of a motion from the /trajectory_status messages since it was sent.
 
     Args:

@@ -141,7 +141,7 @@ class SceneNode:
                     if changed or publisher.subscribers:
                         publisher.publish(message)
             except InputError as error:  # the cell was closed, or the simulator is not connected yet
-                logger.debug("planning scene not told: %s", error)
+                logger.debug("planning scene not published: %s", error)
                 if changed and not self._stop.wait(PUBLISH_PERIOD):
                     self._changed.set()
 

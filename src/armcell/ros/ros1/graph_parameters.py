@@ -57,7 +57,7 @@ class GraphParameters(Parameters):
         try:
             self._tell(name, value)
         except RpcError as error:
-            logger.warning("parameter %s is kept, but not told to the master: %s", name, error)
+            logger.warning("parameter %s is kept, but not set at the master: %s", name, error)
 
     def get(self, name: str, default: Any = _NONE) -> Any:
         try:

@@ -18,7 +18,7 @@ from typing import Any
 from armcell.core import ArmcellError
 from armcell.core.endpoints import Endpoint
 from armcell.ros.ros1 import rpc
-from armcell.ros.ros1.parameter_tree import ParameterTree, told
+from armcell.ros.ros1.parameter_tree import ParameterTree, subscriber_update
 from armcell.ros.ros1.rpc import Answer, Method, RpcServer, call
 from armcell.ros.ros1.settings import Ros1Settings
 
@@ -317,7 +317,7 @@ class Ros1Master:
 
     def _tell_of_parameter(self, key: str, value: Any, by: str | None) -> None:
         for subscribed, nodes in self._parameter_subscribers.nodes.items():
-            news = told(subscribed, key, value)
+            news = subscriber_update(subscribed, key, value)
             for node in nodes:
                 if news is not None and node != by:
                     self._tellers.tell(self._apis[node], "paramUpdate", news[0], _copied(news[1]))

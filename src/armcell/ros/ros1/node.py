@@ -85,7 +85,7 @@ class Ros1Node:
             ) from None
         if self.settings.is_local and not is_this_machine(self.settings.master_address[0]):
             logger.warning(
-                "the master is on another machine, but this node listens on loopback alone: nobody there can "
+                "the master is on another machine, but this node only listens on loopback: no node there can "
                 "connect to it; set ROS_IP to this machine's address"
             )
         self._rpc.start()

@@ -103,7 +103,7 @@ class ParameterTree:
         return found
 
 
-def told(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
+def subscriber_update(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
     """Return the key and value to send to the subscriber of a parameter after a change.
 
     Args:

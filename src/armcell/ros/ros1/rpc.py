@@ -91,7 +91,7 @@ def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
     except xmlrpc.client.Fault as fault:
         raise RpcError(f"{method} at {uri}: {fault.faultString[:300]}", FAILURE) from None
     except OSError as error:
-        raise RpcError(f"nobody answers at {uri} ({error.strerror or error})") from None
+        raise RpcError(f"no answer from {uri} ({error.strerror or error})") from None
     except http.client.HTTPException as error:
         raise RpcError(f"{uri} does not speak HTTP: {error!r}") from None
     except ValueError as error:

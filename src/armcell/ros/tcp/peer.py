@@ -235,9 +235,7 @@ class Peer:
         with self._lock:
             answer = self._waiting.get(number)
         if answer is None:
-            self.complain(
-                "late answer", f"an answer to service call {number}, which nobody waits for (any more)"
-            )
+            self.complain("late answer", f"an answer to service call {number}, for which no caller waits")
         else:
             answer.give(frame.body)
 
