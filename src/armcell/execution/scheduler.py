@@ -17,7 +17,10 @@ EPSILON = 1e-9  # [s]
 
 
 class _Ended(BaseException):
-    """Ends a waiting program after another one failed; a BaseException, so no handler stops it."""
+    """Exception that ends a waiting program after another program has failed.
+
+    It is a BaseException, so that no handler in the program stops it.
+    """
 
 
 class CooperativeScheduler:
@@ -75,7 +78,10 @@ class CooperativeScheduler:
 
 
 class ArmDriver(DriverProxy):
-    """Driver of one program: time passes for all programs, and `stop` acts on the program's own joints."""
+    """Driver of one program on a robot that several programs share.
+
+    A sleep lets time pass for all programs; `stop` acts on the program's own joints.
+    """
 
     def __init__(self, scheduler: CooperativeScheduler, name: str, joint_names: tuple[str, ...]):
         super().__init__(scheduler.driver)
