@@ -118,7 +118,7 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value over [0, 1] of a cubic with the Bernstein coefficients b."""
+    """Return the largest absolute value over [0, 1] of a cubic with Bernstein coefficients b."""
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
     p, r = d0 - 2.0 * d1 + d2, d1 - d0  # p t^2 + 2 r t + d0 = 0

@@ -1,4 +1,4 @@
-"""Seeds of numeric inverse kinematics: a table of configurations and their tip poses (Numba).
+"""Seeds of numeric inverse kinematics: a table of configurations and tip poses (Numba).
 
 The descent starts from the configurations whose poses are nearest to the goal.
 
