@@ -74,8 +74,8 @@ def plan_around_moving_arm(
         clearance: distance to the other arm and its attached objects [m].
     Returns:
         Like `plan`. `evidence["beside"]` is "as planned", "waits" or "searched"; the trajectory includes
-        waits. On failure `evidence["contact"]` is the pair and `evidence["time"]` the time [s] at which it
-        would meet.
+        waits. On failure `evidence["contact"]` is the pair of bodies that would touch and
+        `evidence["time"]` the time [s] of the contact.
     Raises:
         InputError: misuse, see `plan`; groups that share joints.
     """
@@ -154,7 +154,7 @@ class MovingArmTimeline:
         return self.arms.contact(np.concatenate([q, self.other_at(at)]))
 
     def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
-        """Return whether a straight motion from (p, s) to (q, t) keeps the clearance plus `more` [m]."""
+        """Return whether a straight motion (p, s) to (q, t) keeps the clearance plus `more` [m]."""
         inside = self.times[(self.times > s) & (self.times < t)]
         clock = np.concatenate([[s], inside, [t]]) if t > s else np.array([s])
         share = (clock - s) / (t - s) if t > s else np.zeros(1)
@@ -234,7 +234,7 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search for the earliest arrival from the start in `endpoints` at the timeline's start time.
+    """Search for the earliest arrival from the start of `endpoints` at the timeline's start.
 
     See `_searched`.
     """

@@ -97,7 +97,7 @@ class ClosedChainIK:
         return np.array(rows)
 
     def postures(self, T: SE3, q: Array) -> list[Array] | ClosedChainFailure:
-        """List joint solutions with the object at T on all branches of both arms, nearest to q first."""
+        """List joint solutions with the object at T on both arms' branches, nearest to q first."""
         options = []
         for group, ik in self.solvers.items():
             options.append(ik.nearest(T @ self.carried.grasps[group], q, among=8))

@@ -67,8 +67,8 @@ class RoundedObjectPath:
         self.first, self.last = through[0], through[-1]
         controls = _evenly(through, spacing, radius)
         self.count = len(controls) - 1
-        # An added control pose in line before the first and after the last pose makes the spline start and end
-    # at these poses, in a straight line.
+        # An added control pose in line before the first and after the last pose makes the spline start and
+        # end at these poses, in a straight line.
         x = np.array([T.translation for T in controls])
         self.x = np.vstack([2 * x[0] - x[1], x, 2 * x[-1] - x[-2]])
         turns = [(a.rotation.inv() @ b.rotation).log() for a, b in pairwise(controls)]
@@ -181,7 +181,7 @@ def _paced(
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
-    """Evaluate the quintic from 0 to 1, at rest at both ends: value, first and second derivative."""
+    """Evaluate the quintic from 0 to 1 from rest to rest: value, first and second derivative."""
     return (
         x**3 * (10 - 15 * x + 6 * x**2),
         30 * x**2 * (1 - x) ** 2,

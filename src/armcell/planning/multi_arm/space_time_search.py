@@ -1,4 +1,4 @@
-"""Search in joint positions and time for one arm's path past the future motion of another arm.
+"""Search in joint positions and time for a path past the future motion of another arm.
 
 Two trees of (position, time) grow toward each other: forward from the start, and backward from arrivals at
 the goals at various times. An edge is a straight motion at constant speed within all joint speed limits
@@ -67,7 +67,7 @@ class SpaceTimePath:
 
 
 class _Tree:
-    """Search tree of nodes (q, t) with parents; `sign` 1 grows into the future, -1 into the past."""
+    """Search tree of nodes (q, t) with parents; sign 1 grows into the future, -1 into the past."""
 
     def __init__(self, dof: int, sign: int):
         self.q, self.t = np.empty((256, dof)), np.empty(256)
