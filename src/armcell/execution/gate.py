@@ -36,7 +36,7 @@ NOT_STARTED = "not_started"  # evidence key of a motion that the gate refused
 
 
 class World(Protocol):
-    """Interface of a cell in which arms move, as the motion gate needs it."""
+    """Interface through which the motion gate reads a cell: scene, objects, contacts and clock."""
 
     @property
     def base(self) -> PlanningScene:
@@ -68,7 +68,7 @@ class World(Protocol):
 
 
 class MotionGate:
-    """Certifies motions in one world as collision-free and tracks the running ones.
+    """Gate that certifies motions in one world as collision-free and tracks running motions.
 
     Motions are certified in the thread that moves the arms. Any thread may call `conflict`.
 

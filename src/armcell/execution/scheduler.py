@@ -24,7 +24,10 @@ class _Ended(BaseException):
 
 
 class CooperativeScheduler:
-    """Scheduler that runs one program at a time on a shared driver clock; see `run_cooperatively`."""
+    """Scheduler that runs one program at a time on a shared driver clock.
+
+    See `run_cooperatively`.
+    """
 
     def __init__(self, driver: Driver, names: Iterable[str]):
         self.driver = driver

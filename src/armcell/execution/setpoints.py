@@ -63,10 +63,10 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
-        """Return the largest tracking error [rad or m] and its joint column; None if not compared."""
+        """Return the largest tracking error [rad or m] and its column; None if only the goal counts."""
 
     def failure(self) -> Outcome | None:
-        """Return the reason to stop the motion, apart from tolerances, or None."""
+        """Return the reason to stop the motion, other than a violated tolerance, or None."""
         return None
 
     def settling_time(self) -> float:
@@ -336,6 +336,6 @@ def largest(errors: Array) -> tuple[float, int]:
 
 
 def max_speed(driver: Driver, columns: NDArray[np.int64]) -> float:
-    """Return the largest measured speed [rad/s or m/s] of some joints; 0 if the driver measures none."""
+    """Return the largest measured speed [rad/s or m/s] of some joints; 0 if none is measured."""
     v = driver.joint_state().velocities
     return 0.0 if v is None else float(np.max(np.abs(v[columns]), initial=0.0))

@@ -129,7 +129,7 @@ class InverseDynamics:
         payloads: loads on links besides the links' own mass: (link name, inertial in the link's frame).
         gravity: acceleration (3,) [m/s^2] in the root frame.
     Raises:
-        UnknownNameError: the robot does not have a joint or link.
+        UnknownNameError: a joint or link does not exist.
         InputError: no link that the joints move has a mass, or a payload's mass is not positive.
     """
 

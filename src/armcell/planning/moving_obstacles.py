@@ -108,7 +108,7 @@ def _around(
 ) -> PlanResult | None:  # fmt: skip
     """Plan a motion around the volume that moving obstacles sweep during the motion.
 
-    Plan again with a longer sweep if the motion takes longer than the sweep.
+    If this motion fails the certification in time, plan again with a longer sweep.
     """
     for lasts in (1.5 * duration, 4.0 * duration):
         crowded = scene

@@ -1,4 +1,4 @@
-"""The planning pipeline: validate the request, find a path, simplify, certify and time it."""
+"""The planning pipeline: validate a request, find a path, simplify, certify and time it."""
 
 from __future__ import annotations
 

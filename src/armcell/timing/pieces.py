@@ -38,9 +38,9 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Return a mask of the points (k, n) that are distinct from the previously kept point.
+    """Return a mask that drops points (k, n) within `MIN_EDGE` of the previously kept point.
 
-    A distinct point is at least `MIN_EDGE` away. The last point is always kept.
+    The last point is kept in any case.
     """
     k, n = points.shape
     keep = np.zeros(k, np.bool_)

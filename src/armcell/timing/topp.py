@@ -24,7 +24,7 @@ MIN_GRIDDED = 16  # intervals of a line with torque limits
 
 @njit(cache=True)
 def grid(kind, length, turn, line_step):
-    """Divide the path pieces into intervals; return each one's piece, start and end (m,).
+    """Divide the path pieces into intervals; return their pieces, starts and ends (m,).
 
     Start and end are path parameters in the piece. Lines are divided only if line_step > 0.
     """

@@ -15,7 +15,7 @@ from armcell.kinematics.ik.chain import COLUMN, FAST, MULTIPLIER, SLIDE, pose_er
 
 DAMPING, BIAS = 0.1, 1e-8
 LARGEST_STEP = 0.5  # [rad or m] of any joint in one iteration
-PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave more of the error
+PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over PROGRESS of the error
 RELEASES = 3  # solves per iteration: the first with all joints, more without joints at a limit
 
 

@@ -151,7 +151,7 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
         turn = bend if side == 0 else -bend
         if distance > SINGULAR:
             q2 = np.arctan2(x, z) - np.arctan2(fore * np.sin(turn), upper + fore * np.cos(turn)) - g[25]
-        else:  # the wrist lies on axis 2: joint 2 is free
+        else:  # the wrist is on axis 2: joint 2 is free
             q2 = reference[int(g[36])]
         q3 = turn - (g[26] - g[25])
         q4 = total - q2 - q3

@@ -43,7 +43,7 @@ TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "rela
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """The first step of a Cartesian path that is not feasible.
+    """The first infeasible step of a Cartesian path.
 
     Attributes:
         explain: computes the reason with its evidence; called only for the best of all attempts.

@@ -50,7 +50,7 @@ ITERATIONS = 24
 LARGEST_STEP = 0.6  # [rad or m] of any joint in one iteration
 DAMPING, BIAS = 0.05, 1e-9
 BEYOND = 0.3  # aim inside by this share of the gap between planning tolerances and full tolerances
-PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave more of the error
+PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over PROGRESS of the error
 
 
 @njit(cache=True)

@@ -78,7 +78,7 @@ def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, 
 
 
 def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Report whether the last waypoint or only the line to it is out of reach."""
+    """Report whether the last waypoint is out of reach, or only the straight line to it."""
     path = diagnosis.result.path
     q = diagnosis.start if path is None else path.waypoints[-1]
     found = explain_pose(diagnosis.start_scene, request.group, request.waypoints[-1], request.link)

@@ -1,4 +1,7 @@
-"""Diagnosis of contacts: the smallest shift of an object that frees the robot, or removal."""
+"""Diagnosis of contacts: the smallest shift of an object that frees the robot.
+
+The diagnosis also suggests to remove the object.
+"""
 
 from __future__ import annotations
 

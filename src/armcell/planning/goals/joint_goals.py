@@ -87,7 +87,7 @@ class _GoalFilter:
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def refusal(self) -> Outcome | None:
-        """Summarize why all tested goal positions were rejected; None if none was tested."""
+        """Return the reason why all tested goal positions were rejected; None if none was tested."""
         if self.forbidden:
             return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
         contacts = [c for c in map(self.checker.exact.contacts, self.blocked[:BLOCKED]) if c]

@@ -51,7 +51,7 @@ class RunningMotion:
 
     @staticmethod
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
-        """Create the motion of an arm that stays at its position in the scene."""
+        """Create the motion of an arm that rests at its position in the scene."""
         names = scene.model.group(group).joint_names
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
@@ -149,7 +149,7 @@ class MovingArmTimeline:
         return None if found.free else found.time
 
     def contact(self, trajectory: JointTrajectory, at: float) -> Contact | None:
-        """Find the nearest pair of bodies at a time [s] of a motion that begins at the start time."""
+        """Find the nearest pair of bodies of the two arms at a time [s] of the planned motion."""
         q = trajectory.sample(at - self.start_time)[0]
         return self.arms.contact(np.concatenate([q, self.other_at(at)]))
 
@@ -282,9 +282,9 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival time [s] that the search considers.
+    """Compute the latest arrival time [s] to search for.
 
-    A motion until this time can make a detour after the other arm has come to rest.
+    The time suffices for a detour after the other arm has come to rest.
     """
     soonest = min(arrivals)
     return max(timeline.end, soonest) + 2.0 * (soonest - problem.start_time) + 1.0

@@ -101,7 +101,7 @@ def plan_carry(
         planning_time: time for all detours together [s]; 0: only straight paths.
     Returns:
         SUCCESS with the trajectory; `evidence["ways"]` lists "straight" or "round" for each pose. On failure
-        the obstacle: TIMED_OUT if no detour was found in time, PREEMPTED if planning was cancelled.
+        the obstacle: TIMED_OUT if no detour was found in time, PREEMPTED if planning was canceled.
     Raises:
         InputError: no pose, scalings outside (0, 1], a speed that is not positive, a negative time.
     """

@@ -132,7 +132,7 @@ class SearchLimits:
 
     @property
     def over(self) -> bool:
-        """Whether the object pose search is cancelled or its deadline has passed."""
+        """Whether the object pose search is canceled or its deadline has passed."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
 

@@ -62,7 +62,7 @@ class MotionCommand:
         return GeneratedMotion(JointLine(self.start, self.start), trajectory)
 
     def stopped(self) -> Outcome | None:
-        """Return the outcome if the request is cancelled or its time is up, else None."""
+        """Return the outcome if the request is canceled or its time is up, else None."""
         if self.validated.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, f"{self.validated.planner_id}: cancelled")
         if time.monotonic() > self.validated.deadline:

@@ -61,7 +61,7 @@ def check_joint_limits(
 
 
 SAGITTAS = (2e-4, 1e-5)
-"""[rad or m] deviation of the proven chords from the motion; the second replaces one too coarse."""
+"""[rad or m] deviation of the proven chords from the motion; the second if the first is too coarse."""
 
 BETWEEN_POINTS = 1e-7  # [rad or m] deviation of the interpolation between trajectory points from the curve
 TOUCH_STEP = 0.005  # [rad or m] resolution of the first contact

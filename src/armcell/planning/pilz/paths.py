@@ -224,7 +224,7 @@ def follow_path(
     Args:
         start: positions (n,) at the beginning of the path.
         goal: positions (n,) for the path's end, if specified; a redundant arm moves to them along the path.
-        stopped: returns the outcome if the time is over or the request is cancelled.
+        stopped: returns the outcome if the time is over or the request is canceled.
     Returns:
         The curve, or the code, message and evidence (`fraction`) of the stop.
     """

@@ -30,7 +30,10 @@ class CartesianLimits:
 
     @property
     def equivalent_radius(self) -> float:
-        """Path length [m] that one radian counts as: both speed limits are reached together."""
+        """Path length [m] that is equivalent to a rotation by one radian.
+
+        With it, a motion reaches both speed limits together.
+        """
         return self.max_trans_vel / self.max_rot_vel
 
 

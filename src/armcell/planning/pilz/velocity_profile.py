@@ -30,7 +30,7 @@ class Trapezoid:
 
     @staticmethod
     def fastest(distance: float, velocity: float, acceleration: float, deceleration: float) -> Trapezoid:
-        """Create the fastest trapezoidal profile over a distance > 0; a short one has no flat phase."""
+        """Create the fastest trapezoidal profile over a distance > 0, without flat phase if short."""
         half = 0.5 / acceleration + 0.5 / deceleration
         speed = min(velocity, float(np.sqrt(distance / half)))
         flat = max(distance / speed - speed * half, 0.0)

@@ -39,8 +39,8 @@ class DistanceField:
 
         Args:
             objects: objects to measure distances from.
-            low, high: (3,) corners of the box of queried points [m]; the grid is smaller if the objects cover only
-                a part of the box.
+            low, high: (3,) corners of the box of queried points [m]; the grid is smaller if the objects cover
+                only a part of the box.
         """
         boxes = [_bounds(o.T_world_object @ T, s) for o in objects for s, T in o.shapes]
         if boxes:

@@ -46,7 +46,7 @@ class Problem:
 
     @property
     def stopped(self) -> bool:
-        """Whether the planning request is cancelled or its time is up."""
+        """Whether the planning request is canceled or its time is up."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
     @property
