@@ -92,8 +92,7 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """Return the fastest trajectory along a path within velocity, acceleration and torque limits
-    (if given).
+    """Return the fastest trajectory along a path within joint limits and optional torque limits.
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except

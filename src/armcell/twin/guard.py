@@ -42,7 +42,7 @@ class Motion:
 
 
 class TwinGuard:
-    """Monitors all arms of a driver against their simulated twin.
+    """Guard that monitors all arms of a driver against their simulated twin.
 
     Args:
         stage: simulation in which motions are dry-run.

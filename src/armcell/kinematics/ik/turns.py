@@ -17,7 +17,7 @@ SLACK = 1e-9  # [rad or m] beyond a limit that counts as rounding
 
 @njit(cache=True, error_model="numpy")
 def nearest_turns(q, reference, bounds, turning):
-    """Turn joints of q (n,) by full turns to the nearest positions to the reference, in place.
+    """Change q (n,) by full turns of its joints to be nearest to the reference, in place.
 
     All joints end within their bounds.
 

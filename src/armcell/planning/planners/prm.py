@@ -146,7 +146,10 @@ class Roadmap:
         return numbers
 
     def query(self, checker, start: int, goals, step: float, path: Array, route, stop) -> int:
-        """Find the shortest free path on the roadmap, see native.roadmap.query."""
+        """Find the shortest collision-free path on the roadmap.
+
+        See native.roadmap.query.
+        """
         return compiled.query(
             checker.handle, *self._graph, self.stamp, start, goals, step, *self.search, route, path, stop
         )

@@ -90,9 +90,9 @@ pipelines["stomp"] = Registry("planner of pipeline 'stomp'", GROUP)
 
 @pipelines["stomp"].register("STOMP")
 def stomp(problem: Problem) -> PlannerResult:
-    """Plan by STOMP.
+    """Plan a rough path by STOMP (stochastic trajectory optimization).
 
-    The path is rough, so the pipeline simplifies it.
+    The pipeline simplifies the path.
     """
     settings: STOMPSettings = problem.settings or STOMPSettings()
     cost = ObstacleCost(problem.checker, settings.collision_clearance)

@@ -62,7 +62,7 @@ def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True)
 def _most(capacity):
-    """Compute the maximum number of leaves.
+    """Compute the maximum number of leaves for a tree of `capacity` nodes.
 
     Each leaf holds at least half of L nodes.
     """
